@@ -1,0 +1,30 @@
+"""One CAN or CAN FD frame, in the terms of Linux's can_frame and canfd_frame (include/uapi/linux/can.h)."""
+
+from typing import NamedTuple
+
+EXTENDED = 0x80000000  # CAN_EFF_FLAG, in can_id
+REMOTE = 0x40000000  # CAN_RTR_FLAG, in can_id
+ERROR = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic
+STANDARD_MASK = 0x7FF
+EXTENDED_MASK = 0x1FFFFFFF
+
+BRS = 0x01  # CANFD_BRS, in flags: data phase at the data bit rate
+ESI = 0x02  # CANFD_ESI, in flags: the sender is error-passive
+FD = 0x04  # CANFD_FDF, in flags: an FD frame
+
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
+
+class Frame(NamedTuple):
+    """A frame as it was received or is to be sent.
+
+    can_id: 11- or 29-bit identifier, with EXTENDED, REMOTE and ERROR as Linux sets them.
+    data: 0 to 8 bytes, or one of FD_LENGTHS for an FD frame.
+    flags: BRS, ESI, FD.
+    timestamp_ns: reception time on the receiver's monotonic (or virtual) clock; 0 for a frame not yet sent.
+    """
+
+    can_id: int
+    data: bytes
+    flags: int = 0
+    timestamp_ns: int = 0

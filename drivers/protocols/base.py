@@ -1,0 +1,115 @@
+"""What every frame layout offers: bytes to values and back, no I/O, no clock."""
+
+from collections.abc import Sequence
+from enum import IntEnum, IntFlag
+from typing import NamedTuple, Protocol
+
+from drivers.frame import Frame
+
+
+class DriveStatus(IntFlag):
+    """A drive's status in the layout-independent form the control cycle works with."""
+
+    ENABLED = 1 << 0  # applies the torque it is told
+    FAULT = 1 << 1  # internal fault, latched in the drive
+    WATCHDOG = 1 << 2  # its command watchdog tripped: torque is zero, latched
+    TORQUE_LIMITED = 1 << 3  # applied less torque than it was told
+    HOMED = 1 << 4  # its position is absolute
+    BRAKE = 1 << 5  # holding brake engaged
+    ENCODER_FAULT = 1 << 6  # its position cannot be trusted
+
+
+class Reject(IntEnum):
+    """Why a received frame carries no sample. Each reason has a counter."""
+
+    UNKNOWN_ID = 0
+    WRONG_LENGTH = 1
+    WRONG_FORMAT = 2  # classic where FD is due, remote frame, extended id
+    BAD_CHECKSUM = 3
+    INVALID_VALUE = 4  # a field outside its range
+    ERROR_FRAME = 5
+    OWN_ECHO = 6
+    SERVICE = 7  # NMT, SDO, heartbeat, EMCY: understood, but not a sample
+    STALE = 8  # answers an older command than the newest sample did (the cycle's judgement)
+    DUPLICATE = 9  # answers a command already answered (the cycle's judgement)
+
+
+class Sample(NamedTuple):
+    """One axis' encoder sample.
+
+    axis: index, 0-based. position: encoder counts, int. status: DriveStatus bits. sequence: of the command frame
+    whose reception triggered the sample, modulo the layout's `sequence_modulus`; -1 where the layout has none.
+    stamp_ns: the drive's sampling time, unwrapped to the value nearest the frame's reception time; -1 where the layout
+    has none.
+    """
+
+    axis: int
+    position: int
+    status: int
+    sequence: int
+    stamp_ns: int
+
+
+class Command(NamedTuple):
+    """What the host tells all drives in one tick.
+
+    sequence: tick's sequence number, >= 0 (the layout takes it modulo `sequence_modulus`).
+    force: N or N m per axis, within the rated force. enable: bit i set = axis i applies its torque; clear = zero torque,
+    brake engaged. reset: clear latched drive faults (acts on its rising edge).
+    """
+
+    sequence: int
+    force: Sequence[float]
+    enable: int
+    reset: bool
+
+
+class Message(NamedTuple):
+    """One periodic message for the schedulability analysis.
+
+    name: as shown to people. can_id: identifier (with EXTENDED where it is). length: payload bytes. fd: CAN FD with bit-rate
+    switch. period_ns; deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest queueing
+    after the tick's start). sender: node name ("host", "x", ...).
+    after: name of the message whose reception triggers this one (feedback after the command), or None.
+    """
+
+    name: str
+    can_id: int
+    length: int
+    fd: bool
+    period_ns: int
+    deadline_ns: int
+    jitter_ns: int
+    sender: str
+    after: str | None = None
+
+
+class HostProtocol(Protocol):
+    """The host's side of a frame layout. May keep state (CANopen start-up); never reads a clock."""
+
+    name: str
+    n_axes: int
+    sequence_modulus: int  # 0: the layout carries no sequence number
+    fd: bool
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """Value of one received frame. Never raises, whatever the bytes."""
+
+    def encode(self, command: Command) -> list[Frame]:
+        """Frames of one tick, in sending order; the one that triggers sampling is the last of the cyclic ones."""
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """The periodic and service traffic this layout puts on the bus, both directions."""
+
+
+class DeviceProtocol(Protocol):
+    """The drives' side of a frame layout."""
+
+    name: str
+    n_axes: int
+
+    def decode_command(self, frame: Frame) -> Command | Reject:
+        """The command in a received frame. Never raises, whatever the bytes."""
+
+    def encode_feedback(self, sample: Sample) -> Frame:
+        """The feedback frame of one axis."""

@@ -1,0 +1,1 @@
+"""Measurements as ratios against a reference taken in the same run."""

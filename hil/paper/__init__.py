@@ -1,0 +1,1 @@
+"""The paper's claims (Xu, Cai, Zou 2013) as runnable experiments."""

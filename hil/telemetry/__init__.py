@@ -1,0 +1,1 @@
+"""From the control process's memory-mapped ring to Zenoh, MCAP and back (commands)."""

@@ -1,0 +1,73 @@
+"""The fixed-size record of one tick: what the control process leaves in the ring, and all that replay needs.
+
+Little-endian, SI units, 4096 bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
+"""
+
+import numpy as np
+
+from hil.config import MAX_AXES
+
+MAX_RECEIVED = 32
+MAX_SENT = 6
+MAX_COMMANDS = 4
+REJECT_REASONS = 10  # drivers.protocols.base.Reject
+
+_AXES = (MAX_AXES,)
+
+FRAME = np.dtype(
+    [("timestamp_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", 64)]
+)  # 80 bytes
+COMMAND = np.dtype([("kind", "<u4"), ("accepted", "<u4"), ("sequence", "<u8"), ("expires_ns", "<i8")])
+
+_FIELDS = [
+    # the tick
+    ("index", "<i8"),
+    ("scheduled_ns", "<i8"),
+    ("now_ns", "<i8"),
+    ("state", "<u4"),  # hil.state_machine.State
+    ("fault", "<u4"),  # hil.faults.Fault that latched, 0: none
+    ("faults_active", "<u8"),  # bit f set: detector f fires in this tick
+    ("flags", "<u4"),  # bit 0 stop, 1 recorder_ok, 2 realtime_ok, 3 rig_ok, 4 sending
+    ("sequence", "<u4"),
+    ("task_ns", "<i8"),  # time on the task's clock; -1: no task runs
+    # per axis
+    ("position", "<f8", _AXES),  # measured, m
+    ("position_estimate", "<f8", _AXES),
+    ("velocity_estimate", "<f8", _AXES),
+    ("disturbance_estimate", "<f8", _AXES),
+    ("innovation", "<f8", _AXES),
+    ("setpoint_position", "<f8", _AXES),  # at the sample's time stamp
+    ("setpoint_velocity", "<f8", _AXES),
+    ("following_error", "<f8", _AXES),  # position - setpoint_position, both at the sample's time stamp
+    ("force_requested", "<f8", _AXES),  # by the law
+    ("force", "<f8", _AXES),  # let out by the gate
+    ("stamp_ns", "<i8", _AXES),
+    ("age_ticks", "<u4", _AXES),  # since the last accepted sample
+    ("drive_status", "<u4", _AXES),
+    # counters, cumulative
+    ("port", "<u8", (12,)),  # hil.tick.PortCounters, state last
+    ("rejects", "<u8", (REJECT_REASONS,)),
+    ("samples_lost", "<u8"),
+    ("missed_own", "<u8"),
+    ("missed_host", "<u8"),
+    ("longest_streak", "<u8"),
+    ("illegal_events", "<u8"),
+    ("commands_refused", "<u8"),
+    ("law_floors", "<u8"),  # denominators floored by the law
+    ("saturations", "<u8", _AXES),  # ticks in which the gate clamped or rate-limited
+    # of the previous tick, written by the shell: ns of CPU per stage, and of run delay
+    ("cpu_ns", "<u4", (5,)),  # read, estimate, control, gate, send
+    ("run_delay_ns", "<u4"),
+    # everything replay needs
+    ("n_commands", "<u2"),
+    ("n_received", "<u2"),
+    ("n_sent", "<u2"),
+    ("reserved", "<u2"),
+    ("commands", COMMAND, (MAX_COMMANDS,)),
+    ("sent", FRAME, (MAX_SENT,)),
+    ("received", FRAME, (MAX_RECEIVED,)),
+]
+
+_USED = np.dtype(_FIELDS).itemsize
+RECORD_SIZE = 4096
+RECORD = np.dtype([*_FIELDS, ("padding", "u1", RECORD_SIZE - _USED)])

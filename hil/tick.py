@@ -1,0 +1,81 @@
+"""What goes into one control cycle and what comes out: the whole of its contact with the world."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.frame import Frame
+
+
+class BusState(IntEnum):
+    """The controller's fault-confinement state (ISO 11898-1, 13.1)."""
+
+    ERROR_ACTIVE = 0
+    ERROR_PASSIVE = 1
+    BUS_OFF = 2
+    DOWN = 3  # interface gone or down
+
+
+class PortCounters(NamedTuple):
+    """Cumulative counters of a CAN port since it was opened."""
+
+    received: int = 0
+    sent: int = 0
+    refused: int = 0  # ENOBUFS, EAGAIN: the transmit queue was full
+    overflow: int = 0  # frames the kernel dropped for want of receive buffer (SO_RXQ_OVFL)
+    discarded: int = 0  # frames beyond the tick's receive limit (flood): counted, oldest dropped
+    errors: int = 0  # error frames
+    no_ack: int = 0
+    bus_off: int = 0
+    restarted: int = 0
+    down: int = 0  # ENETDOWN, ENODEV
+    echo: int = 0  # own frames seen again
+    state: BusState = BusState.ERROR_ACTIVE
+
+
+class CommandKind(IntEnum):
+    """What an operator (or `hil demo`) may ask of the state machine."""
+
+    ACTIVATE = 1
+    STOP = 2
+    RESET = 3
+    ESTOP = 4
+    HOME = 5
+    SHUTDOWN = 6
+    HEARTBEAT = 7
+
+
+class OperatorCommand(NamedTuple):
+    """A command from the mailbox. sequence: strictly increasing per sender session. expires_ns: monotonic ns."""
+
+    kind: CommandKind
+    sequence: int
+    expires_ns: int
+
+
+class Tick(NamedTuple):
+    """Everything but the frames that a cycle step may depend on.
+
+    index: 0, 1, 2, ...; skipped slots leave gaps. scheduled_ns: the tick's deadline on the control clock.
+    now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
+    recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
+    rig_ok: the rig file is still the one this process was started with.
+    """
+
+    index: int
+    scheduled_ns: int
+    now_ns: int
+    port: PortCounters
+    commands: tuple[OperatorCommand, ...] = ()
+    stop: bool = False
+    recorder_ok: bool = True
+    realtime_ok: bool = True
+    rig_ok: bool = True
+
+
+class CycleResult(NamedTuple):
+    """frames: to send now, in order; empty where nothing may be sent. record: this tick's telemetry (hil.telemetry.record)."""
+
+    frames: list[Frame]
+    record: np.void

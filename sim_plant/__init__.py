@@ -1,0 +1,1 @@
+"""The emulated stage: physics, servo drives and their misbehaviour. Knows nothing of the controller."""

@@ -1,0 +1,46 @@
+"""The part of a rig file that describes the emulated stage: [plant]. It is the plant's truth, not the controller's belief."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+PerAxis = float | list[float]  # one number for all axes, or one per axis
+
+
+class CellConfig(BaseModel):
+    """A membrane in front of the pipette: point load on a clamped circular membrane, F = stiffness * depth^3, until it is pierced."""
+
+    model_config = STRICT
+    axis: str
+    surface: float  # m, axis position at which the tip touches
+    direction: Annotated[int, Field(ge=-1, le=1)] = -1  # sign of the motion into the cell
+    stiffness: Positive = 1.54e8  # N/m^3
+    puncture_depth: Positive = 164e-6  # m
+    drag: NonNegative = 0.0  # N s/m while inside, after piercing
+
+
+class PlantConfig(BaseModel):
+    """[plant]: masses (kg), friction, encoders and drives of the emulated stage. Per-axis values in the order of [axes]."""
+
+    model_config = STRICT
+    mass: list[Positive]
+    coulomb: list[NonNegative]  # N
+    viscous: list[float]  # N s/m; the paper's are negative on X
+    quadratic: list[float]  # N s^2/m^2, times v |v|
+    gravity: list[float] = []  # N, constant force on the axis (negative pulls towards negative positions); empty: none
+    mass_scale: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    friction_scale: Annotated[float, Field(ge=0, le=10)] = 1.0  # of coulomb, viscous and quadratic
+    modelling_error: Annotated[float, Field(ge=0)] | list[NonNegative] = 0.0  # N, Delta sgn(v)
+    encoder_resolution: Positive | list[Positive] = 1e-7  # m or rad per count
+    ripple_amplitude: NonNegative | list[NonNegative] = 0.0  # N
+    ripple_period: Positive | list[Positive] = 0.05  # m
+    stribeck_scale: NonNegative | list[NonNegative] = 0.0  # extra Coulomb friction at rest, as a fraction
+    stribeck_velocity: Positive | list[Positive] = 0.01  # m/s
+    initial_position: float | list[float] = 0.0  # m
+    cells: list[CellConfig] = []
+    watchdog_s: Annotated[float, Field(gt=0, le=1)] = 0.01  # no valid command for this long: zero torque, latched
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
