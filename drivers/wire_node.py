@@ -1,0 +1,159 @@
+"""One controller on the simulated CAN segment: its transmit queue, its error counters, what its driver would report."""
+
+from collections import deque
+from collections.abc import Callable, Container
+from typing import TYPE_CHECKING
+
+from drivers.counters import BusState, PortCounters
+from drivers.frame import BRS, Frame
+from drivers.frame_length import frame_bits
+
+if TYPE_CHECKING:
+    from drivers.wire import Wire
+
+PASSIVE_LIMIT = 127  # TEC or REC above it: error-passive (ISO 11898-1:2015, 12.1.4)
+BUS_OFF_LIMIT = 255  # TEC above it: bus-off
+
+
+class WireNode:
+    """A node's transmit queue is a FIFO, as a qdisc is; the oldest frame alone sits in the controller and arbitrates.
+
+    Made by `Wire.attach`. sent, received, refused, errors, no_ack, ...: cumulative, as in `PortCounters`.
+    tec, rec: transmit and receive error counter.
+    """
+
+    __slots__ = (
+        "_attempt_ns",
+        "_queue",
+        "_ready_ns",
+        "_receive",
+        "_repeating",
+        "_targets",
+        "_wire",
+        "accept",
+        "bus_off",
+        "cut_off",
+        "down",
+        "errors",
+        "interface_up",
+        "is_bus_off",
+        "name",
+        "no_ack",
+        "on_sent",
+        "queue_length",
+        "rec",
+        "received",
+        "refused",
+        "restarted",
+        "sent",
+        "tec",
+    )
+
+    def __init__(
+        self,
+        wire: "Wire",
+        name: str,
+        receive: Callable[[Frame], None] | None,
+        queue_length: int,
+        accept: Container[int] | None,
+    ) -> None:
+        if queue_length < 1:
+            raise ValueError(f"node {name}: queue_length = {queue_length}, must be at least 1")
+        self.name = name
+        self.queue_length = queue_length
+        self.accept = accept
+        self.sent = self.received = self.refused = self.errors = 0
+        self.no_ack = self.bus_off = self.restarted = self.down = 0
+        self.tec = self.rec = 0
+        self.is_bus_off = False
+        self.interface_up = True
+        self.cut_off = False
+        self.on_sent: Callable[[int], None] | None = None
+        self._wire = wire
+        self._receive = receive
+        self._queue: deque[tuple[int, Frame, int]] = deque()  # (earliest start, frame, duration SOF to EOF), ns
+        self._ready_ns = 0  # no transmission before this: suspended, or still recovering
+        self._attempt_ns = -1  # cut off from the others: its next attempt
+        self._repeating = False  # the frame at the head has been received by others already
+        self._targets: dict[int, tuple[WireNode, ...]] = {}  # who takes a frame of mine, by identifier
+
+    def send(self, frame: Frame, at_ns: int) -> bool:
+        """Queue a frame that may start at `at_ns` (virtual ns, not before the wire's own time).
+
+        False: refused, because the queue is full (ENOBUFS), the interface is down (ENETDOWN) or the node is bus-off.
+        Raises ValueError for a time in the past and for a payload length the format does not have.
+        """
+        wire = self._wire
+        if at_ns < wire.now_ns:
+            raise ValueError(f"node {self.name}: send at {at_ns} ns, but the wire is at {wire.now_ns} ns")
+        queue = self._queue
+        if len(queue) >= self.queue_length or self.is_bus_off or not self.interface_up:
+            if self.interface_up:
+                self.refused += 1
+            else:
+                self.down += 1
+            return False
+        nominal, fast = frame_bits(frame)
+        if at_ns < self._ready_ns:
+            at_ns = self._ready_ns
+        queue.append((at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast]))
+        if len(queue) == 1:
+            if self.cut_off:
+                wire.schedule_alone(self)
+            else:
+                wire.waiting.append(self)
+        return True
+
+    def purge(self) -> int:
+        """Drop what is queued, except a frame on the wire at this moment. Returns how many were dropped."""
+        return self._wire.purge(self)
+
+    def restart(self, at_ns: int) -> None:
+        """Ask for recovery from bus-off: it takes 128 times 11 recessive bits on the bus, then the node is error-active."""
+        self._wire.restart(self, at_ns)
+
+    @property
+    def queued(self) -> int:
+        """Frames not sent yet, the one on the wire included."""
+        return len(self._queue)
+
+    @property
+    def listening(self) -> bool:
+        """Takes part in the traffic: receives and acknowledges."""
+        return self.interface_up and not self.is_bus_off and not self.cut_off
+
+    @property
+    def state(self) -> BusState:
+        """Fault-confinement state of the controller."""
+        if not self.interface_up:
+            return BusState.DOWN
+        if self.is_bus_off:
+            return BusState.BUS_OFF
+        if self.tec > PASSIVE_LIMIT or self.rec > PASSIVE_LIMIT:
+            return BusState.ERROR_PASSIVE
+        return BusState.ERROR_ACTIVE
+
+    def counters(self) -> PortCounters:
+        """What a port on this node reports."""
+        return PortCounters(
+            received=self.received,
+            sent=self.sent,
+            refused=self.refused,
+            errors=self.errors,
+            no_ack=self.no_ack,
+            bus_off=self.bus_off,
+            restarted=self.restarted,
+            down=self.down,
+            state=self.state,
+        )
+
+
+def elapsed_ns(frame: Frame, bit: int, nominal_ns: list[int], data_ns: list[int]) -> int:
+    """Time from SOF to the end of bit `bit` (0: SOF) of a frame; bits behind its last one count as its last."""
+    nominal, fast = frame_bits(frame)
+    done = min(bit + 1, nominal + fast)
+    if not frame.flags & BRS:
+        return nominal_ns[done]
+    head = nominal - 9  # the nominal bits behind the data phase: ACK slot to EOF
+    in_data_phase = min(max(done - head, 0), fast)
+    return nominal_ns[done - in_data_phase] + data_ns[in_data_phase]
