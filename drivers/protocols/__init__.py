@@ -1,0 +1,36 @@
+"""Frame layouts by the name a rig file gives them: bytes to values and back, no I/O."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from drivers.config import BusConfig
+from drivers.protocols.base import DeviceProtocol, HostProtocol
+from drivers.protocols.compiled import LayoutError
+
+__all__ = ["LayoutError", "device_protocol", "host_protocol"]
+
+# The modules are imported where they are needed: a rig pays only for its own layout.
+
+
+def host_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> HostProtocol:
+    """The host's side of the layout `bus.protocol`, before any bus is opened.
+
+    rated_force: N or N m per axis. base_dir: folder of the rig file, where a relative `dbc:` path starts.
+    Raises LayoutError (a ValueError) where the rig cannot be carried by the layout.
+    """
+    match bus.protocol:
+        case "stage_fd":
+            from drivers.protocols.stage_fd import StageFdHost
+
+            return StageFdHost(bus, n_axes, rated_force)
+    raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
+
+
+def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> DeviceProtocol:
+    """The drives' side of the layout `bus.protocol`; arguments and errors as in `host_protocol`."""
+    match bus.protocol:
+        case "stage_fd":
+            from drivers.protocols.stage_fd import StageFdDevice
+
+            return StageFdDevice(bus, n_axes, rated_force)
+    raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

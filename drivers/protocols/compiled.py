@@ -1,0 +1,159 @@
+"""Turns a DBC message into a codec fast enough for the loop.
+
+cantools interprets its description of a message at every call (1 to 4 us). Here the description is read once: a message
+of whole bytes becomes a `struct.Struct`, any other a list of shifts and masks. Both work on raw values, before the
+DBC's factor and offset. tests/test_protocols.py holds them equal to cantools' own encode and decode.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cantools
+from cantools.database import UnsupportedDatabaseFormatError  # type: ignore[attr-defined]
+from cantools.database.can import Database, Message, Signal
+from cantools.database.errors import Error as CantoolsError
+
+
+class LayoutError(ValueError):
+    """A frame layout, or the binding of a rig to it, that cannot be used. The text says what to change."""
+
+
+class Codec(NamedTuple):
+    """Raw values of one message, in the order of `names` (ascending position in the payload).
+
+    unpack takes exactly `length` bytes. pack takes one value per name and raises struct.error or OverflowError for one
+    that does not fit; bits that no signal covers are zero.
+    """
+
+    names: tuple[str, ...]
+    length: int
+    unpack: Callable[[bytes], Sequence[Any]]
+    pack: Callable[..., bytes]
+
+
+def load_dbc(path: Path) -> Database:
+    """Read a DBC file. Raises LayoutError naming the file."""
+    try:
+        database = cantools.database.load_file(path, database_format="dbc")
+    except OSError as error:
+        raise LayoutError(f"{path}: {error.strerror or error}") from None
+    except (CantoolsError, UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
+        raise LayoutError(f"{path}: not a usable DBC file: {error}") from None
+    assert isinstance(database, Database)  # what database_format="dbc" gives
+    return database
+
+
+def compile_codec(message: Message, expected: Sequence[str] | None = None) -> Codec:
+    """Codec of a message without multiplexing.
+
+    expected: the names the caller's code counts on; LayoutError where the DBC has others or has them in another order.
+    """
+    signals = sorted(message.signals, key=lambda signal: _top_bit(signal))
+    names = tuple(str(signal.name) for signal in signals)
+    if expected is not None and names != tuple(expected):
+        raise LayoutError(f"message {message.name}: signals {', '.join(names)}; expected {', '.join(expected)}")
+    layout = _struct_format(signals, message.length)
+    if layout is not None:
+        return Codec(names, message.length, layout.unpack, layout.pack)
+    plan = BitPlan(signals, message.length)
+    return Codec(names, message.length, plan.unpack, plan.pack)
+
+
+def _is_little(signal: Signal) -> bool:
+    return signal.byte_order == "little_endian"
+
+
+def _top_bit(signal: Signal) -> tuple[int, int]:
+    """Byte of the signal's start and its bit in it, so that signals sort in the order they are drawn."""
+    bit = signal.start % 8
+    return signal.start // 8, bit if _is_little(signal) else 7 - bit
+
+
+_INTEGER = {8: "b", 16: "h", 32: "i", 64: "q"}
+_FLOAT = {16: "e", 32: "f", 64: "d"}
+
+
+def _struct_format(signals: Sequence[Signal], length: int) -> struct.Struct | None:
+    """The message as a struct, or None where a signal is not made of whole bytes or byte orders are mixed."""
+    orders = {signal.byte_order for signal in signals if signal.length > 8}
+    if len(orders) > 1:
+        return None
+    layout = "<" if orders <= {"little_endian"} else ">"
+    position = 0
+    for signal in signals:
+        offset, bit = divmod(signal.start, 8)
+        if bit != (0 if _is_little(signal) else 7) or signal.length not in _INTEGER:
+            return None
+        kind = _FLOAT.get(signal.length) if signal.is_float else _INTEGER[signal.length]
+        if kind is None:
+            return None
+        layout += f"{offset - position}x" if offset > position else ""
+        layout += kind if signal.is_float or signal.is_signed else kind.upper()
+        position = offset + signal.length // 8
+    return struct.Struct(layout + (f"{length - position}x" if length > position else ""))
+
+
+class _Field(NamedTuple):
+    """A signal in the payload read as one integer of big or little byte order; sign: weight of the sign bit, or 0."""
+
+    big: bool
+    shift: int
+    mask: int
+    sign: int
+    to_float: Callable[[int], float] | None
+    from_float: Callable[[float], int] | None
+
+
+def _field(signal: Signal, length: int) -> _Field:
+    big = not _is_little(signal)
+    offset, bit = divmod(signal.start, 8)
+    shift = 8 * length - (8 * offset + 7 - bit) - signal.length if big else signal.start
+    to_float = from_float = None
+    if signal.is_float:
+        bits, number = struct.Struct(">" + _INTEGER[signal.length].upper()), struct.Struct(">" + _FLOAT[signal.length])
+        to_float = lambda raw: float(number.unpack(bits.pack(raw))[0])  # noqa: E731
+        from_float = lambda value: int(bits.unpack(number.pack(value))[0])  # noqa: E731
+    sign = 1 << (signal.length - 1) if signal.is_signed and not signal.is_float else 0
+    return _Field(big, shift, (1 << signal.length) - 1, sign, to_float, from_float)
+
+
+class BitPlan:
+    """Codec of a message whose signals are not whole bytes: shifts and masks on the payload as one integer."""
+
+    def __init__(self, signals: Sequence[Signal], length: int) -> None:
+        self._length = length
+        self._fields = [_field(signal, length) for signal in signals]
+        orders = {field.big for field in self._fields}
+        self._simple = len(orders) <= 1 and not any(field.to_float for field in self._fields)
+        self._order: Any = "big" if orders == {True} else "little"
+        self._triples = [(field.shift, field.mask, field.sign) for field in self._fields]
+        self._bounds = [(-field.sign, field.mask - field.sign) for field in self._fields]
+
+    def unpack(self, data: bytes) -> list[Any]:
+        """Raw values of `length` bytes."""
+        if self._simple:
+            word = int.from_bytes(data, self._order)
+            return [(((word >> shift) & mask) ^ sign) - sign for shift, mask, sign in self._triples]
+        words = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        values: list[Any] = []
+        for big, shift, mask, sign, to_float, _ in self._fields:
+            raw = (((words[big] >> shift) & mask) ^ sign) - sign
+            values.append(raw if to_float is None else to_float(raw))
+        return values
+
+    def pack(self, *values: Any) -> bytes:
+        """Payload of raw values; OverflowError where one does not fit its signal."""
+        words = [0, 0]
+        for (big, shift, mask, _, _, from_float), (low, high), value in zip(
+            self._fields, self._bounds, values, strict=True
+        ):
+            raw = value if from_float is None else from_float(value)
+            if not low <= raw <= high:
+                raise OverflowError(f"raw value {raw} is outside {low} .. {high}")
+            words[big] |= (raw & mask) << shift
+        length = self._length
+        if not words[1]:
+            return words[0].to_bytes(length, "little")
+        return (int.from_bytes(words[0].to_bytes(length, "little"), "big") | words[1]).to_bytes(length, "big")

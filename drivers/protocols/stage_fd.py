@@ -1,0 +1,125 @@
+"""The default layout: CAN FD, one command frame for all axes, one feedback frame per axis. Contract: stage_fd.dbc."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from struct import Struct
+from zlib import crc32
+
+from drivers.config import BusConfig
+from drivers.frame import BRS, FD, Frame
+from drivers.protocols.base import Command, Message, Reject, Sample
+from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
+from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
+
+DBC = Path(__file__).with_suffix(".dbc")
+COMMAND_NAMES = ("force_0", "force_1", "force_2", "force_3", "sequence", "flags", "checksum")
+FEEDBACK_NAMES = ("position", "sample_time", "status", "sequence", "checksum")
+
+RESET = 1 << MAX_AXES
+SEQUENCE_MODULUS = 1 << 16
+COMMAND_LENGTH = 24
+FEEDBACK_LENGTH = 16
+COMMAND_CHECKED = COMMAND_LENGTH - 4  # bytes the checksum covers
+FEEDBACK_CHECKED = FEEDBACK_LENGTH - 4
+
+_WRAP = 1 << 32  # sample_time, ns
+_HALF = 1 << 31
+_SINGLE = Struct("<f")
+
+
+class _Layout:
+    """What both ends share: identifiers, codecs, limits."""
+
+    name = "stage_fd"
+    sequence_modulus = SEQUENCE_MODULUS
+    fd = True
+
+    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
+        check_ids(bus, n_axes, rated_force)
+        database = load_dbc(DBC)
+        command = database.get_message_by_name("Command")
+        feedback = database.get_message_by_name("Feedback0")
+        self._command = compile_codec(command, COMMAND_NAMES)
+        self._feedback = compile_codec(feedback, FEEDBACK_NAMES)
+        if (self._command.length, self._feedback.length) != (COMMAND_LENGTH, FEEDBACK_LENGTH):
+            raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 24 and 16")
+        self.n_axes = n_axes
+        self._command_id = bus.host_id
+        self._feedback_id = bus.feedback_id
+        # The largest force after rounding to single precision, so that a command of exactly the rated force passes.
+        self._limits = [_SINGLE.unpack(_SINGLE.pack(force))[0] for force in rated_force]
+        self._limits += [0.0] * (MAX_AXES - n_axes)
+        self._enable_mask = (1 << n_axes) - 1
+
+
+class StageFdHost(_Layout):
+    """HostProtocol of stage_fd."""
+
+    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
+        super().__init__(bus, n_axes, rated_force)
+        self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
+        self._rated = [*rated_force, *[0.0] * (MAX_AXES - n_axes)]
+        self._padding = (0.0,) * (MAX_AXES - n_axes)
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
+        can_id, data, flags, received = frame
+        axis = self._axis.get(can_id)
+        if axis is None:
+            return reject_id(can_id, self._axis, self._command_id)
+        if not flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != FEEDBACK_LENGTH:
+            return Reject.WRONG_LENGTH
+        position, stamp, status, sequence, checksum = self._feedback.unpack(data)
+        if crc32(data[:FEEDBACK_CHECKED], can_id) != checksum:
+            return Reject.BAD_CHECKSUM
+        if status & ~STATUS_MASK:
+            return Reject.INVALID_VALUE
+        return Sample(axis, position, status, sequence, received + (stamp - received + _HALF) % _WRAP - _HALF)
+
+    def encode(self, command: Command) -> list[Frame]:
+        """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
+        force = (*command.force, *self._padding)
+        check_force(force, self._rated)
+        flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
+        data = self._command.pack(*force, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
+        data += crc32(data, self._command_id).to_bytes(4, "little")
+        return [Frame(self._command_id, data, FD | BRS)]
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """One command, then one feedback per axis."""
+        command, feedback = (self._command_id, COMMAND_LENGTH), (self._feedback_id, FEEDBACK_LENGTH)
+        return cyclic_messages(command, feedback, self.n_axes, True, period_ns)
+
+
+class StageFdDevice(_Layout):
+    """DeviceProtocol of stage_fd."""
+
+    def decode_command(self, frame: Frame) -> Command | Reject:
+        """The command for all axes; refused whole where any field is out of its range."""
+        can_id, data, flags, _ = frame
+        if can_id != self._command_id:
+            return reject_id(can_id, (self._command_id,), -1)
+        if not flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != COMMAND_LENGTH:
+            return Reject.WRONG_LENGTH
+        *force, sequence, bits, checksum = self._command.unpack(data)
+        if crc32(data[:COMMAND_CHECKED], can_id) != checksum:
+            return Reject.BAD_CHECKSUM
+        if bits & ~(self._enable_mask | RESET):
+            return Reject.INVALID_VALUE
+        for value, limit in zip(force, self._limits, strict=True):
+            if not -limit <= value <= limit:  # also where it is not a number
+                return Reject.INVALID_VALUE
+        return Command(sequence, force[: self.n_axes], bits & self._enable_mask, bool(bits & RESET))
+
+    def encode_feedback(self, sample: Sample) -> Frame:
+        """The feedback frame of one axis; position and stamp wrap at 32 bits."""
+        can_id = self._feedback_id + sample.axis
+        position = (sample.position + _HALF) % _WRAP - _HALF
+        data = self._feedback.pack(
+            position, sample.stamp_ns % _WRAP, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0
+        )[:FEEDBACK_CHECKED]
+        return Frame(can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS)
