@@ -6,7 +6,7 @@ expected reception of tick k+1's command, about one period after s_k) for one pe
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,15 +41,17 @@ class Model:
 class LawInputs:
     """All a law may look at in one tick; arrays (..., n_axes), preallocated and reused: copy what you keep.
 
-    position: newest accepted sample (as measured, m). fresh: 1.0 where that sample is new this tick, else 0.0.
-    sample: reference at the samples' own time stamps.
-    sample_interval: s from the previous accepted sample to this one, by their stamps (0 where not fresh).
-    ahead: s from the sample to the start of the interval in which the force asked for now will act.
+    position: newest sample (as measured, m). fresh: 1.0 where a trusted sample came this tick, else 0.0; where none came, `position` is
+    the rig filter's prediction for the instant the sample should have had, and nothing must be learnt from it.
+    sample: reference at the samples' own time stamps (or that instant).
+    sample_interval: s from the previous sample instant to this one, by their stamps (one period where none came).
+    ahead: s from the sample instant to the start of the interval in which the force asked for now will act.
     position_estimate, velocity_estimate, disturbance_estimate: the rig's Kalman filter, predicted to that start (m, m/s, N).
     start: reference at that start. end: reference at that interval's end.
     mean_velocity, mean_acceleration, mean_sign: reference averaged over that interval (mean_sign: of sgn(velocity)).
     force_last: force the gate let out in the previous tick; acts between the sample and `start` (N).
     force_before: force let out the tick before that; it acted in the interval ending at the sample (N).
+    task_ns: task time at which the interval starts (ns since the trajectory's origin, first axis); laws that learn over repeats need it.
     """
 
     position: Array
@@ -67,6 +69,7 @@ class LawInputs:
     mean_sign: Array
     force_last: Array
     force_before: Array
+    task_ns: int = 0
 
 
 class Law(ABC):
@@ -78,7 +81,7 @@ class Law(ABC):
     """
 
     name: str
-    GAINS: dict[str, Any]
+    GAINS: ClassVar[dict[str, Any]]
 
     @abstractmethod
     def __init__(self, model: Model, period: float, force_limit: Array, **gains: Any) -> None: ...

@@ -1,0 +1,76 @@
+"""What every trajectory is: a pure function of integer nanoseconds, bit-identical for one instant or many."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.laws.base import Array, Reference
+
+Times = NDArray[np.int64]
+MEMO_LIMIT = 64  # instants kept; a tick revisits the last few
+SMALL = 32  # values up to which plain floats beat array calls
+
+
+class Trajectory(ABC):
+    """Setpoints of all axes over task time.
+
+    duration_ns: end of motion, None when it goes on for ever. steady_from_ns: statistics start here.
+    repeat_ns: period of the motion after `repeat_from_ns`, None when it does not repeat. phase_names: what `phase_at`
+    indexes.
+    """
+
+    duration_ns: int | None = None
+    repeat_ns: int | None = None
+    repeat_from_ns: int = 0
+    steady_from_ns: int = 0
+    phase_names: tuple[str, ...] = ("motion",)
+
+    def __init__(self, n_axes: int) -> None:
+        self._n = n_axes
+        self._memo: dict[tuple[int, ...], Array] = {}
+
+    def sample(self, t_ns: Times) -> Reference:
+        """Reference at task times `t_ns` (ns, int64, (..., n_axes), each axis at its own; below 0 counts as 0).
+
+        Returns arrays (..., n_axes) in m, m/s, m/s^2 (rad for rotary axes), not shared with later calls.
+        """
+        if t_ns.size <= SMALL and t_ns.ndim <= 2:
+            return self._sample_few(t_ns)
+        out = np.empty((3, *t_ns.shape))
+        clamped = np.maximum(t_ns, 0)
+        for axis in range(self._n):
+            out[0, ..., axis], out[1, ..., axis], out[2, ..., axis] = self._axis_array(axis, clamped[..., axis])
+        return Reference(out[0], out[1], out[2])
+
+    def _sample_few(self, t_ns: Times) -> Reference:
+        if t_ns.ndim == 1:
+            row = self._row(tuple(t_ns.tolist())).copy()
+            return Reference(row[0], row[1], row[2])
+        out = np.empty((3, t_ns.shape[0], self._n))
+        for i, times in enumerate(t_ns.tolist()):
+            out[:, i] = self._row(tuple(times))
+        return Reference(out[0], out[1], out[2])
+
+    def _row(self, times: tuple[int, ...]) -> Array:
+        """All axes at one instant each, (3, n_axes); remembered, as a tick's end is the next tick's start."""
+        row = self._memo.get(times)
+        if row is None:
+            axes = range(self._n)
+            row = np.array([self._axis(axis, max(times[axis], 0)) for axis in axes]).T
+            if len(self._memo) >= MEMO_LIMIT:
+                self._memo.clear()
+            self._memo[times] = row
+        return row
+
+    def phase_at(self, t_ns: int) -> int:
+        """Index into `phase_names` of the phase at task time `t_ns`."""
+        return 0
+
+    @abstractmethod
+    def _axis(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """Position, velocity, acceleration of one axis at one time >= 0."""
+
+    @abstractmethod
+    def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
+        """As `_axis` for many times; bit-identical to it."""

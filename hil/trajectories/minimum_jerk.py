@@ -1,0 +1,18 @@
+"""Minimum-jerk transition (Flash and Hogan, J. Neuroscience 5(7), 1985): a quintic with rest at both ends."""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Value = TypeVar("Value", float, NDArray[np.float64])
+
+
+def minimum_jerk(u: Value) -> tuple[Value, Value, Value]:
+    """s, ds/du, d2s/du2 at the fraction u in [0, 1] of the transition; s runs from 0 to 1."""
+    u2 = u * u
+    rest = 1.0 - u
+    s = u2 * u * (10.0 + u * (6.0 * u - 15.0))
+    ds = 30.0 * (u2 * (rest * rest))
+    dds = 60.0 * (u * rest) * (1.0 - 2.0 * u)
+    return s, ds, dds
