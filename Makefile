@@ -33,3 +33,5 @@ lint: setup  ## ruff and mypy --strict
 lock:  ## renew requirements.lock from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
+
+include deploy/vm/vm.mk

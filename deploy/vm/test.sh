@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Boots a PREEMPT_RT kernel under QEMU (software emulation, no KVM), on this machine's own file system read-only, runs
+# tests/vm in it and brings the results out to .vm/results. Exit status 0 only if the guest ran tests and all passed.
+# usage: test.sh [PYTEST ARGUMENTS]
+set -euo pipefail
+
+PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
+VM=$PROJECT/.vm
+RESULTS=$VM/results
+LIMIT=${HIL_VM_LIMIT:-1200}  # s, whole guest
+
+"$PROJECT/deploy/vm/prepare.sh" "$VM"
+rm -rf "$RESULTS" && mkdir -p "$RESULTS"
+# the guest cannot write byte code, and compiles slowly
+"$PROJECT/.venv/bin/python" -m compileall -q "$PROJECT"/{hil,drivers,sim_plant,tests} || true
+
+kernel=$(cat "$VM/kernel/ready")
+arguments=("$@")
+[ ${#arguments[@]} -gt 0 ] || arguments=(tests/vm -m "(vcan or controller) and not systemd" -vv --durations=15)
+printf -v command '%q ' /bin/bash "$PROJECT/deploy/vm/guest_host_root.sh" "$PROJECT" "$RESULTS" "${arguments[@]}"
+devices="-virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap"
+# two SJA1000 controllers behind their real driver, on one emulated bus: can0 and can1 in the guest
+devices+=" -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0"
+
+echo "vm: booting $kernel in software emulation; limit $LIMIT s"
+started=$SECONDS
+PATH="$VM/venv/bin:$PATH:/usr/sbin:/sbin" timeout --kill-after=10 "$LIMIT" \
+    vng --verbose --run "$VM/kernel/boot/vmlinuz-$kernel" --disable-kvm --cpus 2 --memory 2G \
+    --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command" >"$RESULTS/console.log" 2>&1 </dev/null || true
+echo "vm: guest ended after $((SECONDS - started)) s"
+exec "$PROJECT/deploy/vm/verdict.py" "$RESULTS"

@@ -1,0 +1,12 @@
+# The VM lane: included by the Makefile. Everything it needs is kept in .vm/.
+.PHONY: test-vm test-vcan vm-lock
+
+test-vm: setup  ## tests that need a real CAN stack, in a virtual machine with one (no KVM needed)
+	@deploy/vm/test.sh
+
+test-vcan: setup  ## the same vcan tests on this machine, where its kernel has vcan
+	@deploy/vm/test_vcan.sh
+
+vm-lock:  ## renew deploy/vm/requirements.lock (needs uv)
+	uv pip compile deploy/vm/requirements.in --universal --python-version 3.11 --generate-hashes \
+	    --no-emit-index-url --no-annotate --custom-compile-command "make vm-lock" -q -o deploy/vm/requirements.lock
