@@ -140,7 +140,7 @@ def block_table(title: str, blocks: Sequence[Block], figures: Sequence[str], dig
 def publish(
     result: Mapping[str, Any], tables: Sequence[Table], json_path: str | None, lines: Sequence[str] = ()
 ) -> None:
-    """Print tables, lines and the machine's facts; write `result` with the facts as JSON to a file, or to stdout for "-"."""
+    """Print tables, lines and the machine's facts; write `result` and the facts as JSON to a file, "-" for stdout."""
     facts = machine_facts()
     console = Console(stderr=json_path == "-")
     for table in tables:
