@@ -5,33 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.counters import BusState, PortCounters
 from drivers.frame import Frame
 
-
-class BusState(IntEnum):
-    """The controller's fault-confinement state (ISO 11898-1, 13.1)."""
-
-    ERROR_ACTIVE = 0
-    ERROR_PASSIVE = 1
-    BUS_OFF = 2
-    DOWN = 3  # interface gone or down
-
-
-class PortCounters(NamedTuple):
-    """Cumulative counters of a CAN port since it was opened."""
-
-    received: int = 0
-    sent: int = 0
-    refused: int = 0  # ENOBUFS, EAGAIN: the transmit queue was full
-    overflow: int = 0  # frames the kernel dropped for want of receive buffer (SO_RXQ_OVFL)
-    discarded: int = 0  # frames beyond the tick's receive limit (flood): counted, oldest dropped
-    errors: int = 0  # error frames
-    no_ack: int = 0
-    bus_off: int = 0
-    restarted: int = 0
-    down: int = 0  # ENETDOWN, ENODEV
-    echo: int = 0  # own frames seen again
-    state: BusState = BusState.ERROR_ACTIVE
+__all__ = ["BusState", "CommandKind", "CycleResult", "OperatorCommand", "PortCounters", "Tick"]
 
 
 class CommandKind(IntEnum):

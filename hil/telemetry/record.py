@@ -3,9 +3,14 @@
 Little-endian, SI units, 4096 bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
 """
 
+import struct
+from collections.abc import Sequence
+
 import numpy as np
 
+from drivers.frame import Frame
 from hil.config import MAX_AXES
+from hil.tick import OperatorCommand
 
 MAX_RECEIVED = 32
 MAX_SENT = 6
@@ -71,3 +76,65 @@ _FIELDS = [
 _USED = np.dtype(_FIELDS).itemsize
 RECORD_SIZE = 4096
 RECORD = np.dtype([*_FIELDS, ("padding", "u1", RECORD_SIZE - _USED)])
+
+MOTION_FIELDS = (
+    "position",
+    "position_estimate",
+    "velocity_estimate",
+    "disturbance_estimate",
+    "innovation",
+    "setpoint_position",
+    "setpoint_velocity",
+    "following_error",
+    "force_requested",
+    "force",
+)
+_OFFSET = {name: int(offset[1]) for name, offset in (RECORD.fields or {}).items()}
+_HEAD = struct.Struct("<qqqIIQIIq")
+_COUNTERS = struct.Struct(f"<{MAX_AXES}q{MAX_AXES}I{MAX_AXES}I12Q{REJECT_REASONS}Q")
+_TAIL = struct.Struct("<7Q")
+_FRAME = struct.Struct("<qIBBH64s")
+_COMMAND = struct.Struct("<IIQq")
+_COUNTS = struct.Struct("<4H")
+
+
+class RecordBuilder:
+    """One record, written over and over; packing beats a numpy field assignment four times over."""
+
+    def __init__(self, n_axes: int) -> None:
+        self.buffer = bytearray(RECORD_SIZE)
+        self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
+        motion = np.frombuffer(self.buffer, dtype="<f8", count=len(MOTION_FIELDS) * MAX_AXES, offset=_OFFSET["position"])
+        self.motion = motion.reshape(len(MOTION_FIELDS), MAX_AXES)[:, :n_axes]
+        self._saturations = struct.Struct(f"<{n_axes}Q")
+        self._pad = [0] * (MAX_AXES - n_axes)
+
+    def head(self, *values: int) -> None:
+        """index, scheduled_ns, now_ns, state, fault, faults_active, flags, sequence, task_ns."""
+        _HEAD.pack_into(self.buffer, 0, *values)
+
+    def axes(self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]) -> None:
+        """Per-axis integers and the counters of port and inbox."""
+        pad = self._pad
+        _COUNTERS.pack_into(
+            self.buffer, _OFFSET["stamp_ns"], *stamps, *pad, *ages, *pad, *status, *pad, *port, *rejects
+        )
+
+    def counts(self, lost: int, illegal: int, refused: int, floors: int, saturations: list[int]) -> None:
+        """Counters of the cycle; the shell's own (missed_*, longest_streak) become zero until it writes them."""
+        _TAIL.pack_into(self.buffer, _OFFSET["samples_lost"], lost, 0, 0, 0, illegal, refused, floors)
+        self._saturations.pack_into(self.buffer, _OFFSET["saturations"], *saturations)
+
+    def traffic(self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]) -> None:
+        """All that went in and out of the tick."""
+        buffer = self.buffer
+        _COUNTS.pack_into(buffer, _OFFSET["n_commands"], len(commands), len(received), len(sent), 0)
+        offset = _OFFSET["commands"]
+        for command, accepted in commands:
+            _COMMAND.pack_into(buffer, offset, command.kind, accepted, command.sequence, command.expires_ns)
+            offset += _COMMAND.size
+        for start, frames in ((_OFFSET["sent"], sent), (_OFFSET["received"], received)):
+            offset = start
+            for can_id, data, flags, stamp in frames:
+                _FRAME.pack_into(buffer, offset, stamp, can_id, len(data), flags, 0, data)
+                offset += _FRAME.size

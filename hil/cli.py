@@ -1,0 +1,74 @@
+"""`hil …`: every command is one function in a module of its own; only the one asked for is imported."""
+
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import typer
+
+from hil.config import EXIT_CONFIG, RigError
+
+
+class Entry(NamedTuple):
+    """Where a command lives, and its line in `hil --help`. `target` names a function, or a typer.Typer with sub-commands."""
+
+    target: str
+    help: str
+
+
+COMMANDS: dict[str, Entry] = {
+    "demo": Entry("hil.demo:demo", "Emulated stage, control, telemetry and live view together, as real processes"),
+    "sim": Entry("hil.sim:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
+    "check": Entry("hil.check:check", "Does the traffic fit the bus, and is the sampled loop stable?"),
+    "run": Entry("hil.daemon:run", "The control process"),
+    "emulate": Entry("hil.emulate:emulate", "The plant on the bus, when there is no stage"),
+    "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
+    "monitor": Entry("hil.monitor.terminal:monitor", "Watch a rig in the terminal"),
+    "dashboard": Entry("hil.monitor.dashboard:dashboard", "Watch a rig in a browser"),
+    "command": Entry("hil.command:command", "Activate, stop, reset or emergency-stop a running rig"),
+    "doctor": Entry("hil.doctor:doctor", "What this machine grants, and what to do about it"),
+    "faults": Entry("hil.fault_campaign:faults", "Every fault in every state, phase and axis, in lockstep"),
+    "reproduce": Entry("hil.paper.reproduce:reproduce", "Check the paper's claims"),
+    "compare": Entry("hil.compare:compare", "All control laws on the same task"),
+    "tune": Entry("hil.tune:tune", "Find gains for a law and write them to the rig file"),
+    "sweep": Entry("hil.sweep:sweep", "Thousands of plants with seeded parameters"),
+    "replay": Entry("hil.replay:replay", "Feed a recording to a new cycle and compare every torque frame"),
+    "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
+    "bus": Entry("hil.bus_tool:bus", "Watch, record or play back a CAN bus"),
+    "bench": Entry("hil.bench.command:bench", "Measurements, as ratios against a reference in the same run"),
+    "install": Entry("hil.install:install", "Put the systemd units and a rig file in place"),
+    "uninstall": Entry("hil.install:uninstall", "Remove what `hil install` put in place"),
+}
+
+
+def _load(target: str) -> Any:
+    module, _, name = target.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _not_loaded() -> None:
+    raise AssertionError("only the command asked for is loaded")
+
+
+def build_app(wanted: str | None) -> typer.Typer:
+    """The command line with `wanted` loaded and all others as lines of help."""
+    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+    for name, entry in COMMANDS.items():
+        command: Callable[..., Any] | typer.Typer = _load(entry.target) if name == wanted else _not_loaded
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, help=entry.help)
+        else:
+            app.command(name, help=entry.help)(command)
+    return app
+
+
+def main() -> None:
+    """Entry point of the console script. Exit status 78 where the rig file, or an override of it, is at fault."""
+    wanted = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
+    try:
+        build_app(wanted)()
+    except RigError as error:
+        for problem in error.problems:
+            print(f"hil: {problem}", file=sys.stderr)
+        sys.exit(EXIT_CONFIG)

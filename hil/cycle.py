@@ -1,0 +1,425 @@
+"""One control cycle, without I/O: decode, estimate, detect faults, advance the state machine, sample the trajectory, control law, gate, encode.
+
+Output depends on the rig, the inputs and this object's own state alone; time comes in as integer ns.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from drivers.frame import Frame
+from drivers.protocols import host_protocol
+from drivers.protocols.base import DriveStatus, HostProtocol
+from hil.commands import CommandDesk
+from hil.config import RigConfig
+from hil.estimation import MotionFilter, design_gains
+from hil.faults import AxisLimits, Fault, FaultMonitor, Reaction
+from hil.gate import ForceLimits, TorqueGate
+from hil.homing import home_trajectory
+from hil.inbox import Inbox
+from hil.laws import make_law
+from hil.laws.base import Array, LawInputs, Model, Reference
+from hil.setpoints import Setpoints, nominal_net_force
+from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
+from hil.stop import DampedStop
+from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
+from hil.tick import BusState, CycleResult, Tick
+from hil.trajectories import make_trajectory
+
+RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
+LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
+ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
+
+
+def rig_model(rig: RigConfig) -> Model:
+    """The rig file's nominal belief as arrays (n_axes,). The file's gravity acts on the axis; the model's holds against it."""
+    axes = [axis.model for axis in rig.axes.values()]
+    return Model(
+        mass=np.array([a.mass for a in axes]),
+        coulomb=np.array([a.coulomb for a in axes]),
+        viscous=np.array([a.viscous for a in axes]),
+        quadratic=np.array([a.quadratic for a in axes]),
+        gravity=np.array([-a.gravity for a in axes]) + 0.0,
+    )
+
+
+def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
+    """LawInputs of zeros."""
+    def zeros() -> Array:
+        return np.zeros(shape)
+
+    def rest() -> Reference:
+        return Reference(zeros(), zeros(), zeros())
+
+    return LawInputs(
+        position=zeros(), fresh=zeros(), sample=rest(), sample_interval=zeros(), ahead=zeros(), position_estimate=zeros(),
+        velocity_estimate=zeros(), disturbance_estimate=zeros(), start=rest(), end=rest(), mean_velocity=zeros(),
+        mean_acceleration=zeros(), mean_sign=zeros(), force_last=zeros(), force_before=zeros(),
+    )  # fmt: skip
+
+
+def force_limits(rig: RigConfig, shape: tuple[int, ...]) -> ForceLimits:
+    """The gate's bounds from the rig file; shape: of the forces to be limited, (..., n_axes)."""
+    limits = [axis.limits for axis in rig.axes.values()]
+    period = rig.period_ns * 1e-9
+    return ForceLimits(
+        [li.force for li in limits],
+        [li.position[0] for li in limits],
+        [li.position[1] for li in limits],
+        [li.force_rate * period for li in limits],
+        shape,
+    )
+
+
+def _axis_limits(rig: RigConfig) -> list[AxisLimits]:
+    period, safety = rig.period_ns * 1e-9, rig.safety
+    return [
+        AxisLimits(
+            position_low=axis.limits.position[0],
+            position_high=axis.limits.position[1],
+            speed=axis.limits.speed,
+            following_error=axis.limits.following_error,
+            jump_step=safety.jump_margin * axis.limits.speed * period + 2.0 * axis.encoder_resolution,
+            stuck_force=safety.stuck_force_fraction * axis.limits.force,
+            braking=0.5 * axis.limits.force / axis.model.mass,
+        )
+        for axis in rig.axes.values()
+    ]
+
+
+class ControlCycle:
+    """The control service's one step. Construct once per process from a validated rig; `base_dir` is the rig file's folder (DBC files)."""
+
+    def __init__(self, rig: RigConfig, base_dir: Path) -> None:
+        self.rig = rig
+        n = len(rig.axes)
+        self._n = n
+        self._period_ns = rig.period_ns
+        period = rig.period_ns * 1e-9
+        self._resolution = [axis.encoder_resolution for axis in rig.axes.values()]
+        self.model = rig_model(rig)
+        force = np.array([axis.limits.force for axis in rig.axes.values()])
+        speed = np.array([axis.limits.speed for axis in rig.axes.values()])
+
+        self.protocol: HostProtocol = host_protocol(rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir)
+        self.machine = StateMachine()
+        self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
+        gains, variance = design_gains(rig)
+        self.filter = MotionFilter(gains, variance, self.model.mass, (n,))
+        innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
+        self.monitor = FaultMonitor(rig.safety, _axis_limits(rig), rig.period_ns, innovation_limit)
+        self.gate = TorqueGate(self.protocol, force_limits(rig, (n,)))
+        self.law = make_law(rig.law, self.model, period, force)
+        self.commands = CommandDesk()
+        self.inputs = blank_inputs((n,))
+        self.setpoints = Setpoints(self.inputs, rig.period_ns)
+        self._stop = DampedStop(self.model, speed, period, rig.safety.stop_s)
+        self._records = RecordBuilder(n)
+
+        self.fault = Fault.NONE  # the one that latched
+        self.sent_sequence = -1
+        self._silent = False  # R4: nothing is sent until a reset
+        self._reset_ticks = 0
+        self._ready_ticks = 0
+        self._waited_for_enable = 0
+        self._enabled_seen = False
+        self._stopping_since_ns = 0
+        self._tracked = False  # the filter has a position to start from
+        self._sent_now_ns = 0
+        self._latency_ns = [0] * n  # from the tick's start to the drives' sampling, averaged
+        self._latency_known = [False] * n
+        self._filter_ns = np.zeros(n, dtype=np.int64)  # instant of the filter's state
+        self._start_ns = np.zeros(n, dtype=np.int64)  # expected start of the coming force's interval
+        self._measured = np.zeros(n)
+        self._net_last = np.zeros(n)
+        self._net_before = np.zeros(n)
+        self._scratch = np.zeros(n)
+        self._zero = np.zeros(n)
+        self._requested: Array = self._zero
+        self._motion = np.zeros((10, n))
+
+    @property
+    def state(self) -> State:
+        """Where the state machine is."""
+        return self.machine.state
+
+    def step(self, tick: Tick, frames: Sequence[Frame]) -> CycleResult:
+        """One tick: `frames` are all received since the last one, oldest first. Never raises on any bytes."""
+        monitor = self.monitor
+        monitor.begin()
+        self.inbox.collect(frames, self.sent_sequence)
+        monitor.check_bus(tick, len(frames))
+        monitor.check_timing(tick)
+        monitor.check_grants(tick)
+        monitor.check_samples(self.inbox, self._enabled_seen)
+        self._estimate(tick)
+        self._check_motion(tick)
+        before = self.machine.state
+        self._advance(tick)
+        out = self._act(tick, before)
+        return CycleResult(out, self._record(tick, frames, out))
+
+    # estimate ---------------------------------------------------------------------------------------------------------
+
+    def _estimate(self, tick: Tick) -> None:
+        """Move the filter to the samples' instants, correct it, and look ahead to where the next force will act."""
+        inputs, inbox = self.inputs, self.inbox
+        intervals, fresh = self._take_stamps(tick)
+        inputs.sample_interval[:] = intervals
+        self.filter.predict(self._net_before, inputs.sample_interval)
+        all_fresh = self._take_positions(fresh)
+        self.filter.innovate(self._measured)
+        if not self._tracked and all(inbox.heard):
+            self._tracked = True
+            self.filter.reseed(self._measured)
+        inputs.position[:] = self._measured
+        inputs.fresh[:] = fresh
+        self.filter.update(None if all_fresh else inputs.fresh)
+        np.subtract(self._start_ns, self._filter_ns, out=inputs.ahead, casting="unsafe")
+        np.multiply(inputs.ahead, 1e-9, out=inputs.ahead)
+        self.filter.look_ahead(self._net_last, inputs.ahead)
+        inputs.position_estimate = self.filter.ahead_position
+        inputs.velocity_estimate = self.filter.ahead_velocity
+        inputs.disturbance_estimate = self.filter.disturbance
+        self.setpoints.update(self._filter_ns, self._start_ns)
+
+    def _take_stamps(self, tick: Tick) -> tuple[list[float], list[float]]:
+        """Sample instants from the drives' stamps: s since the previous instant, and 1.0 where a sample came, per axis."""
+        period, intervals, fresh = self._period_ns, [], []
+        latency, filter_ns = self._latency_ns, self._filter_ns
+        for axis, sample in enumerate(self.inbox.samples):
+            previous = int(filter_ns[axis])
+            elapsed = period
+            if sample is not None and self.inbox.fresh[axis]:
+                stamp = sample.stamp_ns if sample.stamp_ns >= 0 else self._sent_now_ns
+                delay = stamp - self._sent_now_ns
+                latency[axis] += (delay - latency[axis]) >> LATENCY_SHIFT if self._latency_known[axis] else delay
+                self._latency_known[axis] = True
+                # A stamp that jumps is no reason to integrate for hours; what it does to the position is judged there.
+                elapsed = min(max(stamp - previous, 0), 8 * period) if self._tracked else period
+                filter_ns[axis] = stamp
+                fresh.append(1.0)
+            else:
+                filter_ns[axis] = previous + period
+                fresh.append(0.0)
+            intervals.append(elapsed * 1e-9)
+            self._start_ns[axis] = tick.now_ns + latency[axis]
+        return intervals, fresh
+
+    def _take_positions(self, fresh: list[float]) -> bool:
+        """Positions in m; an implausible step is not believed. True where every axis has a trusted sample."""
+        measured, predicted = self._measured, self.filter.position
+        trusted = True
+        for axis, sample in enumerate(self.inbox.samples):
+            if fresh[axis] and sample is not None:
+                position = sample.position * self._resolution[axis]
+                if not (self._tracked and self.monitor.implausible(axis, position - float(measured[axis]), 1.0)):
+                    measured[axis] = position
+                    continue
+                fresh[axis] = 0.0
+            trusted = False
+            if self._tracked:
+                measured[axis] = predicted[axis]
+        return trusted
+
+    def _check_motion(self, tick: Tick) -> None:
+        if self.machine.state not in TORQUE_STATES:
+            return
+        inputs = self.inputs
+        self.monitor.check_filter(self.filter.innovation.tolist())
+        self.monitor.check_motion(
+            self._measured.tolist(),
+            self.filter.velocity.tolist(),
+            self.gate.force.tolist(),
+            inputs.sample.position.tolist(),
+            inputs.sample.velocity.tolist(),
+            inputs.end.position.tolist(),
+            following=self.machine.state is not State.STOPPING,
+        )
+        heartbeat = self.rig.safety.heartbeat_s
+        if heartbeat and tick.now_ns - (self.commands.heartbeat_ns or 0) > heartbeat * 1e9:
+            self.monitor.see(Fault.HEARTBEAT_LOST)
+
+    # advance ----------------------------------------------------------------------------------------------------------
+
+    def _advance(self, tick: Tick) -> None:
+        """Faults first, then exit, then the operator, then what the state itself has reached."""
+        if self.machine.state is State.BOOT:
+            self._handle(Event.BUS_UP, tick)
+        fault, reaction = self.monitor.judge(self.machine.state)
+        if reaction >= Reaction.STOP:
+            self._latch(fault, reaction, tick)
+        if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
+            self._handle(Event.EXIT, tick)
+        self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
+        self._progress(tick)
+
+    def _latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:
+        if self.fault is Fault.NONE:
+            self.fault = fault
+        self._silent = self._silent or reaction is Reaction.SILENT
+        self._handle(Event.FAULT_ZERO if reaction >= Reaction.ZERO else Event.FAULT_STOP, tick)
+
+    def _operate(self, event: Event, tick: Tick) -> bool:
+        """An operator's event, after the guards the table cannot express."""
+        if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
+            return False
+        if event is Event.RESET and (self.monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
+            return False
+        return self._handle(event, tick)
+
+    def _may_activate(self, tick: Tick) -> bool:
+        rig = self.rig
+        if not tick.rig_ok or (rig.telemetry.recording_required and not tick.recorder_ok):
+            return False
+        if not tick.realtime_ok and not rig.timing.allow_degraded:
+            return False
+        heartbeat_ns = self.commands.heartbeat_ns
+        alive = heartbeat_ns is not None and tick.now_ns - heartbeat_ns <= rig.safety.heartbeat_s * 1e9
+        return not rig.safety.heartbeat_s or alive
+
+    def _handle(self, event: Event, tick: Tick) -> bool:
+        before = self.machine.state
+        taken = self.machine.handle(event)
+        if taken and (self.machine.state is not before or event is Event.RESET):
+            self._enter(self.machine.state, tick)
+        return taken
+
+    def _enter(self, state: State, tick: Tick) -> None:
+        if state is State.CONNECTED:
+            self._reconnect(reset=tick.index > 0)
+        elif state is State.READY:
+            self.fault = Fault.NONE
+        elif state in (State.ACTIVE, State.HOMING):
+            self._engage()
+        elif state is State.STOPPING:
+            self._stopping_since_ns = tick.now_ns
+        if state not in TORQUE_STATES:
+            self._enabled_seen = False
+
+    def _reconnect(self, *, reset: bool) -> None:
+        self._silent = False
+        self._tracked = False
+        self._ready_ticks = 0
+        self._reset_ticks = RESET_TICKS if reset else 0
+        self._latency_known = [False] * self._n
+        self.fault = Fault.NONE
+        self.inbox.forget()
+        self.monitor.restart()
+
+    def _engage(self) -> None:
+        """Start at rest where the axes are: setpoint, filter and law know nothing of earlier runs."""
+        self.monitor.restart()
+        self.filter.reseed(self._measured)
+        self._net_last[:] = 0.0
+        self._net_before[:] = 0.0
+        self.setpoints.hold(self._measured)
+        self.law.reset(self._measured.copy(), self.model.gravity)
+        self._waited_for_enable = 0
+        self._enabled_seen = False
+
+    def _progress(self, tick: Tick) -> None:
+        state = self.machine.state
+        if state is State.CONNECTED:
+            self._await_axes(tick)
+        elif state in (State.ACTIVE, State.HOMING):
+            if not self._enabled_seen:
+                self._await_enable(tick)
+            elif state is State.HOMING and self._at_home():
+                self._handle(Event.HOMED, tick)
+        elif state is State.STOPPING:
+            elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
+            if self._stop.over(self.filter.ahead_velocity, elapsed):
+                self._handle(self._after_stop(tick), tick)
+
+    def _after_stop(self, tick: Tick) -> Event:
+        if tick.stop:
+            return Event.STOPPED_FOR_EXIT
+        return Event.STOPPED_IN_FAULT if self.fault is not Fault.NONE else Event.STOPPED
+
+    def _await_axes(self, tick: Tick) -> None:
+        samples = self.inbox.samples
+        healthy = all(self.inbox.fresh) and not any(s is None or s.status & UNHEALTHY for s in samples)
+        self._ready_ticks = self._ready_ticks + 1 if healthy and tick.port.state <= BusState.ERROR_PASSIVE else 0
+        if self._ready_ticks >= self.rig.safety.ready_ticks:
+            self._handle(Event.AXES_READY, tick)
+
+    def _await_enable(self, tick: Tick) -> None:
+        """The task's clock starts when every drive applies its torque."""
+        self._waited_for_enable += 1
+        if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
+            self._enabled_seen = True
+            origin = np.array(self._latency_ns, dtype=np.int64) + tick.now_ns
+            start = self.inputs.sample.position.copy()
+            homing = self.machine.state is State.HOMING
+            rig = self.rig
+            task = home_trajectory(rig, start) if homing else make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
+            self.setpoints.follow(task, origin)
+            self.setpoints.update(self._filter_ns, self._start_ns)
+        elif self._waited_for_enable >= self.rig.safety.enable_timeout_ticks:
+            self._latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
+
+    def _at_home(self) -> bool:
+        trajectory = self.setpoints.trajectory
+        duration = getattr(trajectory, "duration_ns", None)
+        return duration is not None and self.setpoints.task_ns >= duration
+
+    # act --------------------------------------------------------------------------------------------------------------
+
+    def _act(self, tick: Tick, before: State) -> list[Frame]:
+        """Law, gate, encode; nothing at all in silent states, save one last zero on the way into SHUTDOWN."""
+        state = self.machine.state
+        inputs, gate = self.inputs, self.gate
+        inputs.force_before[:] = inputs.force_last
+        self._requested = self._zero
+        if self._silent or (state in SILENT_STATES and before in SILENT_STATES):
+            gate.force[:] = 0.0
+            self._remember_force(tick)
+            return []
+        inputs.force_last[:] = gate.force
+        permitted = state in TORQUE_STATES
+        if permitted:
+            self._requested = self._stop.force(self.filter.ahead_velocity) if state is State.STOPPING else self.law.force(inputs)
+            if not gate.finite(self._requested):
+                self.monitor.see(Fault.NOT_FINITE)
+                self._latch(Fault.NOT_FINITE, Reaction.ZERO, tick)
+                permitted = False
+        self.sent_sequence += 1
+        reset = self._reset_ticks > 0
+        self._reset_ticks -= reset
+        out = gate.release(self._requested, self._measured, permitted=permitted, sequence=self.sent_sequence, reset=reset)
+        self._remember_force(tick)
+        return out
+
+    def _remember_force(self, tick: Tick) -> None:
+        """The force just let out acts in the interval the setpoints' means belong to."""
+        self._sent_now_ns = tick.now_ns
+        self._net_before, self._net_last = self._net_last, self._net_before
+        inputs = self.inputs
+        nominal_net_force(self.gate.force, self.model, inputs.mean_velocity, inputs.mean_sign, self._net_last, self._scratch)
+
+    # record -----------------------------------------------------------------------------------------------------------
+
+    def _record(self, tick: Tick, received: Sequence[Frame], sent: list[Frame]) -> np.void:
+        records, inbox, inputs, filt = self._records, self.inbox, self.inputs, self.filter
+        flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | bool(sent) << 4
+        records.head(
+            tick.index, tick.scheduled_ns, tick.now_ns, self.machine.state, self.fault, self.monitor.active, flags,
+            max(self.sent_sequence, 0), self.setpoints.task_ns,
+        )  # fmt: skip
+        setpoint = inputs.sample
+        np.concatenate(
+            (
+                self._measured, filt.position, filt.velocity, filt.disturbance, filt.innovation, setpoint.position,
+                setpoint.velocity, self._measured - setpoint.position, self._requested, self.gate.force,
+            ),
+            out=self._motion.reshape(-1),
+        )  # fmt: skip
+        records.motion[:] = self._motion
+        status = [0 if s is None else s.status for s in inbox.samples]
+        records.axes(self._filter_ns.tolist(), inbox.age, status, tick.port, inbox.rejects)
+        floors = getattr(self.law, "denominator_floors", 0)
+        records.counts(inbox.lost, self.machine.refused, self.commands.refused, floors, self.gate.saturations)
+        records.traffic(self.commands.handled, sent, received)
+        return records.record

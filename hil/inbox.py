@@ -1,0 +1,114 @@
+"""From received frames to at most one trusted sample per axis and tick: layout, checksum, sequence, age."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.frame import Frame
+from drivers.protocols.base import HostProtocol, Reject, Sample
+
+SUSPICIOUS = frozenset({Reject.WRONG_LENGTH, Reject.WRONG_FORMAT, Reject.BAD_CHECKSUM, Reject.INVALID_VALUE, Reject.STALE, Reject.DUPLICATE})
+
+
+class Inbox:
+    """The newest sample of every axis, and counters for everything that was not one.
+
+    `fresh[i]`: this tick brought axis i's answer to the latest command. `age[i]`: ticks since it last did.
+    `bad_frames`: leaky bucket of suspicious frames, one forgiven every `leak_ticks`.
+    """
+
+    def __init__(self, protocol: HostProtocol, leak_ticks: int) -> None:
+        n = protocol.n_axes
+        self._protocol = protocol
+        self._modulus = protocol.sequence_modulus
+        self._leak_ticks = leak_ticks
+        self._since_leak = 0
+        self._last_sequence = [-1] * n
+        self.samples: list[Sample | None] = [None] * n
+        self.fresh = [False] * n
+        self.age = [0] * n
+        self.heard = [False] * n
+        self.rejects = [0] * len(Reject)
+        self.bad_frames = 0
+        self.late = 0
+        self.lost = 0
+        self.received_now = 0
+
+    def forget(self) -> None:
+        """After a reset: whatever was heard before counts no more."""
+        n = len(self.heard)
+        self._last_sequence = [-1] * n
+        self.heard = [False] * n
+        self.age = [0] * n
+        self.bad_frames = 0
+
+    def collect(self, frames: Sequence[Frame], sent_sequence: int) -> None:
+        """Sort one tick's frames; `sent_sequence` is that of the newest command sent, -1 before the first."""
+        self.received_now = len(frames)
+        fresh = self.fresh
+        for axis in range(len(fresh)):
+            fresh[axis] = False
+        decode = self._protocol.decode
+        for frame in frames:
+            outcome = decode(frame)
+            if isinstance(outcome, Sample):
+                self._accept(outcome, sent_sequence)
+            else:
+                self._reject(outcome)
+        self._grow_older(sent_sequence)
+
+    def _accept(self, sample: Sample, sent_sequence: int) -> None:
+        axis = sample.axis
+        if self._modulus:
+            behind = (sent_sequence - sample.sequence) % self._modulus
+            previous = self._last_sequence[axis]
+            if previous >= 0:
+                newer = (sample.sequence - previous) % self._modulus
+                if newer == 0:
+                    self._reject(Reject.DUPLICATE)
+                    return
+                if newer > self._modulus // 2:
+                    self._reject(Reject.STALE)
+                    return
+            if sent_sequence < 0 or behind > self._modulus // 2:
+                self._reject(Reject.STALE)  # it answers a command never sent
+                return
+            self._last_sequence[axis] = sample.sequence
+            if behind:
+                # True, but of an earlier tick: the filter has moved past it. Not suspicious: hosts do stall.
+                self.late += 1
+                return
+        elif self.fresh[axis]:
+            self._reject(Reject.DUPLICATE)
+            return
+        self.samples[axis] = sample
+        self.fresh[axis] = True
+
+    def _reject(self, reason: Reject) -> None:
+        self.rejects[reason] += 1
+        if reason in SUSPICIOUS:
+            self.bad_frames += 1
+
+    def _grow_older(self, sent_sequence: int) -> None:
+        if sent_sequence < 0:
+            return
+        age = self.age
+        for axis, fresh in enumerate(self.fresh):
+            if fresh:
+                age[axis] = 0
+                self.heard[axis] = True
+            else:
+                age[axis] += 1
+                self.lost += self.heard[axis]
+        self._since_leak += 1
+        if self._since_leak >= self._leak_ticks:
+            self._since_leak = 0
+            if self.bad_frames:
+                self.bad_frames -= 1
+
+
+def positions(samples: Sequence[Sample | None], resolution: np.ndarray, out: np.ndarray) -> None:
+    """Encoder counts to metres; axes without a sample keep their value."""
+    for axis, sample in enumerate(samples):
+        if sample is not None:
+            out[axis] = sample.position * resolution[axis]

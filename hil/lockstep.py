@@ -1,0 +1,215 @@
+"""The cycle against the emulated stage over the simulated wire, in exact virtual time: the tick alone advances the clock.
+
+Same protocol, wire, drives, plant and cycle as a live run; same bytes every time, on any machine.
+"""
+
+import hashlib
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.frame import Frame
+from drivers.wire import Wire
+from drivers.wire_faults import Random, WireFault
+from hil.config import RigConfig
+from hil.cycle import ControlCycle
+from hil.state_machine import State
+from hil.statistics import axis_statistics
+from hil.tick import CommandKind, CycleResult, OperatorCommand, Tick
+from sim_plant.emulator import EmulatedStage
+
+Observer = Callable[[Tick, Sequence[Frame], CycleResult], None]
+Operator = Callable[["LockstepRun", int], Sequence[CommandKind]]
+
+_TRACE_HEAD = struct.Struct("<qHH")
+_TRACE_FRAME = struct.Struct("<qIBB")
+_COMMAND_LIFE_NS = 100_000_000
+
+
+def activate_when_ready(run: "LockstepRun", index: int) -> Sequence[CommandKind]:
+    """The operator of an ordinary run: activates as soon as the rig is READY, once."""
+    return (CommandKind.ACTIVATE,) if run.cycle.state is State.READY and run.activated_at < 0 else ()
+
+
+class LockstepRun:
+    """One run. Advance it tick by tick with `tick`, or whole with `run`.
+
+    operator: says which commands arrive in a tick. observer: called with every tick's inputs and result, before the wire moves on.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        base_dir: Path,
+        *,
+        operator: Operator = activate_when_ready,
+        observer: Observer | None = None,
+        wire_faults: Sequence[WireFault] = (),
+    ) -> None:
+        self.rig = rig
+        self.cycle = ControlCycle(rig, base_dir)
+        self._operator = operator
+        self._observer = observer
+        axes = list(rig.axes.values())
+        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, [axis.rated_force for axis in axes], base_dir)
+        self.wire = Wire.from_config(rig.bus, rig.wire)
+        for fault in wire_faults:
+            self.wire.inject(fault)
+        self._inbox: list[Frame] = []
+        self.host = self.wire.attach("host", self._inbox.append, rig.bus.transmit_queue)
+        self.wire.attach("drives", self._to_drives)
+        self._axis_nodes = [self.wire.attach(name, None) for name in rig.axis_names]
+        self._jitter = Random(rig.wire.seed ^ 0x6A697474)
+        self._jitter_ns = round(rig.wire.jitter * 1e9)
+        self._command_sequence = 0
+        self._trace = hashlib.sha256()
+        self.index = 0
+        self.activated_at = -1  # tick of the first ACTIVE
+        self.stop = False
+        self.true_position = np.zeros(len(axes))  # of the samples the latest tick worked on, before the encoder
+        self.true_velocity = np.zeros(len(axes))
+
+    def _to_drives(self, frame: Frame) -> None:
+        for answer in self.stage.on_frame(frame):
+            self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+
+    def tick(self) -> CycleResult:
+        """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
+        now = self.index * self.rig.period_ns
+        tick = Tick(self.index, now, now, self.host.counters(), self._commands(now), stop=self.stop)
+        frames = self._inbox.copy()
+        self._inbox.clear()
+        result = self.cycle.step(tick, frames)
+        if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
+            self.activated_at = self.index
+        self.true_position[:] = self.stage.sampled_position
+        self.true_velocity[:] = self.stage.sampled_velocity
+        self._send(result.frames, now)
+        self._hash(frames, result.frames)
+        if self._observer:
+            self._observer(tick, frames, result)
+        self.index += 1
+        self.wire.advance(self.index * self.rig.period_ns)
+        self.stage.advance(self.index * self.rig.period_ns)
+        return result
+
+    def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
+        commands = []
+        for kind in self._operator(self, self.index):
+            self._command_sequence += 1
+            commands.append(OperatorCommand(kind, self._command_sequence, now + _COMMAND_LIFE_NS))
+        return tuple(commands)
+
+    def _send(self, frames: Sequence[Frame], now: int) -> None:
+        if self._jitter_ns:
+            now += self._jitter.below(2 * self._jitter_ns + 1)
+        for frame in frames:
+            self.host.send(frame, now)
+
+    def _hash(self, received: Sequence[Frame], sent: Sequence[Frame]) -> None:
+        parts = [_TRACE_HEAD.pack(self.index, len(received), len(sent))]
+        for frames in (received, sent):
+            for can_id, data, flags, stamp in frames:
+                parts.append(_TRACE_FRAME.pack(stamp, can_id, flags, len(data)))
+                parts.append(data)
+        self._trace.update(b"".join(parts))
+
+    @property
+    def trace_sha256(self) -> str:
+        """Hash over every frame received and sent so far, with its tick."""
+        return self._trace.hexdigest()
+
+
+@dataclass
+class SimReport:
+    """What `hil sim` prints and writes; SI units."""
+
+    rig: str
+    law: str
+    gains: dict[str, Any]
+    rate_hz: float
+    ticks: int
+    realtime_factor: float
+    steady_from_s: float
+    axes: dict[str, dict[str, float]]
+    state: str
+    faults: dict[str, int]
+    trace_sha256: str
+    samples_lost: int = 0
+    wire_busy: float = 0.0
+    overrides: list[str] = field(default_factory=list)
+
+
+def simulate(
+    rig: RigConfig,
+    base_dir: Path,
+    seconds: float,
+    *,
+    progress: Callable[[int], None] | None = None,
+    observer: Observer | None = None,
+    wire_faults: Sequence[WireFault] = (),
+) -> tuple[SimReport, "Traces"]:
+    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at every sample."""
+    run = LockstepRun(rig, base_dir, observer=observer, wire_faults=wire_faults)
+    ticks = round(seconds * 1e9 / rig.period_ns)
+    traces = Traces(ticks, len(rig.axes))
+    started = time.perf_counter()
+    for index in range(ticks):
+        run.tick()
+        traces.take(index, run)
+        if progress and index % 1000 == 0:
+            progress(index)
+    elapsed = time.perf_counter() - started
+    first = steady_from(run, ticks)
+    report = SimReport(
+        rig=rig.name,
+        law=rig.law.name,
+        gains=rig.law.effective_gains(),
+        rate_hz=rig.rate_hz,
+        ticks=ticks,
+        realtime_factor=seconds / elapsed,
+        steady_from_s=first * rig.period_ns * 1e-9,
+        axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
+        state=run.cycle.state.name,
+        faults={fault: count for fault, count in run.cycle.monitor.named_counts().items() if count},
+        trace_sha256=run.trace_sha256,
+        samples_lost=run.cycle.inbox.lost,
+        wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
+    )
+    return report, traces
+
+
+def steady_from(run: LockstepRun, ticks: int) -> int:
+    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for that."""
+    trajectory = run.cycle.setpoints.trajectory
+    if run.activated_at < 0 or trajectory is None:
+        return 0
+    first = run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns
+    return int(first) if first < ticks else (run.activated_at + ticks) // 2
+
+
+class Traces:
+    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none), and force let out."""
+
+    def __init__(self, ticks: int, n_axes: int) -> None:
+        shape = (ticks, n_axes)
+        self.error = np.full(shape, np.nan)
+        self.setpoint = np.full(shape, np.nan)
+        self.velocity_error = np.full(shape, np.nan)
+        self.force = np.zeros(shape)
+
+    def take(self, index: int, run: LockstepRun) -> None:
+        """Note the tick just run."""
+        cycle = run.cycle
+        self.force[index] = cycle.gate.force
+        if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
+            return
+        sample = cycle.inputs.sample
+        self.setpoint[index] = sample.position
+        self.error[index] = run.true_position - sample.position
+        self.velocity_error[index] = cycle.filter.velocity - run.true_velocity

@@ -1,0 +1,121 @@
+"""`hil sim`: one rig in lockstep, its figures as a table and as JSON."""
+
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from hil.config import RigConfig, RigError, load_rig
+
+
+def write_json(document: Any, target: str) -> None:
+    """Write JSON (NaN as null) to a path, or to standard output for '-'."""
+    text = json.dumps(_without_nan(document), indent=2) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        Path(target).write_text(text, encoding="utf-8")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def metres(value: float, kind: str = "linear") -> str:
+    """A small length (or angle) for people."""
+    unit = "m" if kind == "linear" else "rad"
+    if not math.isfinite(value):
+        return "-"
+    for scale, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
+        if abs(value) >= scale:
+            return f"{value / scale:.3g} {prefix}{unit}"
+    return f"{value / 1e-9:.3g} n{unit}"
+
+
+def axis_table(rig: RigConfig, axes: dict[str, dict[str, float]], title: str) -> Table:
+    """Per axis: errors, peak force, chatter."""
+    table = Table("axis", "max error", "RMS error", "plateau", "peak force", "chatter", title=title, title_justify="left")
+    for name, row in axes.items():
+        kind = rig.axes[name].kind
+        force = "N" if kind == "linear" else "N m"
+        table.add_row(
+            name,
+            metres(row["max_error"], kind),
+            metres(row["rms_error"], kind),
+            metres(row["plateau_error"], kind),
+            f"{row['peak_force']:.3g} {force}",
+            f"{row['chatter']:.3g} {force}",
+        )
+    return table
+
+
+def sim(
+    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
+    overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
+    json_target: Annotated[str, typer.Option("--json", help="write the report there; - for standard output")] = "",
+    faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
+    record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
+    picture: Annotated[Path | None, typer.Option(help="write a picture of the tracking (PNG)")] = None,
+) -> None:
+    """Run a rig in lockstep: the control cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    from hil.lockstep import simulate
+    from hil.scenario import load_scenario
+
+    config = load_rig(rig, overrides)
+    console = Console(stderr=json_target == "-")
+    scenario = load_scenario(faults, config) if faults else None
+    recorder = _recorder(record, config, rig)
+    with Progress(console=console, transient=True) as bar:
+        total = round(seconds * config.rate_hz)
+        job = bar.add_task(f"{config.name}: {config.law.name}", total=total)
+        try:
+            report, traces = simulate(
+                config,
+                rig.parent,
+                seconds,
+                progress=lambda done: bar.update(job, completed=done),
+                observer=recorder.observe if recorder else None,
+                scenario=scenario,
+            )
+        except ValueError as error:  # a task or layout the rig cannot carry
+            raise RigError([f"{rig}: {error}"]) from None
+        finally:
+            if recorder:
+                recorder.close()
+    report.overrides = list(overrides)
+    _show(console, config, report, traces, picture)
+    if json_target:
+        write_json(dataclasses.asdict(report), json_target)
+
+
+def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
+    if path is None:
+        return None
+    from hil.telemetry.recorder import LockstepRecorder
+
+    return LockstepRecorder(path, config, rig)
+
+
+def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:
+    title = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks, steady from {report.steady_from_s:.3f} s"
+    console.print(axis_table(config, report.axes, title))
+    faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
+    console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
+    if picture:
+        from hil.monitor.plots import tracking_picture
+
+        tracking_picture(picture, config, traces)
+        console.print(f"picture {picture}")

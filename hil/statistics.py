@@ -1,0 +1,29 @@
+"""Figures of merit over a steady window."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def axis_statistics(names: Sequence[str], error: Array, force: Array) -> dict[str, dict[str, float]]:
+    """Per axis, SI: max_error and rms_error; plateau_error (median of |error|, what a constant disturbance leaves); peak_force; chatter (RMS of the
+    force's change from tick to tick).
+
+    error, force: (ticks, n_axes); NaN errors (ticks without a sample) do not count. Without any sample all errors are NaN.
+    """
+    result = {}
+    for axis, name in enumerate(names):
+        valid = error[:, axis][np.isfinite(error[:, axis])]
+        magnitude = np.abs(valid) if valid.size else np.full(1, np.nan)
+        change = np.diff(force[:, axis]) if len(force) > 1 else np.zeros(1)
+        result[name] = {
+            "max_error": float(magnitude.max()),
+            "rms_error": float(np.sqrt(np.mean(magnitude**2))),
+            "plateau_error": float(np.median(magnitude)),
+            "peak_force": float(np.abs(force[:, axis]).max()) if len(force) else 0.0,
+            "chatter": float(np.sqrt(np.mean(change**2))),
+        }
+    return result
