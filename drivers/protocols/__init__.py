@@ -23,6 +23,10 @@ def host_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], bas
             from drivers.protocols.stage_fd import StageFdHost
 
             return StageFdHost(bus, n_axes, rated_force)
+        case "stage_classic":
+            from drivers.protocols.stage_classic import StageClassicHost
+
+            return StageClassicHost(bus, n_axes, rated_force)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
 
 
@@ -33,4 +37,8 @@ def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], b
             from drivers.protocols.stage_fd import StageFdDevice
 
             return StageFdDevice(bus, n_axes, rated_force)
+        case "stage_classic":
+            from drivers.protocols.stage_classic import StageClassicDevice
+
+            return StageClassicDevice(bus, n_axes, rated_force)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

@@ -129,7 +129,7 @@ class BitPlan:
         self._simple = len(orders) <= 1 and not any(field.to_float for field in self._fields)
         self._order: Any = "big" if orders == {True} else "little"
         self._triples = [(field.shift, field.mask, field.sign) for field in self._fields]
-        self._bounds = [(-field.sign, field.mask - field.sign) for field in self._fields]
+        self._places = [(-field.sign, field.mask - field.sign, field.mask, field.shift) for field in self._fields]
 
     def unpack(self, data: bytes) -> list[Any]:
         """Raw values of `length` bytes."""
@@ -145,14 +145,19 @@ class BitPlan:
 
     def pack(self, *values: Any) -> bytes:
         """Payload of raw values; OverflowError where one does not fit its signal."""
+        if self._simple:
+            word = 0
+            for (low, high, mask, shift), value in zip(self._places, values, strict=True):
+                if not low <= value <= high:
+                    raise OverflowError(f"raw value {value} is outside {low} .. {high}")
+                word |= (value & mask) << shift
+            return word.to_bytes(self._length, self._order)
         words = [0, 0]
-        for (big, shift, mask, _, _, from_float), (low, high), value in zip(
-            self._fields, self._bounds, values, strict=True
-        ):
-            raw = value if from_float is None else from_float(value)
+        for field, (low, high, mask, shift), value in zip(self._fields, self._places, values, strict=True):
+            raw = value if field.from_float is None else field.from_float(value)
             if not low <= raw <= high:
                 raise OverflowError(f"raw value {raw} is outside {low} .. {high}")
-            words[big] |= (raw & mask) << shift
+            words[field.big] |= (raw & mask) << shift
         length = self._length
         if not words[1]:
             return words[0].to_bytes(length, "little")

@@ -1,0 +1,125 @@
+"""The fallback layout for buses without CAN FD: 8-byte frames, same safety. Contract: stage_classic.dbc.
+
+Quantisation: force in steps of 1/2047 of the rated force (12 bits), sample time in 1 us, sequence modulo 32. No bit
+is left to enable single axes; the torque value -2048, which no force maps to, says "disabled" instead.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from drivers.config import BusConfig
+from drivers.frame import FD, Frame
+from drivers.protocols.base import Command, Message, Reject, Sample
+from drivers.protocols.checksum import IdentifiedCrc8
+from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
+from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
+
+DBC = Path(__file__).with_suffix(".dbc")
+COMMAND_NAMES = ("torque_0", "torque_1", "torque_2", "torque_3", "sequence", "reset", "reserved", "checksum")
+FEEDBACK_NAMES = ("position", "sample_time", "sequence", "status", "checksum")
+
+SEQUENCE_MODULUS = 32
+LENGTH = 8
+FULL_SCALE = 2047
+DISABLED = -2048
+
+_WRAP_NS = 4096 * 1000  # sample_time
+_HALF_NS = _WRAP_NS // 2
+_WRAP = 1 << 32  # position
+_HALF = 1 << 31
+
+
+class _Layout:
+    """What both ends share: identifiers, codecs, scales."""
+
+    name = "stage_classic"
+    sequence_modulus = SEQUENCE_MODULUS
+    fd = False
+
+    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
+        check_ids(bus, n_axes, rated_force)
+        database = load_dbc(DBC)
+        self._command = compile_codec(database.get_message_by_name("Command"), COMMAND_NAMES)
+        self._feedback = compile_codec(database.get_message_by_name("Feedback0"), FEEDBACK_NAMES)
+        if (self._command.length, self._feedback.length) != (LENGTH, LENGTH):
+            raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 8 and 8")
+        self.n_axes = n_axes
+        self._command_id = bus.host_id
+        self._feedback_id = bus.feedback_id
+        self._rated = list(rated_force)
+        self._absent = [DISABLED] * (MAX_AXES - n_axes)
+        self._crc = IdentifiedCrc8([bus.host_id, *range(bus.feedback_id, bus.feedback_id + n_axes)])
+
+
+class StageClassicHost(_Layout):
+    """HostProtocol of stage_classic."""
+
+    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
+        super().__init__(bus, n_axes, rated_force)
+        self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2.048 ms."""
+        can_id, data, flags, received = frame
+        axis = self._axis.get(can_id)
+        if axis is None:
+            return reject_id(can_id, self._axis, self._command_id)
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != LENGTH:
+            return Reject.WRONG_LENGTH
+        position, stamp, sequence, status, checksum = self._feedback.unpack(data)
+        if self._crc(can_id, data) != checksum:
+            return Reject.BAD_CHECKSUM
+        stamp_ns = received + (stamp * 1000 - received + _HALF_NS) % _WRAP_NS - _HALF_NS
+        return Sample(axis, position, status, sequence, stamp_ns)
+
+    def encode(self, command: Command) -> list[Frame]:
+        """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
+        check_force(command.force, self._rated)
+        enable = command.enable
+        torque = [
+            round(force * FULL_SCALE / rated) if enable >> axis & 1 else DISABLED
+            for axis, (force, rated) in enumerate(zip(command.force, self._rated, strict=True))
+        ]
+        torque += self._absent
+        data = self._command.pack(*torque, command.sequence % SEQUENCE_MODULUS, command.reset, 0, 0)
+        return [Frame(self._command_id, data[:7] + bytes((self._crc(self._command_id, data),)))]
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """One command, then one feedback per axis."""
+        return cyclic_messages((self._command_id, LENGTH), (self._feedback_id, LENGTH), self.n_axes, False, period_ns)
+
+
+class StageClassicDevice(_Layout):
+    """DeviceProtocol of stage_classic."""
+
+    def decode_command(self, frame: Frame) -> Command | Reject:
+        """The command for all axes; refused whole where any field is out of its range."""
+        can_id, data, flags, _ = frame
+        if can_id != self._command_id:
+            return reject_id(can_id, (self._command_id,), -1)
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != LENGTH:
+            return Reject.WRONG_LENGTH
+        *torque, sequence, reset, reserved, checksum = self._command.unpack(data)
+        if self._crc(can_id, data) != checksum:
+            return Reject.BAD_CHECKSUM
+        if reserved or torque[self.n_axes :] != self._absent:
+            return Reject.INVALID_VALUE
+        del torque[self.n_axes :]
+        enable = sum(1 << axis for axis, raw in enumerate(torque) if raw != DISABLED)
+        force = [
+            raw * rated / FULL_SCALE if raw != DISABLED else 0.0 for raw, rated in zip(torque, self._rated, strict=True)
+        ]
+        return Command(sequence, force, enable, bool(reset))
+
+    def encode_feedback(self, sample: Sample) -> Frame:
+        """The feedback frame of one axis; position wraps at 32 bits, the stamp is rounded to 1 us."""
+        can_id = self._feedback_id + sample.axis
+        position = (sample.position + _HALF) % _WRAP - _HALF
+        stamp = (sample.stamp_ns + 500) // 1000 % 4096
+        sequence = sample.sequence % SEQUENCE_MODULUS
+        data = self._feedback.pack(position, stamp, sequence, sample.status & STATUS_MASK, 0)
+        return Frame(can_id, data[:7] + bytes((self._crc(can_id, data),)))
