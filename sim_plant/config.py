@@ -1,8 +1,8 @@
 """The part of a rig file that describes the emulated stage: [plant]. It is the plant's truth, not the controller's belief."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -17,7 +17,7 @@ class CellConfig(BaseModel):
     model_config = STRICT
     axis: str
     surface: float  # m, axis position at which the tip touches
-    direction: Annotated[int, Field(ge=-1, le=1)] = -1  # sign of the motion into the cell
+    direction: Literal[-1, 1] = -1  # sign of the motion into the cell
     stiffness: Positive = 1.54e8  # N/m^3
     puncture_depth: Positive = 164e-6  # m
     drag: NonNegative = 0.0  # N s/m while inside, after piercing
@@ -41,6 +41,16 @@ class PlantConfig(BaseModel):
     stribeck_scale: NonNegative | list[NonNegative] = 0.0  # extra Coulomb friction at rest, as a fraction
     stribeck_velocity: Positive | list[Positive] = 0.01  # m/s
     initial_position: float | list[float] = 0.0  # m
-    cells: list[CellConfig] = []
+    cells: list[CellConfig] = []  # at most one per axis
+    brake: bool | list[bool] = False  # the axis has a brake, engaged by its drive whenever it applies no torque
+    brake_force: Positive | list[Positive] = 100.0  # N (N m) the brake holds
     watchdog_s: Annotated[float, Field(gt=0, le=1)] = 0.01  # no valid command for this long: zero torque, latched
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+
+    @model_validator(mode="after")
+    def _one_cell_per_axis(self) -> "PlantConfig":
+        axes = [cell.axis for cell in self.cells]
+        twice = sorted({axis for axis in axes if axes.count(axis) > 1})
+        if twice:
+            raise ValueError(f"cells: more than one on axis {', '.join(twice)}; at most one is allowed per axis")
+        return self

@@ -1,0 +1,263 @@
+"""The stage's physics: independent axes with set-valued friction, advanced exactly from one change of force to the next.
+
+Between two changes the force is constant. Each axis is integrated with the classical Runge-Kutta step on pieces of at most 1 ms
+on which sgn(v) does not change; the instants of stops, breakaways and punctures are found to rounding and the
+integration restarts there, so that nothing chatters at zero speed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_plant.axis import (
+    ACCURACY,
+    MAX_SUBSTEPS,
+    Axis,
+    State,
+    advance_piece,
+    breakaway_sign,
+    effort,
+    make_axis,
+    net_force,
+    runge_kutta,
+    substeps,
+    take,
+)
+from sim_plant.cell import Membrane, transition
+from sim_plant.config import PlantConfig
+from sim_plant.friction import Friction, breakaway
+
+Array = NDArray[np.float64]
+
+MAX_PIECE_NS = 1_000_000
+CHUNK = 8192  # axes integrated together: their temporaries stay in a core's cache
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the stage is really like; every array has shape (..., n_axes), scales already applied.
+
+    mass: kg. coulomb, gravity, modelling_error, ripple_amplitude: N. viscous: N s/m. quadratic: N s^2/m^2. stribeck: N,
+    extra friction at rest. stribeck_velocity: m/s. ripple_period, cell_surface, puncture_depth: m. cell_direction: +-1.
+    cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
+    """
+
+    mass: Array
+    coulomb: Array
+    viscous: Array
+    quadratic: Array
+    gravity: Array
+    modelling_error: Array
+    stribeck: Array
+    stribeck_velocity: Array
+    ripple_amplitude: Array
+    ripple_period: Array
+    cell_surface: Array
+    cell_direction: Array
+    cell_stiffness: Array
+    puncture_depth: Array
+    cell_drag: Array
+
+    @classmethod
+    def from_config(cls, plant: PlantConfig, n_axes: int, axis_names: Sequence[str] = ()) -> "Truth":
+        """Truth of one rig, arrays of shape (n_axes,). axis_names are needed where [plant] has cells. Raises ValueError."""
+        per_axis = {
+            "mass": np.multiply(plant.mass, plant.mass_scale),
+            "coulomb": np.multiply(plant.coulomb, plant.friction_scale),
+            "viscous": np.multiply(plant.viscous, plant.friction_scale),
+            "quadratic": np.multiply(plant.quadratic, plant.friction_scale),
+            "gravity": plant.gravity or 0.0,
+            "modelling_error": plant.modelling_error,
+            "stribeck": np.multiply(np.multiply(plant.coulomb, plant.friction_scale), plant.stribeck_scale),
+            "stribeck_velocity": plant.stribeck_velocity,
+            "ripple_amplitude": plant.ripple_amplitude,
+            "ripple_period": plant.ripple_period,
+            "cell_surface": 0.0,
+            "cell_direction": 1.0,
+            "cell_stiffness": 0.0,
+            "puncture_depth": 1e100,
+            "cell_drag": 0.0,
+        }
+        arrays = {key: per_axis_array(f"plant.{key}", value, n_axes) for key, value in per_axis.items()}
+        for cell in plant.cells:
+            if cell.axis not in axis_names:
+                raise ValueError(
+                    f"plant.cells: no axis '{cell.axis}'; the axes are {', '.join(axis_names) or 'not named'}"
+                )
+            index = list(axis_names).index(cell.axis)
+            for key, value in {
+                "cell_surface": cell.surface,
+                "cell_direction": cell.direction,
+                "cell_stiffness": cell.stiffness,
+                "puncture_depth": cell.puncture_depth,
+                "cell_drag": cell.drag,
+            }.items():
+                arrays[key][index] = value
+        return cls(**arrays)
+
+    @classmethod
+    def stack(cls, truths: Sequence["Truth"]) -> "Truth":
+        """Batch of plants, arrays of shape (len(truths), ..., n_axes)."""
+        return cls(**{field.name: np.stack([getattr(truth, field.name) for truth in truths]) for field in fields(cls)})
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(..., n_axes)."""
+        return self.mass.shape
+
+
+def per_axis_array(name: str, value: ArrayLike, n_axes: int) -> Array:
+    """One number for all axes, or one per axis, as an array (n_axes,). Raises ValueError naming the key."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim and array.shape != (n_axes,):
+        raise ValueError(f"{name} has {array.size} values for {n_axes} axes")
+    return np.array(np.broadcast_to(array, (n_axes,)))
+
+
+def _axes_of(truth: Truth, clamp: Array) -> Axis:
+    flat = {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
+    friction = Friction(
+        coulomb=flat["coulomb"] + flat["modelling_error"] + clamp.reshape(-1),
+        stribeck=flat["stribeck"],
+        stribeck_slowness=1.0 / flat["stribeck_velocity"],
+        viscous=flat["viscous"],
+        quadratic=flat["quadratic"],
+    )
+    membrane = Membrane(
+        surface=flat["cell_surface"],
+        direction=flat["cell_direction"],
+        stiffness=flat["cell_stiffness"],
+        puncture_depth=flat["puncture_depth"],
+        drag=flat["cell_drag"],
+    )
+    return make_axis(flat["mass"], friction, flat["ripple_amplitude"], flat["ripple_period"], membrane)
+
+
+def _single(axis: Axis) -> Axis:
+    """One axis, told which of the optional terms it has itself."""
+    return axis._replace(
+        has_stribeck=axis.friction.stribeck != 0.0,
+        has_ripple=axis.ripple_amplitude != 0.0,
+        has_cell=axis.membrane.stiffness != 0.0 or axis.membrane.drag != 0.0,
+    )
+
+
+class Stage:
+    """One stage (n_axes,) or a batch of stages (..., n_axes) under forces that are constant during each `advance`.
+
+    position, velocity: truth after the last `advance`, m and m/s, (..., n_axes); read only, reused by the next one.
+    pierced: 1.0 where an axis' cell is pierced.
+    """
+
+    def __init__(self, truth: Truth, position: ArrayLike = 0.0, velocity: ArrayLike = 0.0) -> None:
+        self.truth = truth
+        self.position: Array = np.array(np.broadcast_to(np.asarray(position, dtype=np.float64), truth.shape))
+        self.velocity: Array = np.array(np.broadcast_to(np.asarray(velocity, dtype=np.float64), truth.shape))
+        self.pierced: Array = np.zeros(truth.shape)
+        self._clamp = np.zeros(truth.shape)
+        self._gravity: list[float] = truth.gravity.tolist() if truth.mass.ndim == 1 else []
+        self._configure()
+
+    def _configure(self) -> None:
+        self._batch = _axes_of(self.truth, self._clamp)
+        self._axes: list[Axis] = []
+        self._states: list[State] = []
+        if self.position.ndim == 1:
+            self._axes = [_single(take(self._batch, index)) for index in range(self.position.size)]
+            triples = zip(self.position.tolist(), self.velocity.tolist(), self.pierced.tolist(), strict=True)
+            self._states = [State(*triple) for triple in triples]
+
+    def clamp(self, force: ArrayLike) -> None:
+        """Hold axes with `force` (N, (..., n_axes)) of additional dry friction from now on: a brake, or a jam. 0 releases."""
+        wanted = np.broadcast_to(np.asarray(force, dtype=np.float64), self._clamp.shape)
+        if not np.array_equal(wanted, self._clamp):
+            self._clamp[...] = wanted
+            self._configure()
+
+    def advance(self, duration_ns: int, force: Sequence[float] | Array) -> None:
+        """Advance by duration_ns >= 0 with `force` (N, (..., n_axes)) held; all values finite."""
+        if duration_ns <= 0:
+            return
+        pieces = -(-duration_ns // MAX_PIECE_NS)
+        h = duration_ns * 1e-9 / pieces
+        if self._axes:
+            self._advance_single(pieces, h, force.tolist() if isinstance(force, np.ndarray) else force)
+        else:
+            self._advance_batch(pieces, h, np.asarray(force, dtype=np.float64))
+
+    def _advance_single(self, pieces: int, h: float, force: Sequence[float]) -> None:
+        for index, axis in enumerate(self._axes):
+            state = self._states[index]
+            drive = force[index] + self._gravity[index]
+            if state.velocity == 0.0 and breakaway_sign(axis, state, drive) == 0.0:
+                continue  # friction holds it, and nothing changes until the force does
+            for _ in range(pieces):
+                count = substeps(axis, state.velocity, drive, h)
+                short = h / count
+                for _ in range(count):
+                    state = advance_piece(axis, state, drive, short)
+            self._states[index] = state
+            self.position[index], self.velocity[index], self.pierced[index] = state
+
+    def _advance_batch(self, pieces: int, h: float, force: Array) -> None:
+        drive = (force + self.truth.gravity).reshape(-1)
+        flat = [array.reshape(-1) for array in (self.position, self.velocity, self.pierced)]
+        for start in range(0, drive.size, CHUNK):
+            part = slice(start, start + CHUNK)
+            axis = take(self._batch, part)
+            state = State(*(array[part] for array in flat))
+            for _ in range(pieces):
+                state = _advance_many(axis, state, drive[part], h)
+            for array, values in zip(flat, state, strict=True):
+                array[part] = values
+
+
+def _advance_many(axis: Axis, state: State, drive: Array, h: float) -> State:
+    """As `substeps` and `advance_piece` for an array of axes; axes that need the same number of substeps go together."""
+    work = effort(axis, state.velocity, drive, h)
+    count = np.ones(work.shape)
+    while np.any(short := (count * ACCURACY < work) & (count < MAX_SUBSTEPS)):
+        count[short] *= 2
+    levels = np.unique(count)
+    if levels.size == 1:
+        return _repeat(axis, state, drive, h / float(levels[0]), int(levels[0]))
+    result = State(*(array.copy() for array in state))
+    for level in levels.tolist():
+        index = np.flatnonzero(count == level)
+        part = State(*(array[index] for array in state))
+        moved = _repeat(take(axis, index), part, drive[index], h / level, int(level))
+        for array, values in zip(result, moved, strict=True):
+            array[index] = values
+    return result
+
+
+def _repeat(axis: Axis, state: State, drive: Array, h: float, count: int) -> State:
+    for _ in range(count):
+        state = _piece_many(axis, state, drive, h)
+    return state
+
+
+def _piece_many(axis: Axis, state: State, drive: Array, h: float) -> State:
+    """`advance_piece` for an array: smooth axes together, the few with an event one by one."""
+    sign = np.sign(state.velocity)
+    resting = sign == 0.0
+    if resting.any():
+        net = net_force(axis, state, drive)
+        sign = np.where(resting & (np.abs(net) > breakaway(axis.friction)), np.sign(net), sign)
+    moving = sign != 0.0
+    position, velocity = runge_kutta(axis, state, drive, sign, h)
+    event = moving & (velocity * sign <= 0.0)
+    if axis.has_cell:
+        event |= moving & (transition(axis.membrane, position, state.pierced) >= 0.0)
+    result = State(
+        np.where(moving, position, state.position), np.where(moving, velocity, state.velocity), state.pierced.copy()
+    )
+    for index in np.flatnonzero(event).tolist():
+        alone = State(*(float(array[index]) for array in state))
+        outcome: Any = advance_piece(_single(take(axis, index)), alone, float(drive[index]), h)
+        for array, value in zip(result, outcome, strict=True):
+            array[index] = value
+    return result
