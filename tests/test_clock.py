@@ -1,0 +1,158 @@
+"""Pacing keeps to the grid, skips what cannot be kept, and blames the right party."""
+
+import signal
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.clock import MAX_RESLEEPS, Pacer, own_share
+
+PERIOD = 1_000_000
+
+
+class World:
+    """A clock that only sleeping and `work` advance; `oversleep` is consumed one value per sleep."""
+
+    def __init__(self, oversleep=()):
+        self.time = 5_000_000_123
+        self.oversleep = list(oversleep)
+        self.slept_until = []
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, deadline):
+        self.slept_until.append(deadline)
+        self.time = max(self.time, deadline) + (self.oversleep.pop(0) if self.oversleep else 0)
+
+    def work(self, duration):
+        self.time += duration
+
+
+def started(world):
+    pacer = Pacer(PERIOD, world.now, world.sleep_until)
+    pacer.start()
+    return pacer
+
+
+def test_an_undisturbed_loop_visits_every_slot_on_its_deadline():
+    world = World()
+    pacer = started(world)
+    epoch = world.time
+    for index in range(100):
+        pacer.wait()
+        assert (pacer.index, pacer.scheduled_ns, pacer.now_ns) == (index, epoch + (index + 1) * PERIOD, world.time)
+        assert pacer.skipped == 0
+        world.work(PERIOD // 3)
+
+
+def test_lateness_does_not_add_up():
+    world = World(oversleep=[50_000] * 1000)
+    pacer = started(world)
+    epoch = world.time
+    for _ in range(1000):
+        pacer.wait()
+    assert pacer.scheduled_ns == epoch + 1000 * PERIOD
+    assert pacer.now_ns - pacer.scheduled_ns == 50_000
+
+
+def test_a_tick_that_runs_into_the_next_slot_loses_it_and_no_more():
+    world = World()
+    pacer = started(world)
+    pacer.wait()
+    world.work(PERIOD + 1)
+    pacer.wait()
+    assert (pacer.index, pacer.skipped) == (2, 1)
+    assert pacer.now_ns == pacer.scheduled_ns
+
+
+def test_a_wake_later_than_half_a_period_waits_for_the_next_slot_instead_of_crowding_it():
+    world = World(oversleep=[PERIOD // 2 + 1])
+    pacer = started(world)
+    pacer.wait()
+    assert (pacer.index, pacer.skipped, pacer.now_ns - pacer.scheduled_ns) == (1, 1, 0)
+    world = World(oversleep=[PERIOD // 2])
+    pacer = started(world)
+    pacer.wait()
+    assert (pacer.index, pacer.skipped, pacer.now_ns - pacer.scheduled_ns) == (0, 0, PERIOD // 2)
+
+
+def test_when_every_wake_is_late_the_tick_still_runs_so_that_stop_and_watchdog_live():
+    world = World(oversleep=[3 * PERIOD + 700_000] * MAX_RESLEEPS)
+    pacer = started(world)
+    epoch = world.time
+    pacer.wait()
+    assert pacer.skipped == pacer.index > 0
+    assert pacer.scheduled_ns == epoch + (pacer.index + 1) * PERIOD
+    assert 0 <= pacer.now_ns - pacer.scheduled_ns < PERIOD
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 20 * PERIOD), st.lists(st.integers(0, 5 * PERIOD), min_size=0, max_size=4)),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_whatever_happens_the_index_is_the_slot_and_ticks_are_never_crowded(history):
+    world = World()
+    pacer = started(world)
+    epoch, previous, skipped = world.time, None, 0
+    for work, oversleep in history:
+        world.oversleep = list(oversleep)
+        pacer.wait()
+        assert pacer.scheduled_ns == epoch + (pacer.index + 1) * PERIOD
+        assert pacer.now_ns >= pacer.scheduled_ns
+        skipped += pacer.skipped
+        assert pacer.total_skipped == skipped
+        if previous is not None:
+            assert pacer.index == previous[0] + 1 + pacer.skipped
+            if pacer.now_ns - pacer.scheduled_ns <= pacer.keep_ns and previous[2]:
+                assert pacer.now_ns - previous[1] >= PERIOD // 2
+        previous = (pacer.index, pacer.now_ns, pacer.now_ns - pacer.scheduled_ns <= pacer.keep_ns)
+        world.work(work)
+
+
+def test_the_real_sleep_ends_at_or_after_its_deadline_and_survives_signals():
+    pacer = Pacer(PERIOD)
+    pacer.start()
+    for _ in range(20):
+        pacer.wait()
+        assert pacer.now_ns >= pacer.scheduled_ns
+    assert pacer.index >= 19
+
+
+def test_a_signal_during_the_sleep_runs_its_handler_and_does_not_end_the_sleep():
+    seen = []
+    before = signal.signal(signal.SIGALRM, lambda *_: seen.append(time.monotonic_ns()))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.005)
+        pacer = Pacer(50_000_000)
+        pacer.start()
+        pacer.wait()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert len(seen) == 1
+    assert seen[0] < pacer.scheduled_ns <= pacer.now_ns
+
+
+def test_a_period_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match="period_ns = 0"):
+        Pacer(0)
+
+
+@pytest.mark.parametrize(
+    ("skipped", "cpu_us", "blocked", "own"),
+    [
+        (3, 60, False, 0),  # the host took the core away
+        (1, 1000, False, 0),  # ends exactly on the deadline
+        (1, 1001, False, 1),
+        (3, 2500, False, 2),  # two slots of computing, one lost by the host on top
+        (3, 9000, False, 3),
+        (2, 60, True, 2),  # waited for a disk
+    ],
+)
+def test_lost_slots_are_split_between_us_and_the_host(skipped, cpu_us, blocked, own):
+    assert own_share(skipped, PERIOD, cpu_us * 1000, blocked) == own
