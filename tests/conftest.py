@@ -1,0 +1,52 @@
+"""What every test may lean on: the two rig files, invariants on every tick, private runtime folders."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import filterpy.kalman  # noqa: F401  # once per worker: the filter design then needs no child process
+import pytest
+from hypothesis import settings
+
+from hil.config import RigConfig, load_rig
+from hil.invariants import Invariants
+
+if TYPE_CHECKING:
+    from hil.lockstep import LockstepRun
+
+settings.register_profile("repository", deadline=None, derandomize=True)
+settings.load_profile("repository")
+
+RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
+
+
+@pytest.fixture(autouse=True)
+def private_runtime_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """No test meets another's local bus, ring or mailbox."""
+    folder = tmp_path / "run"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(folder))
+    return folder
+
+
+@pytest.fixture
+def paper() -> RigConfig:
+    return load_rig(RIGS / "paper.toml")
+
+
+@pytest.fixture
+def microscope() -> RigConfig:
+    return load_rig(RIGS / "microscope.toml")
+
+
+@pytest.fixture
+def lockstep() -> Callable[..., 'LockstepRun']:
+    """Makes lockstep runs whose every tick is checked against the invariants."""
+
+    from hil.lockstep import LockstepRun
+
+    def make(rig: RigConfig, **keywords: object) -> 'LockstepRun':
+        invariants = Invariants(rig, RIGS)
+        return LockstepRun(rig, RIGS, observer=invariants.observe, **keywords)  # type: ignore[arg-type]
+
+    return make

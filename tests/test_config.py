@@ -1,0 +1,138 @@
+"""A rig file is right, or it is refused whole, with every problem named, before a bus is opened."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig, rig_hash
+
+RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
+PAPER = RIGS / "paper.toml"
+SCRIPTABLE = {
+    "rate_hz": "500",
+    "law.name": "pd-feedforward",
+    "law.gains.kp": "[1.0, 2.0]",
+    "plant.mass_scale": "1.2",
+    "plant.friction_scale": "0.7",
+    "plant.modelling_error": "0.3",
+    "plant.encoder_resolution": "5e-9",
+    "plant.ripple_amplitude": "0.05",
+    "plant.ripple_period": "0.05",
+    "plant.stribeck_scale": "0.2",
+    "plant.stribeck_velocity": "0.01",
+    "plant.seed": "7",
+    "wire.drop_probability": "0.01",
+    "wire.jitter": "5e-5",
+    "task.kind": "lissajous",
+    "task.radius": "0.01",
+    "task.frequency_hz": "0.25",
+    "task.phase": "0.3",
+    "task.approach_s": "1.0",
+}
+
+
+@pytest.mark.parametrize("name", ["paper.toml", "microscope.toml"])
+def test_the_rigs_we_ship_are_valid(name: str) -> None:
+    assert load_rig(RIGS / name).name == name.removesuffix(".toml")
+
+
+@pytest.mark.parametrize("key", SCRIPTABLE)
+def test_every_scriptable_key_can_be_set(key: str) -> None:
+    assert rig_hash(load_rig(PAPER, [f"{key}={SCRIPTABLE[key]}"])) != "" and load_rig(PAPER, [f"{key}={SCRIPTABLE[key]}"])
+
+
+def test_modelling_error_takes_one_number_or_one_per_axis() -> None:
+    assert load_rig(PAPER, ["plant.modelling_error=0.3"]).plant.modelling_error == 0.3
+    assert load_rig(PAPER, ["plant.modelling_error=[0.3, 0.1]"]).plant.modelling_error == [0.3, 0.1]
+
+
+def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
+    rig = load_rig(PAPER, ["law.name=robust-pd"])
+    assert "kp" not in rig.law.gains
+    assert load_rig(PAPER, ["law.gains.kp=[1.0, 1.0]", "law.name=robust-pd"]).law.gains == {"kp": [1.0, 1.0]}
+
+
+def test_another_encoder_changes_the_belief_with_the_truth() -> None:
+    rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9"])
+    assert [axis.encoder_resolution for axis in rig.axes.values()] == [5e-9, 5e-9]
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("rate_hz=nan", "rate_hz"),
+        ("rate_hz=0", "greater than or equal to 10"),
+        ("plant.mass=[1.0, 2.0, 3.0]", "plant.mass has 3 values for 2 axes"),
+        ("law.unknown=1", "law.unknown"),
+        ("task.kind=circel", "'circle'"),
+        ("axes.x.limits.force=99", "exceeds rated_force"),
+        ("axes.x.limits.position=[1.0, -1.0]", "the first must be below the second"),
+        ("wire.drop_probability=1.5", "less than 1"),
+        ("task.axes=['x', 'q']", "no axis 'q'"),
+        ("rate_hz.deeper=1", "'rate_hz' is a value"),
+        ("nonsense", "expected key.path=value"),
+        ("task.kind=injection", "[task.injection]"),
+        ("plant.modelling_error=-0.1", "plant.modelling_error"),
+    ],
+)
+def test_a_bad_value_is_refused_with_its_key_and_the_allowed_range(override: str, expected: str) -> None:
+    with pytest.raises(RigError) as caught:
+        load_rig(PAPER, [override])
+    assert expected in str(caught.value)
+
+
+def test_all_problems_are_named_at_once() -> None:
+    with pytest.raises(RigError) as caught:
+        load_rig(PAPER, ["rate_hz=1", "bus.bitrate=5", "task.radius=-1", "nosuchkey=1"])
+    assert len(caught.value.problems) == 4
+
+
+def test_a_missing_file_and_a_broken_file_are_refused(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_bytes(b"name = [\xff")
+    for path in (tmp_path / "none.toml", broken):
+        with pytest.raises(RigError):
+            load_rig(path)
+
+
+def test_the_same_rig_has_the_same_hash_whatever_its_comments_and_order(tmp_path: Path) -> None:
+    copy = tmp_path / "copy.toml"
+    copy.write_text("# a comment\n" + PAPER.read_text())
+    assert rig_hash(load_rig(copy)) == rig_hash(load_rig(PAPER))
+    assert rig_hash(load_rig(PAPER, ["rate_hz=999"])) != rig_hash(load_rig(PAPER))
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_make_anything_but_a_rig_or_a_refusal(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.mktemp("rig") / "fuzz.toml"
+    path.write_bytes(data)
+    with pytest.raises(RigError):
+        load_rig(path)
+
+
+KEYS = st.sampled_from([*SCRIPTABLE, "axes.x.limits.force", "safety.stop_s", "bus.protocol", "timing.priority", "x", ""])
+VALUES = st.one_of(st.floats().map(repr), st.integers().map(str), st.text(max_size=12), st.just("[]"), st.just("{}"))
+
+
+@given(st.lists(st.tuples(KEYS, VALUES).map("=".join), max_size=4))
+def test_any_override_gives_a_valid_finite_rig_or_a_refusal(overrides: list[str]) -> None:
+    try:
+        rig = load_rig(PAPER, overrides)
+    except RigError as error:
+        assert error.problems
+    else:
+        assert isinstance(rig, RigConfig)
+        assert math.isfinite(rig.rate_hz)
+
+
+def test_the_command_line_exits_with_78_and_no_traceback() -> None:
+    command = [sys.executable, "-m", "hil", "sim", str(PAPER), "--set", "rate_hz=nan"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == EXIT_CONFIG
+    assert "rate_hz" in result.stderr
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,150 @@
+"""The gate between what a law asks for and what leaves the process."""
+
+import ast
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.config import BusConfig
+from drivers.protocols import device_protocol, host_protocol
+from drivers.protocols.base import Command
+from hil.gate import ForceLimits, TorqueGate
+
+ROOT = Path(__file__).parent.parent
+LIMIT, STEP, LOW, HIGH = 5.0, 2.0, -1.0, 1.0
+BUS = BusConfig()
+DEVICE = device_protocol(BUS, 2, [LIMIT, LIMIT], ROOT)
+
+
+def make_gate() -> TorqueGate:
+    limits = ForceLimits([LIMIT] * 2, [LOW] * 2, [HIGH] * 2, [STEP] * 2, (2,))
+    return TorqueGate(host_protocol(BUS, 2, [LIMIT, LIMIT], ROOT), limits)
+
+
+def let_out(gate: TorqueGate, request: list[float], position: list[float], *, permitted: bool = True) -> Command:
+    """The command as a drive would read it."""
+    (frame,) = gate.release(np.array(request), np.array(position), permitted=permitted, sequence=7)
+    command = DEVICE.decode_command(frame)
+    assert isinstance(command, Command)
+    return command
+
+
+any_float = st.floats(allow_nan=True, allow_infinity=True, width=64)
+near = st.floats(-1.5, 1.5)
+
+
+@given(st.lists(any_float, min_size=2, max_size=2), st.lists(any_float, min_size=2, max_size=2), st.booleans())
+def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(request: list[float], position: list[float], permitted: bool) -> None:
+    command = let_out(make_gate(), request, position, permitted=permitted)
+    for force in command.force:
+        assert math.isfinite(force)
+        assert abs(force) <= STEP  # one tick from zero: the rate limit is the tighter bound
+    if not permitted or not all(map(math.isfinite, request + position)):
+        assert list(command.force) == [0.0, 0.0]
+        assert command.enable == 0
+
+
+@given(st.lists(st.tuples(st.floats(-20, 20), near), min_size=1, max_size=40))
+def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_the_travel(steps: list[tuple[float, float]]) -> None:
+    gate = make_gate()
+    previous = 0.0
+    for request, position in steps:
+        force = let_out(gate, [request, 0.0], [position, 0.0]).force[0]
+        assert abs(force) <= LIMIT
+        if position >= HIGH:
+            assert force <= 0.0
+        if position <= LOW:
+            assert force >= 0.0
+        at_limit = (position >= HIGH and previous > 0) or (position <= LOW and previous < 0)
+        if not at_limit:
+            assert abs(force - previous) <= STEP * (1 + 1e-6)
+        previous = gate.force[0]
+
+
+@pytest.mark.parametrize(
+    ("request_", "position", "expected"),
+    [
+        (1.0, 0.0, 1.0),  # inside every bound: untouched
+        (2.0, 0.0, 2.0),  # exactly the rate limit
+        (2.0 + 1e-9, 0.0, 2.0),
+        (-2.5, 0.0, -2.0),
+        (1.0, HIGH, 0.0),  # exactly at the limit: outward force is gone
+        (1.0, math.nextafter(HIGH, 0), 1.0),
+        (-1.0, HIGH, -1.0),  # inward force passes
+        (-1.0, LOW, 0.0),
+        (-1.0, math.nextafter(LOW, 0), -1.0),
+        (1.0, LOW, 1.0),
+        (-0.0, 0.0, 0.0),
+    ],
+)
+def test_at_the_boundaries(request_: float, position: float, expected: float) -> None:
+    assert let_out(make_gate(), [request_, 0.0], [position, 0.0]).force[0] == expected
+
+
+def test_the_limit_is_reached_in_steps_and_not_passed() -> None:
+    gate = make_gate()
+    forces = [let_out(gate, [100.0, -100.0], [0.0, 0.0]).force for _ in range(4)]
+    assert [f[0] for f in forces] == [2.0, 4.0, 5.0, 5.0]
+    assert [f[1] for f in forces] == [-2.0, -4.0, -5.0, -5.0]
+    assert gate.saturations == [4, 4]
+
+
+def test_a_force_that_needs_no_change_is_not_counted_as_saturated() -> None:
+    gate = make_gate()
+    let_out(gate, [1.0, -1.0], [0.0, 0.0])
+    assert gate.saturations == [0, 0]
+
+
+def test_without_permission_zero_comes_at_once_not_along_the_rate_limit() -> None:
+    gate = make_gate()
+    for _ in range(3):
+        let_out(gate, [5.0, 5.0], [0.0, 0.0])
+    command = let_out(gate, [5.0, 5.0], [0.0, 0.0], permitted=False)
+    assert list(command.force) == [0.0, 0.0]
+    assert command.enable == 0
+    assert gate.force.tolist() == [0.0, 0.0]
+    assert let_out(gate, [5.0, 5.0], [0.0, 0.0]).force[0] == STEP  # and it starts from zero again
+
+
+def test_enable_goes_with_permission_and_covers_every_axis() -> None:
+    assert let_out(make_gate(), [0.0, 0.0], [0.0, 0.0]).enable == 0b11
+
+
+def test_the_reset_bit_goes_out_only_with_zero_force() -> None:
+    gate = make_gate()
+    (frame,) = gate.zero(3, reset=True)
+    command = DEVICE.decode_command(frame)
+    assert isinstance(command, Command)
+    assert (command.reset, list(command.force), command.enable, command.sequence) == (True, [0.0, 0.0], 0, 3)
+    assert not let_out(gate, [1.0, 1.0], [0.0, 0.0]).reset
+
+
+def _sources(*folders: str) -> dict[str, ast.Module]:
+    paths = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text()) for path in paths}
+
+
+def test_the_gate_knows_neither_laws_nor_trajectories() -> None:
+    tree = _sources("hil")["hil/gate.py"]
+    imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert imported <= {"collections.abc", "typing", "numpy.typing", "drivers.frame", "drivers.protocols.base"}
+
+
+def test_nothing_else_in_hil_builds_a_command_frame() -> None:
+    """By search: a Command is constructed, and a host protocol's encode called, in gate.py alone (benchmarks measure, they do not run rigs)."""
+    offenders = []
+    for path, tree in _sources("hil").items():
+        if path == "hil/gate.py" or path.startswith("hil/bench/"):
+            continue
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call):
+                continue
+            name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            on_protocol = isinstance(node.func, ast.Attribute) and "protocol" in ast.unparse(node.func.value)
+            if name == "Command" or (name == "encode" and on_protocol):
+                offenders.append(f"{path}:{node.lineno}")
+    assert offenders == []

@@ -1,0 +1,107 @@
+"""From frames to at most one trusted sample per axis and tick."""
+
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.config import BusConfig
+from drivers.frame import Frame
+from drivers.protocols import device_protocol, host_protocol
+from drivers.protocols.base import Reject, Sample
+from hil.inbox import Inbox
+
+BUS = BusConfig()
+HERE = Path()
+DEVICE = device_protocol(BUS, 2, [5.0, 5.0], HERE)
+
+
+def answer(axis: int, sequence: int, position: int = 100) -> Frame:
+    frame = DEVICE.encode_feedback(Sample(axis, position, 0, sequence % 65536, 1_000))
+    return frame._replace(timestamp_ns=1_000)
+
+
+def make_inbox() -> Inbox:
+    return Inbox(host_protocol(BUS, 2, [5.0, 5.0], HERE), leak_ticks=100)
+
+
+def test_answers_to_the_latest_command_are_fresh_and_have_age_zero() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5, 11), answer(1, 5, 22)], sent_sequence=5)
+    assert inbox.fresh == [True, True]
+    assert inbox.age == [0, 0]
+    assert [sample.position for sample in inbox.samples if sample] == [11, 22]
+
+
+def test_a_missing_answer_makes_the_axis_older_and_counts_as_lost() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5), answer(1, 5)], 5)
+    inbox.collect([answer(0, 6)], 6)
+    assert inbox.fresh == [True, False]
+    assert inbox.age == [0, 1]
+    assert inbox.lost == 1
+
+
+def test_before_the_first_command_nothing_is_missing() -> None:
+    inbox = make_inbox()
+    inbox.collect([], -1)
+    assert inbox.age == [0, 0]
+
+
+def test_an_answer_to_a_command_never_sent_is_refused() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5)], -1)
+    inbox.collect([answer(0, 9)], 5)
+    assert inbox.rejects[Reject.STALE] == 2
+    assert inbox.samples == [None, None]
+
+
+def test_a_duplicate_is_discarded_and_suspicious() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5), answer(0, 5)], 5)
+    assert inbox.rejects[Reject.DUPLICATE] == 1
+    assert inbox.bad_frames == 1
+    assert inbox.fresh[0]
+
+
+def test_a_reordered_older_answer_never_replaces_a_newer_one() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5, 55), answer(0, 4, 44)], 5)
+    assert inbox.samples[0] is not None
+    assert inbox.samples[0].position == 55
+    assert inbox.rejects[Reject.STALE] == 1
+
+
+def test_a_late_but_newer_answer_is_not_suspicious_and_not_fresh() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5), answer(1, 5)], 5)
+    inbox.collect([answer(0, 6)], 7)
+    assert inbox.fresh == [False, False]
+    assert inbox.late == 1
+    assert inbox.bad_frames == 0
+
+
+def test_sequence_numbers_wrap_around() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 65535)], 65535)
+    inbox.collect([answer(0, 65536)], 65536)
+    assert inbox.fresh[0]
+    assert sum(inbox.rejects) == 0
+
+
+def test_the_leaky_bucket_forgives_one_bad_frame_per_hundred_ticks() -> None:
+    inbox = make_inbox()
+    damaged = answer(0, 0)._replace(data=bytes(16))
+    inbox.collect([damaged] * 3, 0)
+    assert inbox.bad_frames == 3
+    for _ in range(100):
+        inbox.collect([], 0)
+    assert inbox.bad_frames == 2
+
+
+@given(st.binary(max_size=64), st.integers(0, 0x7FF), st.integers(0, 7))
+def test_no_bytes_whatever_become_a_sample_without_their_checksum(data: bytes, can_id: int, flags: int) -> None:
+    inbox = make_inbox()
+    inbox.collect([Frame(can_id, data, flags, 1)], 0)
+    assert inbox.samples == [None, None] or sum(inbox.rejects) == 0
+    assert sum(inbox.rejects) + sum(inbox.fresh) == 1
