@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint lock
+.PHONY: help setup run test test-slow lint lock proto
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -35,3 +35,9 @@ lock:  ## renew requirements.lock from pyproject.toml (needs uv)
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
 
 include deploy/vm/vm.mk
+
+proto: setup  ## renew the generated protobuf module
+	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
+
+test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills
+	@$(BIN)/python -m pytest -n 2 -m "slow and not vcan and not controller"
