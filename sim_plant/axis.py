@@ -1,4 +1,4 @@
-"""Equation of motion of one axis, eq. (2) of the paper row by row, and its integration over one short piece of constant force.
+"""Equation of motion of one axis, eq. (2) of the paper row by row, and its integration under a constant force.
 
     m a = force + gravity - friction(v) + A sin(2 pi q / P) - membrane(q, v)
 
@@ -67,7 +67,9 @@ def make_axis(
         membrane.stiffness > 0
     )
     rate = (abs(friction.viscous) + membrane.drag) * inverse_mass + ripple_rate + membrane_rate
-    speed_rate = 2.0 * abs(friction.quadratic) * inverse_mass + RIPPLE_WEIGHT * TURN * wavenumber * (ripple_amplitude != 0.0)
+    speed_rate = 2.0 * abs(friction.quadratic) * inverse_mass + RIPPLE_WEIGHT * TURN * wavenumber * (
+        ripple_amplitude != 0.0
+    )
     return Axis(
         inverse_mass=inverse_mass,
         friction=friction,
@@ -143,7 +145,7 @@ def runge_kutta(axis: Axis, state: State, drive: Number, sign: Number, h: float)
 
 
 def effort(axis: Axis, velocity: Number, drive: Number, h: float) -> Number:
-    """Product of the fastest rate met during h seconds and h; ACCURACY times the substeps it takes (an integer >= 1)."""
+    """Product of h and the fastest rate met during h seconds; about ACCURACY times the substeps it takes."""
     speed = abs(velocity)
     work = h * (axis.rate + speed * axis.speed_rate)
     if axis.has_stribeck:
@@ -181,7 +183,8 @@ def _root(
 ) -> tuple[float, float, float]:
     """(time, position, velocity) of the event within (0, h]: velocity zero (stop), or the membrane's transition.
 
-    Newton's method, kept inside a bracket by bisection; the function is the Runge-Kutta step itself as a function of its length.
+    Newton's method, kept inside a bracket by bisection; the function is the Runge-Kutta step itself as a function of
+    its length.
     """
     low, high, tau = 0.0, h, guess
     position, velocity = state.position, state.velocity
@@ -202,7 +205,7 @@ def _root(
 
 
 def advance_piece(axis: Axis, state: State, drive: float, h: float) -> State:
-    """One axis after h seconds (one substep) of constant force, through every stop, breakaway and puncture on the way."""
+    """One axis after h seconds (one substep) of constant force, through every stop, breakaway and puncture."""
     remaining = h
     for _ in range(MAX_EVENTS):
         velocity = state.velocity

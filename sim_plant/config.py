@@ -1,4 +1,4 @@
-"""The part of a rig file that describes the emulated stage: [plant]. It is the plant's truth, not the controller's belief."""
+"""The part of a rig file that describes the emulated stage: [plant]. The plant's truth, not the controller's belief."""
 
 from typing import Annotated, Literal
 
@@ -12,7 +12,7 @@ PerAxis = float | list[float]  # one number for all axes, or one per axis
 
 
 class CellConfig(BaseModel):
-    """A membrane in front of the pipette: point load on a clamped circular membrane, F = stiffness * depth^3, until it is pierced."""
+    """A membrane in front of the pipette: F = stiffness * depth^3 until it is pierced (sim_plant/cell.py)."""
 
     model_config = STRICT
     axis: str
@@ -24,7 +24,7 @@ class CellConfig(BaseModel):
 
 
 class PlantConfig(BaseModel):
-    """[plant]: masses (kg), friction, encoders and drives of the emulated stage. Per-axis values in the order of [axes]."""
+    """[plant]: masses (kg), friction, encoders and drives of the stage. Per-axis values in the order of [axes]."""
 
     model_config = STRICT
     mass: list[Positive]

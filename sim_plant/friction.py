@@ -1,10 +1,10 @@
-"""Set-valued friction on one smooth branch, as in eq. (2) of the paper with its Delta sgn(v), plus an optional Stribeck peak.
+"""Set-valued friction on one smooth branch: eq. (2) of the paper with its Delta sgn(v), and a Stribeck peak.
 
     friction(v) = (coulomb + stribeck / (1 + (v / v_s)^2)) Sgn(v) + viscous v + quadratic v |v|
 
-Sgn(0) is the whole interval [-1, 1]: at rest friction balances any net force up to coulomb + stribeck. The usual Stribeck
-shape exp(-(v/v_s)^2) is replaced by the rational 1 / (1 + (v/v_s)^2): it peaks and decays alike, and needs only operations
-that IEEE 754 defines to the last bit, so that a run is the same on every machine.
+Sgn(0) is the whole interval [-1, 1]: at rest friction balances any net force up to coulomb + stribeck. The usual
+Stribeck shape exp(-(v/v_s)^2) is replaced by the rational 1 / (1 + (v/v_s)^2): it peaks and decays alike, and needs
+only operations that IEEE 754 defines to the last bit, so that a run is the same on every machine.
 
 Everything here is written with + - * / alone: the same lines serve floats (one axis) and arrays (many), bit for bit.
 """

@@ -1,7 +1,7 @@
-"""The stage's physics: independent axes with set-valued friction, advanced exactly from one change of force to the next.
+"""The stage's physics: independent axes with set-valued friction, advanced from one change of force to the next.
 
-Between two changes the force is constant. Each axis is integrated with the classical Runge-Kutta step on pieces of at most 1 ms
-on which sgn(v) does not change; the instants of stops, breakaways and punctures are found to rounding and the
+Between two changes the force is constant. Each axis is integrated with the classical Runge-Kutta step on pieces of at
+most 1 ms on which sgn(v) does not change; the instants of stops, breakaways and punctures are found to rounding and the
 integration restarts there, so that nothing chatters at zero speed.
 """
 
@@ -63,7 +63,7 @@ class Truth:
 
     @classmethod
     def from_config(cls, plant: PlantConfig, n_axes: int, axis_names: Sequence[str] = ()) -> "Truth":
-        """Truth of one rig, arrays of shape (n_axes,). axis_names are needed where [plant] has cells. Raises ValueError."""
+        """Truth of one rig, arrays (n_axes,). axis_names are needed where [plant] has cells. Raises ValueError."""
         per_axis = {
             "mass": np.multiply(plant.mass, plant.mass_scale),
             "coulomb": np.multiply(plant.coulomb, plant.friction_scale),
@@ -171,7 +171,7 @@ class Stage:
             self._states = [State(*triple) for triple in triples]
 
     def clamp(self, force: ArrayLike) -> None:
-        """Hold axes with `force` (N, (..., n_axes)) of additional dry friction from now on: a brake, or a jam. 0 releases."""
+        """Hold axes with `force` (N, (..., n_axes)) of additional dry friction from now on: a brake, a jam. 0: free."""
         wanted = np.broadcast_to(np.asarray(force, dtype=np.float64), self._clamp.shape)
         if not np.array_equal(wanted, self._clamp):
             self._clamp[...] = wanted
@@ -216,7 +216,7 @@ class Stage:
 
 
 def _advance_many(axis: Axis, state: State, drive: Array, h: float) -> State:
-    """As `substeps` and `advance_piece` for an array of axes; axes that need the same number of substeps go together."""
+    """As `substeps` and `advance_piece` for an array: axes that need equally many substeps go together."""
     work = effort(axis, state.velocity, drive, h)
     count = np.ones(work.shape)
     while np.any(short := (count * ACCURACY < work) & (count < MAX_SUBSTEPS)):

@@ -1,7 +1,7 @@
 """Sine and cosine of an angle in turns, the same to the last bit on every machine, for floats and arrays alike.
 
-`math.sin` and `np.sin` are free to differ between C libraries and SIMD variants. These use only + - * and rounding to the
-nearest integer, each of which IEEE 754 defines exactly. One turn is 2 pi rad, so the range reduction is exact. The
+`math.sin` and `np.sin` are free to differ between C libraries and SIMD variants. These use only + - * and rounding to
+the nearest integer, each of which IEEE 754 defines exactly. One turn is 2 pi rad, so the range reduction is exact. The
 absolute error is below 4e-16 for |x| < 2**51 turns.
 """
 
@@ -43,7 +43,7 @@ def _cosine(angle: Number) -> Number:
 
 
 def sincos_turns(turns: float) -> tuple[float, float]:
-    """Sine and cosine of one angle given in turns (finite, |turns| < 2**51). Raises ValueError or OverflowError otherwise."""
+    """Sine and cosine of one angle in turns, |turns| < 2**51. Raises ValueError or OverflowError if not finite."""
     fraction = turns - round(turns)
     quarter = round(4.0 * fraction)
     angle = (fraction - 0.25 * quarter) * TURN

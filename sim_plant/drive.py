@@ -1,0 +1,141 @@
+"""One servo drive of the emulated stage: encoder, force, latches, and its own watchdog on the host's commands.
+
+Rules:
+- A command is fresh when its sequence number is newer than the last fresh one (serial-number arithmetic, RFC 1982).
+  Anything
+  else is ignored: it changes no force, feeds no watchdog and is not answered.
+- The watchdog is armed by the first fresh command and fed by every one after it. When it expires the force is zero at
+  that very
+  instant and stays so (latched).
+- A drive fault is latched likewise. Both latches open on a rising edge of the command's reset bit: a fresh command with
+  it
+  clear, then a fresh one with it set. A reset bit that is simply left on does nothing.
+- Expiry also forgets the last sequence number, because the host that comes back may be another process.
+"""
+
+from collections.abc import Callable
+
+from drivers.protocols.base import DriveStatus, Sample
+
+NEVER_NS = 1 << 62
+
+_ENABLED = int(DriveStatus.ENABLED)
+_FAULT = int(DriveStatus.FAULT)
+_WATCHDOG = int(DriveStatus.WATCHDOG)
+_HOMED = int(DriveStatus.HOMED)
+_BRAKE = int(DriveStatus.BRAKE)
+_LATCHES = _FAULT | _WATCHDOG
+
+
+class ServoDrive:
+    """One axis' drive. Times are integer ns on the emulator's clock.
+
+    axis: index. rated_force: N, > 0. resolution: m per count. watchdog_ns: > 0. has_brake: engaged whenever the drive
+    applies no force. sequence_modulus: of the frame layout; 0 where it has no sequence (every valid command is fresh).
+
+    force: N, applied now. deadline_ns: when the watchdog expires (NEVER_NS: not armed). last_command_ns: last fresh
+    command, -1 before the first. trips_ns: instants at which the watchdog expired.
+    gain: torque constant over its nominal value. encoder: what the counter shows instead of the true count, for fault
+    injection; ENCODER_FAULT bits and the like come in through `extra_status`.
+    """
+
+    __slots__ = (
+        "_reset_seen_low",
+        "_sequence",
+        "axis",
+        "deadline_ns",
+        "encoder",
+        "extra_status",
+        "force",
+        "gain",
+        "has_brake",
+        "last_command_ns",
+        "modulus",
+        "rated_force",
+        "resolution",
+        "stale",
+        "status",
+        "trips_ns",
+        "watchdog_ns",
+    )
+
+    def __init__(
+        self, axis: int, rated_force: float, resolution: float, watchdog_ns: int, has_brake: bool, sequence_modulus: int
+    ) -> None:
+        self.axis = axis
+        self.rated_force = rated_force
+        self.resolution = resolution
+        self.watchdog_ns = watchdog_ns
+        self.has_brake = has_brake
+        self.modulus = sequence_modulus
+        self.force = 0.0
+        self.gain = 1.0
+        self.encoder: Callable[[int, int], int] | None = None
+        self.extra_status = 0
+        self.status = _HOMED | (_BRAKE if has_brake else 0)
+        self.deadline_ns = NEVER_NS
+        self.last_command_ns = -1
+        self.trips_ns: list[int] = []
+        self.stale = 0
+        self._sequence = -1
+        self._reset_seen_low = False
+
+    def is_fresh(self, sequence: int) -> bool:
+        """Whether a command with this sequence number is newer than the last fresh one."""
+        if self._sequence < 0 or not self.modulus:
+            return True
+        ahead = (sequence - self._sequence) % self.modulus
+        return 0 < ahead < self.modulus // 2
+
+    def on_command(self, force: float, enable: bool, reset: bool, sequence: int, now_ns: int) -> bool:
+        """Take a valid command received at now_ns; False: it is not fresh, and nothing happened."""
+        if not self.is_fresh(sequence):
+            self.stale += 1
+            return False
+        self._sequence = sequence
+        self.last_command_ns = now_ns
+        self.deadline_ns = now_ns + self.watchdog_ns
+        if not reset:
+            self._reset_seen_low = True
+        elif self._reset_seen_low:
+            self._reset_seen_low = False
+            self.status &= ~_LATCHES
+        if not -self.rated_force * 1.000001 <= force <= self.rated_force * 1.000001:  # also where it is not a number
+            self.fail()
+        elif enable and not self.status & _LATCHES:
+            self.force = force * self.gain
+            self.status = (self.status | _ENABLED) & ~_BRAKE
+        else:
+            self._release()
+        return True
+
+    def sample(self, position: float, now_ns: int) -> Sample:
+        """The encoder's count at now_ns, answering the last fresh command. position: truth, m."""
+        count = round(position / self.resolution)
+        if self.encoder is not None:
+            count = self.encoder(count, now_ns)
+        return Sample(self.axis, count, self.status | self.extra_status, self._sequence, now_ns)
+
+    def trip(self, now_ns: int) -> None:
+        """The watchdog expires at now_ns: zero force, latched."""
+        self.trips_ns.append(now_ns)
+        self._release()
+        self.status |= _WATCHDOG
+        self._forget()
+        self.deadline_ns = NEVER_NS
+
+    def fail(self) -> None:
+        """The drive finds a fault: zero force, latched."""
+        self._release()
+        self.status |= _FAULT
+        self._reset_seen_low = False
+
+    def _forget(self) -> None:
+        self._sequence = -1
+        self._reset_seen_low = False
+
+    def _release(self) -> None:
+        self.force = 0.0
+        self.status &= ~_ENABLED
+        if self.has_brake:
+            self.status |= _BRAKE
