@@ -1,0 +1,240 @@
+"""The timing record: how punctual the loop is and what its ticks cost, without costing it anything to speak of.
+
+Each tick packs one row of eight integers; a full chunk of rows is folded into log-spaced histograms one metric at a
+time, in the ticks that follow, so that no tick pays for more than one. Everything lives in one small memory-mapped file
+that anybody may read while the loop runs; it is written in place and counts only grow, so a reader may see a chunk half
+folded but never nonsense. Nothing is kept per tick and no memory grows.
+"""
+
+import mmap
+import os
+import resource
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+STAGES = ("read", "estimate", "control", "gate", "send")
+# lateness: wake against deadline. stages: time spent in each. cpu: CPU time of the period, sleep and wake included.
+# age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
+METRICS = ("lateness", *STAGES, "cpu", "age")
+
+SUB_BINS = 16  # per octave: a quantile is known to 1/16
+OCTAVES = 36  # up to 2^36 ns = 69 s
+BINS = SUB_BINS * OCTAVES
+CHUNK = 256  # rows folded together
+WINDOW_CHUNKS = 16  # the window is the last complete 4096 ticks
+
+MAGIC = b"HILTIME1"
+TEXT_BYTES = 2048
+COUNTERS = (
+    "ticks",
+    "missed_own",
+    "missed_host",
+    "longest_streak",  # slots skipped in a row
+    "run_delay_ns",  # waited for the core although runnable
+    "major_faults",
+    "minor_faults",
+    "voluntary_switches",
+    "involuntary_switches",
+    "collector_runs",
+)
+_COUNTER_FIELDS: list[Any] = [(name, "<u8") for name in COUNTERS]
+_LAYOUT = np.dtype(
+    [
+        ("magic", "S8"),
+        ("pid", "<u8"),
+        ("period_ns", "<u8"),
+        ("realtime_ok", "<u8"),
+        ("text_length", "<u8"),
+        ("counters", np.dtype(_COUNTER_FIELDS)),
+        ("maximum", "<i8", (len(METRICS),)),
+        ("lifetime", "<u8", (len(METRICS), BINS)),
+        ("window", "<u8", (len(METRICS), BINS)),
+        ("text", "u1", (TEXT_BYTES,)),
+    ]
+)
+_ROW = struct.Struct(f"<{len(METRICS)}q")
+
+
+def bin_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bin of each value (ns): 16 bins to the octave; values below 1 go to the first bin, above 2^36 to the last."""
+    mantissa, exponent = np.frexp(np.maximum(values, 1).astype(np.float64))
+    index = (exponent - 1) * SUB_BINS + ((mantissa * 2 - 1) * SUB_BINS).astype(np.int64)
+    bins: NDArray[np.int64] = np.minimum(index, BINS - 1)
+    return bins
+
+
+def bin_edge(index: float) -> float:
+    """Lower edge of a bin, ns."""
+    octave, part = divmod(index, SUB_BINS)
+    return float(2.0**octave * (1 + part / SUB_BINS))
+
+
+def quantile(counts: NDArray[np.uint64], fraction: float) -> float:
+    """Value below which `fraction` of the counted lie, ns, interpolated inside its bin; NaN without counts."""
+    total = int(counts.sum())
+    if not total:
+        return float("nan")
+    rank = fraction * total
+    cumulative = np.cumsum(counts)
+    index = min(int(np.searchsorted(cumulative, rank)), BINS - 1)
+    below = int(cumulative[index - 1]) if index else 0
+    inside = (rank - below) / max(int(counts[index]), 1)
+    low, high = bin_edge(index), bin_edge(index + 1)
+    return low + min(max(inside, 0.0), 1.0) * (high - low)
+
+
+class TimingRecorder:
+    """The control process's end. path: file to create. verdict: what the kernel granted, for readers."""
+
+    def __init__(self, path: Path, period_ns: int, *, realtime_ok: bool, verdict: str) -> None:
+        self.path = path
+        self._map = _create(path)
+        self._file = np.frombuffer(self._map, _LAYOUT, 1)[0]
+        self._file["pid"] = os.getpid()
+        self._file["period_ns"] = period_ns
+        self._file["realtime_ok"] = realtime_ok
+        text = verdict.encode()[:TEXT_BYTES]
+        self._file["text"][: len(text)] = np.frombuffer(text, np.uint8)
+        self._file["text_length"] = len(text)
+        self._counters = self._file["counters"]
+        self._lifetime = self._file["lifetime"]
+        self._window = self._file["window"]
+        self._maximum = self._file["maximum"]
+        self._building = np.zeros_like(self._window)
+        self._buffers = [np.zeros((CHUNK, len(METRICS)), np.int64) for _ in range(2)]
+        self._filling = self._buffers[0].data.cast("B")
+        self._row = 0
+        self._to_fold = len(METRICS)  # metrics of the full chunk that are folded already
+        self._chunks = 0
+        self._ticks = 0
+        self._missed_own = self._missed_host = self._streak = 0
+        self._file["magic"] = MAGIC  # last: a reader that sees it sees a whole header
+
+    def note(self, *row: int) -> None:
+        """One tick: its values in the order of METRICS, ns."""
+        index = self._row
+        _ROW.pack_into(self._filling, index * _ROW.size, *row)
+        if self._to_fold < len(METRICS):
+            self._fold(self._to_fold, CHUNK)
+            self._to_fold += 1
+        self._row = index + 1
+        if self._row == CHUNK:
+            self._swap()
+
+    def _swap(self) -> None:
+        self._buffers.reverse()  # the full one is now the last
+        self._filling = self._buffers[0].data.cast("B")
+        self._row = 0
+        self._to_fold = 0
+        self._ticks += CHUNK
+
+    def _fold(self, metric: int, rows: int) -> None:
+        values = self._buffers[1][:rows, metric]
+        counts = np.bincount(bin_of(values), minlength=BINS).astype(np.uint64)
+        self._lifetime[metric] += counts
+        self._building[metric] += counts
+        self._maximum[metric] = max(int(self._maximum[metric]), int(values.max()))
+        if metric == len(METRICS) - 1:
+            self._end_chunk()
+
+    def _end_chunk(self) -> None:
+        self._counters["ticks"] = self._ticks
+        self._chunks += 1
+        if self._chunks % WINDOW_CHUNKS == 0:
+            self._window[:] = self._building
+            self._building[:] = 0
+
+    def note_missed(self, own: int, host: int, streak: int) -> None:
+        """Totals of slots lost to ourselves and to the host, and the longest run of them."""
+        counters = self._counters
+        counters["missed_own"], counters["missed_host"], counters["longest_streak"] = own, host, streak
+
+    def note_usage(self, run_delay_ns: int, collector_runs: int) -> None:
+        """Take stock of faults and switches of this thread; for now and then, not for every tick."""
+        usage = resource.getrusage(resource.RUSAGE_THREAD)
+        counters = self._counters
+        counters["run_delay_ns"] = run_delay_ns
+        counters["major_faults"] = usage.ru_majflt
+        counters["minor_faults"] = usage.ru_minflt
+        counters["voluntary_switches"] = usage.ru_nvcsw
+        counters["involuntary_switches"] = usage.ru_nivcsw
+        counters["collector_runs"] = collector_runs
+
+    def finish(self) -> None:
+        """After the last tick: fold what is left, so that short runs have figures too."""
+        while self._to_fold < len(METRICS):
+            self._fold(self._to_fold, CHUNK)
+            self._to_fold += 1
+        rows = self._row
+        if rows:
+            self._buffers.reverse()
+            self._ticks += rows
+            for metric in range(len(METRICS)):
+                self._fold(metric, rows)
+            self._row = 0
+        self._map.flush()
+
+
+def _create(path: Path) -> mmap.mmap:
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    try:
+        os.posix_fallocate(fd, 0, _LAYOUT.itemsize)  # else a full file system would be a SIGBUS in some later tick
+        mapped = mmap.mmap(fd, _LAYOUT.itemsize, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+    finally:
+        os.close(fd)
+    os.replace(temporary, path)
+    return mapped
+
+
+@dataclass(frozen=True)
+class TimingSnapshot:
+    """The timing file at one moment. lifetime, window: (metric, bin) counts; maximum: per metric, ns."""
+
+    pid: int
+    period_ns: int
+    realtime_ok: bool
+    verdict: str
+    counters: dict[str, int]
+    maximum: dict[str, int]
+    lifetime: NDArray[np.uint64]
+    window: NDArray[np.uint64]
+
+    def quantile(self, metric: str, fraction: float, *, window: bool = False) -> float:
+        """Quantile of one of METRICS over the lifetime or the last complete window, ns; NaN before the first chunk."""
+        counts = self.window if window else self.lifetime
+        return quantile(counts[METRICS.index(metric)], fraction)
+
+    def summary(self, *, window: bool = False) -> dict[str, dict[str, float]]:
+        """p50, p99, p999 of every metric, us, and its maximum over the lifetime."""
+        fractions = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+        return {
+            metric: {
+                **{name: self.quantile(metric, f, window=window) / 1e3 for name, f in fractions.items()},
+                "max": self.maximum[metric] / 1e3,
+            }
+            for metric in METRICS
+        }
+
+
+def read_timing(path: Path) -> TimingSnapshot:
+    """Snapshot of a timing file. Raises OSError when it is missing and ValueError when it is no timing file."""
+    content = path.read_bytes()
+    if len(content) != _LAYOUT.itemsize or content[: len(MAGIC)] != MAGIC:
+        raise ValueError(f"{path}: not a timing file of this version")
+    data = np.frombuffer(content, _LAYOUT, 1)[0]
+    return TimingSnapshot(
+        pid=int(data["pid"]),
+        period_ns=int(data["period_ns"]),
+        realtime_ok=bool(data["realtime_ok"]),
+        verdict=bytes(data["text"][: int(data["text_length"])]).decode(errors="replace"),
+        counters={name: int(data["counters"][name]) for name in COUNTERS},
+        maximum={name: int(value) for name, value in zip(METRICS, data["maximum"], strict=True)},
+        lifetime=data["lifetime"].copy(),
+        window=data["window"].copy(),
+    )
