@@ -16,6 +16,7 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.wire import Wire
 from drivers.wire_faults import Random, WireFault
+from drivers.wire_node import WireNode
 from hil.config import RigConfig
 from hil.cycle import ControlCycle
 from hil.state_machine import State
@@ -63,6 +64,7 @@ class LockstepRun:
         self._inbox: list[Frame] = []
         self.host = self.wire.attach("host", self._inbox.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives)
+        self._senders: dict[int, WireNode] = {}
         self._axis_nodes = [self.wire.attach(name, None) for name in rig.axis_names]
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
         self._jitter_ns = round(rig.wire.jitter * 1e9)
@@ -73,10 +75,20 @@ class LockstepRun:
         self.stop = False
         self.true_position = np.zeros(len(axes))  # of the samples the latest tick worked on, before the encoder
         self.true_velocity = np.zeros(len(axes))
+        self._sampled_position = np.zeros(len(axes))
+        self._sampled_velocity = np.zeros(len(axes))
 
     def _to_drives(self, frame: Frame) -> None:
-        for answer in self.stage.on_frame(frame):
-            self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+        answers = self.stage.on_frame(frame)
+        if not answers:
+            return
+        self._sampled_position[:] = self.stage.position
+        self._sampled_velocity[:] = self.stage.velocity
+        if len(answers) == len(self._axis_nodes):
+            for answer, node in zip(answers, self._axis_nodes, strict=True):
+                self._senders[answer.can_id] = node
+        for answer in answers:
+            self._senders.get(answer.can_id, self._axis_nodes[0]).send(answer, frame.timestamp_ns)
 
     def tick(self) -> CycleResult:
         """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
@@ -87,8 +99,8 @@ class LockstepRun:
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
-        self.true_position[:] = self.stage.sampled_position
-        self.true_velocity[:] = self.stage.sampled_velocity
+        self.true_position[:] = self._sampled_position
+        self.true_velocity[:] = self._sampled_velocity
         self._send(result.frames, now)
         self._hash(frames, result.frames)
         if self._observer:
