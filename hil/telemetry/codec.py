@@ -1,0 +1,137 @@
+"""Ring records to protobuf messages and back, whole batches at a time (numpy does the per-tick work)."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import Frame
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.record import FRAME, MOTION_FIELDS
+from hil.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
+
+Records = NDArray[np.void]
+
+PER_TICK = ("index", "scheduled_ns", "now_ns", "state", "fault", "faults_active", "task_ns", "run_delay_ns")
+PER_AXIS = (*MOTION_FIELDS, "stamp_ns", "age_ticks", "drive_status")
+_PORT = ("received", "sent", "refused", "overflow", "discarded", "bus_errors")  # the first of PortCounters
+_COUNTERS = (
+    "samples_lost",
+    "missed_own",
+    "missed_host",
+    "longest_streak",
+    "illegal_events",
+    "commands_refused",
+    "law_floors",
+)
+STOP, RECORDER_OK, REALTIME_OK, RIG_OK = 1, 2, 4, 8  # bits of record flags
+_N_PORT = len(PortCounters._fields)
+_DATA_BYTES = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
+
+
+def telemetry(records: Records, n_axes: int, *, batch: int = 0, first: int = 0, lost: int = 0) -> pb.Telemetry:
+    """All ticks of a batch (at least one) as columns."""
+    message = pb.Telemetry(batch=batch, first=first, lost=lost, axes=n_axes, counters=counters(records[-1], n_axes))
+    for name in PER_TICK:
+        getattr(message, name).extend(records[name].tolist())
+    for name in PER_AXIS:
+        getattr(message, name).extend(records[name][:, :n_axes].ravel().tolist())
+    message.cpu_ns.extend(records["cpu_ns"].ravel().tolist())
+    return message
+
+
+def counters(record: np.void, n_axes: int) -> pb.Counters:
+    """The cumulative counters as one tick left them."""
+    message = pb.Counters(bus_state=int(record["port"][-1]))
+    for name, value in zip(_PORT, record["port"].tolist(), strict=False):
+        setattr(message, name, value)
+    for name in _COUNTERS:
+        setattr(message, name, int(record[name]))
+    message.saturations.extend(record["saturations"][:n_axes].tolist())
+    message.rejects.extend(record["rejects"].tolist())
+    return message
+
+
+def traffic(records: Records, *, first: int = 0) -> pb.Traffic:
+    """Inputs and outputs of the cycle, tick by tick."""
+    message = pb.Traffic(
+        first=first,
+        received=_frames(records["received"], records["n_received"]),
+        sent=_frames(records["sent"], records["n_sent"]),
+    )
+    for name in ("index", "scheduled_ns", "now_ns", "flags"):
+        getattr(message, name).extend(records[name].tolist())
+    message.port.extend(records["port"].ravel().tolist())
+    message.received_count.extend(records["n_received"].tolist())
+    message.sent_count.extend(records["n_sent"].tolist())
+    message.command_count.extend(records["n_commands"].tolist())
+    for place in np.flatnonzero(records["n_commands"]):
+        for kind, accepted, sequence, expires_ns in records["commands"][place][: records["n_commands"][place]].tolist():
+            message.commands.add(kind=kind, accepted=bool(accepted), sequence=sequence, expires_ns=expires_ns)
+    return message
+
+
+def _frames(slots: NDArray[np.void], counts: NDArray[np.uint16]) -> pb.Frames:
+    used = slots[np.arange(slots.shape[1]) < counts[:, None]]
+    lengths = np.minimum(used["length"], _DATA_BYTES)
+    return pb.Frames(
+        timestamp_ns=used["timestamp_ns"].tolist(),
+        can_id=used["can_id"].tolist(),
+        flags=used["flags"].tolist(),
+        length=lengths.tolist(),
+        data=used["data"][np.arange(_DATA_BYTES) < lengths[:, None]].tobytes(),
+    )
+
+
+def columns(message: pb.Telemetry) -> dict[str, NDArray[Any]]:
+    """Telemetry as arrays: (ticks,) or (ticks, axes), by field name."""
+    result = {name: np.array(getattr(message, name)) for name in PER_TICK}
+    for name in PER_AXIS:
+        result[name] = np.array(getattr(message, name)).reshape(-1, message.axes)
+    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, 5)
+    return result
+
+
+class RecordedTick(NamedTuple):
+    """One step of the cycle as it was recorded. `ring`: index in the ring; a gap there means ticks that are missing."""
+
+    ring: int
+    tick: Tick
+    received: list[Frame]
+    sent: list[Frame]
+
+
+def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
+    """The steps in a traffic message, in order."""
+    received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
+    for place in range(len(message.index)):
+        *counts, bus_state = message.port[place * _N_PORT : (place + 1) * _N_PORT]
+        flags = message.flags[place]
+        tick = Tick(
+            index=message.index[place],
+            scheduled_ns=message.scheduled_ns[place],
+            now_ns=message.now_ns[place],
+            port=PortCounters._make((*counts, BusState(bus_state))),
+            commands=tuple(_command(next(commands)) for _ in range(message.command_count[place])),
+            stop=bool(flags & STOP),
+            recorder_ok=bool(flags & RECORDER_OK),
+            realtime_ok=bool(flags & REALTIME_OK),
+            rig_ok=bool(flags & RIG_OK),
+        )
+        inputs = [next(received) for _ in range(message.received_count[place])]
+        outputs = [next(sent) for _ in range(message.sent_count[place])]
+        yield RecordedTick(message.first + place, tick, inputs, outputs)
+
+
+def _command(command: pb.Command) -> OperatorCommand:
+    return OperatorCommand(CommandKind(command.kind), command.sequence, command.expires_ns)
+
+
+def _take_frames(frames: pb.Frames) -> Iterator[Frame]:
+    start = 0
+    data = frames.data
+    columns: Sequence[Sequence[int]] = (frames.can_id, frames.length, frames.flags, frames.timestamp_ns)
+    for can_id, length, flags, stamp in zip(*columns, strict=True):
+        yield Frame(can_id, data[start : start + length], flags, stamp)
+        start += length

@@ -1,0 +1,47 @@
+"""Where the processes of one rig find each other's files."""
+
+import os
+import secrets
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.runtime import make_private, runtime_dir
+
+
+class Places(NamedTuple):
+    """Files in the rig's part of the runtime directory."""
+
+    directory: Path
+    ring: Path
+    mailbox: Path
+    token: Path  # whoever can read it may command the rig
+    endpoint: Path  # where the sidecar listens
+
+
+def places(rig_name: str) -> Places:
+    """The rig's files; makes the (private) directory."""
+    directory = runtime_dir() / rig_name
+    make_private(directory)
+    return Places(directory, *(directory / name for name in Places._fields[1:]))
+
+
+def renew_token(path: Path) -> str:
+    """A new secret, readable by its owner only."""
+    token = secrets.token_hex(32)
+    write_private(path, token)
+    return token
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    with os.fdopen(fd, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.replace(temporary, path)
+
+
+def known_endpoints() -> list[tuple[str, str]]:
+    """(rig, endpoint) of every sidecar that left word, those of demos (in a directory of their own) included."""
+    files = sorted([*runtime_dir().glob("*/endpoint"), *runtime_dir().glob("demo-*/*/endpoint")])
+    return [(path.parent.name, path.read_text(encoding="utf-8").strip()) for path in files]

@@ -1,0 +1,152 @@
+"""MCAP recordings: self-describing, compressed in small chunks, readable to the last whole chunk when cut short.
+
+Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Channels: `telemetry`
+and `traffic` (every tick, in batches), `status` (10 Hz).
+"""
+
+import json
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import zstandard
+from google.protobuf.message import Message
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from hil.telemetry import telemetry_pb2 as pb
+
+CHANNELS: dict[str, type[Message]] = {"telemetry": pb.Telemetry, "traffic": pb.Traffic, "status": pb.Status}
+CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
+RUN_ATTACHMENT = "run.json"
+_SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
+
+
+_RECORD_LIMIT = 256 * 2**20
+_CUT_SHORT = (McapError, ValueError, struct.error, zstandard.ZstdError)  # what a file that ends anywhere can cause
+
+
+class RecordingError(Exception):
+    """The file is no recording of a control process."""
+
+
+class Recorder:
+    """Writes one recording. No method raises for want of space or a broken disk: `errors` counts, `ok` turns False."""
+
+    def __init__(self, path: Path, metadata: dict[str, Any]) -> None:
+        self.path = path
+        self.errors = 0
+        self.ok = False
+        self._offset_ns = int(metadata.get("wall_offset_ns", 0))
+        self._channels: dict[str, int] = {}
+        self._sequence = dict.fromkeys(CHANNELS, 0)
+        self._file: IO[bytes] | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("wb")
+            self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+            self._begin(metadata)
+            self.ok = True
+        except OSError:
+            self._fail()
+
+    def _begin(self, metadata: dict[str, Any]) -> None:
+        assert self._file is not None
+        self._writer.start(profile="hil", library=f"hil {metadata.get('version', '')}")
+        now = time.time_ns()
+        self._writer.add_attachment(now, now, RUN_ATTACHMENT, "application/json", json.dumps(metadata).encode())
+        self._writer.add_metadata("hil", {key: str(metadata.get(key, "")) for key in _SUMMARY_KEYS})
+        for topic, kind in CHANNELS.items():
+            descriptors = build_file_descriptor_set(kind).SerializeToString()
+            schema = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+        self._file.flush()
+
+    def write(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Append a serialised message. time_ns: monotonic."""
+        if not self.ok or self._file is None:
+            return
+        at = time_ns + self._offset_ns
+        try:
+            self._writer.add_message(self._channels[topic], at, data, at, self._sequence[topic])
+            self._file.flush()
+        except OSError:
+            self._fail()
+        self._sequence[topic] += 1
+
+    def _fail(self) -> None:
+        """Give up this recording; what is on the disk stays readable."""
+        self.errors += 1
+        self.ok = False
+        self._abandon()
+
+    def _abandon(self) -> None:
+        if self._file is not None:
+            try:
+                self._file.close()
+            except OSError:
+                self.errors += 1  # what was buffered did not fit either
+            self._file = None
+
+    def close(self) -> None:
+        """Write index and summary."""
+        if self._file is not None and self.ok:
+            try:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+            except OSError:
+                self.errors += 1
+        self.ok = False
+        self._abandon()
+
+
+class Recorded(NamedTuple):
+    """A message of a recording. time_ns: wall clock."""
+
+    topic: str
+    time_ns: int
+    data: bytes
+
+
+class Recording:
+    """Reads a recording from front to end, cut short or not.
+
+    path: the file. metadata: what `run.json` holds. truncated: set once iteration has met the end of a file that was
+    cut short. Raises RecordingError when the file is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.truncated = False
+        self.metadata = self._metadata()
+
+    def _metadata(self) -> dict[str, Any]:
+        for item in self._items():
+            if isinstance(item, Attachment) and item.name == RUN_ATTACHMENT:
+                text: dict[str, Any] = json.loads(item.data)
+                return text
+            if isinstance(item, McapMessage):
+                break
+        raise RecordingError(f"{self.path}: not a recording of a control process")
+
+    def _items(self) -> Iterator[Any]:
+        try:
+            with self.path.open("rb") as file:
+                yield from StreamReader(file, record_size_limit=_RECORD_LIMIT).records
+        except OSError as error:
+            raise RecordingError(f"{self.path}: {error.strerror}") from None
+        except _CUT_SHORT:
+            self.truncated = True
+
+    def __iter__(self) -> Iterator[Recorded]:
+        topics: dict[int, str] = {}
+        for item in self._items():
+            if isinstance(item, Channel):
+                topics[item.id] = item.topic
+            elif isinstance(item, McapMessage):
+                yield Recorded(topics[item.channel_id], item.log_time, item.data)
