@@ -8,10 +8,11 @@ import numpy as np
 from hil.config import LawConfig
 from hil.laws.base import Array, Law, Model
 from hil.laws.pd_feedforward import PdFeedforward
+from hil.laws.structured_kalman import StructuredKalman
 
 __all__ = ["LAWS", "make_law"]
 
-LAWS: dict[str, type[Law]] = {law.name: law for law in (PdFeedforward,)}
+LAWS: dict[str, type[Law]] = {law.name: law for law in (PdFeedforward, StructuredKalman)}
 
 
 def _gain(key: str, value: Any, n_axes: int, default: Any) -> Any:
