@@ -1,0 +1,325 @@
+"""The control loop's access to a CAN bus: one Port, the same for SocketCAN and for the local bus.
+
+Everything a bus can do to a control loop shows up in a counter or in the state, and nothing here ever waits or
+retries: a torque that could not be sent in its tick is worth nothing in the next.
+"""
+
+import errno
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Literal, Protocol
+
+import can
+
+from drivers.config import BusConfig
+from drivers.counters import BusState, PortCounters
+from drivers.error_frames import decode_error
+from drivers.frame import ERROR, FD, Frame
+from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
+from drivers.local_medium import LocalMedium
+from drivers.receive_block import SLOTS, STAMPED, Packets, ReceiveBlock
+from drivers.runtime import RuntimeDirectoryError
+from drivers.socketcan import Filters, SocketCanMedium, is_can_interface
+
+__all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
+
+Role = Literal["host", "device"]
+
+_READS_PER_DRAIN = 16  # of up to SLOTS frames each: all that a babbling sender may cost one tick
+_CLOCKS_READ_NS = 20_000  # reading three clocks takes less than this unless something came between
+_UNSIGNED_32 = 0xFFFFFFFF
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
+_new_tuple = tuple.__new__  # Frame(...) by another name, in half the time
+_FIRST_BYTES = struct.Struct("=IBB2x64s")
+_HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
+
+
+class PortError(Exception):
+    """A bus that cannot be opened; the text names the channel, the reason and what to do."""
+
+
+class Medium(Protocol):
+    """What a Port sits on: sockets that carry can_frame and canfd_frame bytes."""
+
+    def fileno(self) -> int:
+        """Readable when something has arrived."""
+
+    def ready(self) -> Sequence[int]:
+        """Descriptors to read from now."""
+
+    def transmit(self, packet: bytes) -> bool:
+        """Send without waiting; False when nobody was there to acknowledge. Raises OSError."""
+
+    def lost(self, fd: int) -> None:
+        """The other end of a descriptor has closed."""
+
+    def service(self, fd: int, packet: bytes) -> bool:
+        """Take a packet that is no frame; False when it means nothing here."""
+
+    def state(self) -> BusState:
+        """The bus' state as far as it can be asked for."""
+
+    def purge(self) -> bool:
+        """Drop what waits to be sent; False where something may still wait."""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+
+
+class Port:
+    """A place on a CAN bus, for one thread. Once it is open, nothing the bus does raises an exception."""
+
+    def __init__(self, open_medium: Callable[[], Medium], *, fd: bool, receive_limit: int) -> None:
+        """Open the medium; raises what `open_medium` raises.
+
+        fd: takes and sends FD frames (then classic ones too). receive_limit: frames one drain returns at most.
+        """
+        self._open_medium = open_medium
+        self._fd_size = CANFD_MTU if fd else -1  # an FD frame is an error to a classic controller
+        self._receive_limit = receive_limit
+        self._receive = ReceiveBlock().receive
+        self._received = self._sent = self._refused = self._overflow = self._discarded = self._errors = 0
+        self._no_ack = self._bus_off = self._restarted = self._down = self._echo = 0
+        self._use(open_medium())
+
+    def _use(self, medium: Medium) -> None:
+        self._medium = medium
+        self._state = medium.state()
+        self._dropped = 0  # the socket's own count, from its opening on
+        self._drained_ns = time.monotonic_ns()
+
+    def fileno(self) -> int:
+        """Descriptor that is readable when frames have arrived, for poll(2); another one after `rebind`."""
+        return self._medium.fileno()
+
+    def drain(self, now_ns: int) -> list[Frame]:
+        """Take everything that has arrived; return the newest `receive_limit` frames of it, oldest first.
+
+        now_ns: CLOCK_MONOTONIC just before the call. timestamp_ns of each frame is the kernel's time stamp, brought
+        from CLOCK_REALTIME to CLOCK_MONOTONIC and kept between the previous drain and the present: setting the wall
+        clock cannot move a stamp out of the interval in which the frame must have come.
+        Error frames and own echoes are counted, not returned.
+        """
+        frames: list[Frame] = []
+        sources = self._medium.ready()
+        for fd in sources:
+            self._read(fd, frames)
+        self._drained_ns = now_ns
+        if frames:
+            self._received += len(frames)
+            if len(sources) > 1:
+                frames.sort(key=attrgetter("timestamp_ns"))
+            excess = len(frames) - self._receive_limit
+            if excess > 0:
+                self._discarded += excess
+                del frames[:excess]
+        return frames
+
+    def _read(self, fd: int, frames: list[Frame]) -> None:
+        """Empty one socket into `frames`."""
+        for _ in range(_READS_PER_DRAIN):
+            try:
+                count, packets = self._receive(fd)
+            except OSError as error:
+                if self._note_receive_error(error):
+                    return
+                continue
+            if count and self._sort(fd, packets, frames) and count == SLOTS:
+                continue
+            return
+
+    def _sort(self, fd: int, packets: Packets, frames: list[Frame]) -> bool:
+        """Put frames into `frames` and count everything else; False when the other end has closed."""
+        now_ns, offset_ns = _clocks()
+        earliest_ns = self._drained_ns
+        for (control, message_flags, size), (can_id, length, flags, data, _, s, ns, dropped) in packets:
+            if size == self._fd_size:
+                flags |= FD
+            elif size == CAN_MTU and length <= 8:
+                flags = 0
+            elif size == 0:
+                self._medium.lost(fd)
+                return False
+            else:
+                self._note_stranger(fd, _FIRST_BYTES.pack(can_id, length, flags, data)[:size])
+                continue
+            if control > STAMPED:
+                self._note_dropped(dropped)
+            if can_id & ERROR or message_flags & socket.MSG_CONFIRM:
+                self._note_special(can_id, data[:length])
+                continue
+            stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else now_ns
+            if not earliest_ns <= stamp_ns <= now_ns:
+                stamp_ns = max(earliest_ns, min(stamp_ns, now_ns))
+            frames.append(_new_tuple(Frame, (can_id, data[:length], flags, stamp_ns)))
+        return True
+
+    def _note_special(self, can_id: int, data: bytes) -> None:
+        """Count an error frame or an own echo."""
+        if not can_id & ERROR:
+            self._echo += 1
+            return
+        report = decode_error(can_id, data)
+        self._errors += 1
+        self._no_ack += report.no_ack
+        self._bus_off += report.bus_off
+        self._restarted += report.restarted
+        self._overflow += report.overflow
+        if report.state is not None:
+            self._state = report.state
+
+    def _note_dropped(self, dropped: int) -> None:
+        """SO_RXQ_OVFL: the kernel's count for this socket, modulo 2^32."""
+        self._overflow += (dropped - self._dropped) & _UNSIGNED_32
+        self._dropped = dropped
+
+    def _note_stranger(self, fd: int, packet: bytes) -> None:
+        """Something that is no frame to this port: the medium's own, or what a classic controller cannot read."""
+        if not self._medium.service(fd, packet):
+            self._errors += 1
+
+    def _note_receive_error(self, error: OSError) -> bool:
+        """Count a failed read; True when the socket has nothing more to give."""
+        if error.errno == errno.ECONNRESET:  # a member left without reading all; what it sent can still be read
+            return False
+        self._note_down()
+        return True
+
+    def _note_down(self) -> None:
+        self._down += 1
+        self._state = BusState.DOWN
+
+    def send(self, frame: Frame) -> bool:
+        """Hand a frame to the bus now or never; False: refused, counted, not to be tried again with an old torque.
+
+        Raises ValueError for a frame with an impossible length.
+        """
+        try:
+            acknowledged = self._medium.transmit(to_bytes(frame))
+        except OSError as error:
+            if error.errno in _GONE:
+                self._note_down()
+            else:  # EAGAIN, ENOBUFS: the queue is full; EINVAL: an FD frame for a classic interface
+                self._refused += 1
+            return False
+        self._sent += 1
+        if not acknowledged:  # as a controller alone on its wire would report it
+            self._no_ack += 1
+            self._errors += 1
+        return True
+
+    def counters(self) -> PortCounters:
+        """Everything counted since the port was opened, and the bus' state."""
+        return PortCounters(
+            self._received,
+            self._sent,
+            self._refused,
+            self._overflow,
+            self._discarded,
+            self._errors,
+            self._no_ack,
+            self._bus_off,
+            self._restarted,
+            self._down,
+            self._echo,
+            self._state,
+        )
+
+    def rebind(self) -> bool:
+        """Open the bus anew, after it went down or its adapter was unplugged; True when it can be used again.
+
+        Takes milliseconds: not for a tick that moves something. What had not been read is gone. Counters go on.
+        """
+        try:
+            medium = self._open_medium()
+        except (OSError, can.CanError):
+            self._state = BusState.DOWN
+            return False
+        old = self._medium
+        self._use(medium)
+        old.close()
+        return self._state is BusState.ERROR_ACTIVE
+
+    def purge(self) -> bool:
+        """Drop what waits to be sent, so that no old torque comes out when the bus recovers.
+
+        False: something may still wait. SocketCAN: takes the interface down and up, which needs CAP_NET_ADMIN; call it
+        off the loop and `rebind` afterwards. Local bus: what has been sent is its reader's; tells whether any waits.
+        """
+        return self._medium.purge()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._medium.close()
+
+
+def _clocks() -> tuple[int, int]:
+    """(CLOCK_MONOTONIC now, CLOCK_REALTIME - CLOCK_MONOTONIC), ns; read until nothing came between the readings."""
+    for _ in range(3):
+        before_ns = time.monotonic_ns()
+        wall_ns = time.time_ns()
+        now_ns = time.monotonic_ns()
+        if now_ns - before_ns < _CLOCKS_READ_NS:
+            break
+    return now_ns, wall_ns - (before_ns + now_ns) // 2
+
+
+def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:
+    """Which kind of bus `bus` means on this machine: "auto" is SocketCAN where the named CAN interface exists."""
+    if bus.interface == "auto":
+        return "socketcan" if is_can_interface(bus.channel) else "local"
+    return bus.interface
+
+
+def open_port(bus: BusConfig, *, role: Role, fd: bool, filters: Filters | None = None) -> Port:
+    """Open the bus of a rig for its host or for its devices.
+
+    fd: the layout uses CAN FD. filters: (id, mask) pairs; SocketCAN then keeps everything else from the socket.
+    Raises PortError. "auto" falls back to the local bus only where no CAN interface of that name exists: one that
+    exists and cannot be opened is an error, as a rig must not talk to an empty local bus by mistake.
+    """
+
+    def local() -> Medium:
+        depth = _HOST_DEPTH * bus.receive_limit if role == "host" else bus.transmit_queue
+        return LocalMedium(bus.channel, depth=depth)
+
+    def socketcan() -> Medium:
+        return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, filters=filters)
+
+    kind = resolve_interface(bus)
+    try:
+        if kind == "socketcan":
+            _require_fd(bus.channel, fd)
+        return Port(socketcan if kind == "socketcan" else local, fd=fd, receive_limit=bus.receive_limit)
+    except (OSError, can.CanError, RuntimeDirectoryError) as error:
+        raise PortError(f"bus.channel = '{bus.channel}' ({kind}): {_explain(error)}") from error
+
+
+def _require_fd(channel: str, fd: bool) -> None:
+    """Raise OSError when the interface exists and cannot carry FD frames."""
+    try:
+        mtu = int(Path(f"/sys/class/net/{channel}/mtu").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return
+    if fd and mtu < CANFD_MTU:
+        raise OSError(
+            errno.EINVAL,
+            f"the interface is set up for classic CAN; ip link set {channel} down; "
+            f"ip link set {channel} type can bitrate ... dbitrate ... fd on (vcan: ip link set {channel} mtu 72)",
+        )
+
+
+def _explain(error: Exception) -> str:
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.EAFNOSUPPORT:
+        return (
+            "this process may not use AF_CAN: the kernel has no CAN (modprobe can_raw), or systemd's "
+            "RestrictAddressFamilies= does not list AF_CAN"
+        )
+    if number == errno.ENODEV:
+        return 'no such interface; see `ip link`, or say bus.interface = "local"'
+    return getattr(error, "strerror", None) or str(error)

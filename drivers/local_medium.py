@@ -1,0 +1,325 @@
+"""A CAN bus between the processes of one machine: no kernel module, no root, no broker.
+
+A channel is a directory in the runtime directory. Every member has a listening AF_UNIX socket there, its door, and
+one SOCK_SEQPACKET connection, a link, to every other member; a link carries exactly the bytes that a SocketCAN
+socket would: `struct can_frame` or `struct canfd_frame`, one frame per packet, time-stamped by the kernel.
+
+- Joining: under the channel's lock, connect to every door found, then open one's own. So there is exactly one link
+  per pair, and a new member hears everything that is sent after it has joined.
+- Leaving: the kernel closes a member's links however it ends, SIGKILL included; the others see it at once.
+- A member that stops reading fills its own links only. A frame that does not fit is lost for that member alone, as
+  it would be in a node whose receive buffer is full, and the member is told with the error frame that a
+  controller uses for that: CAN_ERR_CRTL_RX_OVERFLOW (data[5]: how many were lost, at most 255 at a time).
+- Queues are short, and their lengths are the receiver's choice: the first packet on a link tells the other side
+  how many frames it may leave waiting. Links are used because the queue of an unconnected datagram socket is bound
+  by net.unix.max_dgram_qlen: 10 on some machines, 512 on others, and only root can change it.
+
+Frames never leave the machine: AF_UNIX could not carry them.
+"""
+
+import contextlib
+import errno
+import fcntl
+import itertools
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from drivers.counters import BusState
+from drivers.error_frames import overflow_notice
+from drivers.frame_bytes import CANFD_MTU, to_bytes
+from drivers.receive_block import SO_TIMESTAMPNS
+from drivers.runtime import make_private, runtime_dir
+
+FIRST_DEPTH = 16  # frames that may wait on a link whose other side has not said anything yet
+JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; who holds the lock for longer has been stopped
+
+_BACKLOG = 128
+_LOCK_POLL_S = 0.002
+_SIOCOUTQ = 0x5411  # bytes sent and not yet read by the other side, with the kernel's overhead
+_SIOCINQ = 0x541B  # bytes received and not yet read
+_PATH_LIMIT = 107  # sun_path without its terminator, <sys/un.h>
+_GREETING = struct.Struct("=4sI")  # first packet on a link; its size tells it from a frame
+_GREETING_MARK = b"hil1"
+_TOLD_AT_ONCE = 255  # lost frames that one overflow notice can count
+_door_numbers = itertools.count()
+
+
+class Link:
+    """The connection to one other member.
+
+    sock: what it sends arrives here. send: what goes to it. own: it is this member itself (loopback).
+    missed: frames lost for the other side since it was last told.
+    """
+
+    __slots__ = ("missed", "own", "send", "sender", "sock")
+
+    def __init__(self, sock: socket.socket, sender: socket.socket | None = None) -> None:
+        self.sock = sock
+        self.sender = sender or sock
+        self.send = self.sender.send
+        self.own = sender is not None
+        self.missed = 0
+
+    def close(self) -> None:
+        """Close both ends held here."""
+        self.sock.close()
+        self.sender.close()
+
+
+class LocalMedium:
+    """One member of a local bus. One thread may receive while another sends."""
+
+    def __init__(self, channel: str, *, depth: int, loopback: bool = False) -> None:
+        """Join `channel`.
+
+        depth: frames that each other member may leave waiting for this one (the kernel makes it at least 6, and at
+        most what net.core.wmem_max holds). loopback: hear one's own frames too. Raises OSError where joining fails.
+        """
+        self.channel = channel
+        self._depth = depth
+        self._change = threading.Lock()  # held while the set of links changes
+        self._links: tuple[Link, ...] = ()
+        self._by_fd: dict[int, Link] = {}
+        self._poll = select.epoll()  # links and door
+        self._knocks = select.epoll()  # the door alone
+        self._door = _packet_socket()
+        self._door_fd = self._door.fileno()
+        self._door_path: Path | None = None
+        try:
+            self._join(channel_dir(channel))
+            if loopback:
+                self._add(Link(*socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)))
+        except BaseException:
+            self.close()
+            raise
+
+    def _join(self, directory: Path) -> None:
+        with _locked(directory):
+            for path in sorted(directory.glob("*.sock")):
+                self._connect(path)
+            self._open_door(directory)
+
+    def _connect(self, path: Path) -> None:
+        sock = _packet_socket()
+        try:
+            with _address(path) as address:
+                sock.connect(address)
+        except ConnectionRefusedError:  # its owner died without tidying up
+            sock.close()
+            path.unlink(missing_ok=True)
+        except (FileNotFoundError, BlockingIOError):  # left just now; stopped for so long that its backlog is full
+            sock.close()
+        else:
+            self._add(Link(sock))
+
+    def _open_door(self, directory: Path) -> None:
+        paths = (directory / f"{os.getpid()}-{number}.sock" for number in _door_numbers)
+        self._door_path = path = next(path for path in paths if not path.exists())
+        with _address(path) as address:
+            self._door.bind(address)
+        path.chmod(0o666)  # who may come in is the directory's business
+        self._door.listen(_BACKLOG)
+        self._poll.register(self._door, select.EPOLLIN)
+        self._knocks.register(self._door, select.EPOLLIN)
+
+    def _add(self, link: Link) -> None:
+        link.sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        link.sock.setblocking(False)
+        link.sender.setblocking(False)
+        _set_depth(link.sender, self._depth if link.own else FIRST_DEPTH)
+        with contextlib.suppress(OSError):  # gone already: reading will tell
+            if not link.own:
+                link.send(_GREETING.pack(_GREETING_MARK, self._depth), socket.MSG_NOSIGNAL)
+        self._by_fd[link.sock.fileno()] = link
+        self._links = (*self._links, link)
+        self._poll.register(link.sock, select.EPOLLIN)
+
+    def _admit(self) -> None:
+        """Take in whoever waits at the door."""
+        with self._change:
+            while True:
+                try:
+                    sock, _ = self._door.accept()
+                except OSError:  # nobody (left); or no descriptors left, then they keep waiting
+                    return
+                self._add(Link(sock))
+
+    @property
+    def others(self) -> int:
+        """How many other members there are, as far as this one has noticed."""
+        return sum(not link.own for link in self._links)
+
+    def fileno(self) -> int:
+        """A descriptor that is readable when something has arrived; stays the same while members come and go."""
+        return self._poll.fileno()
+
+    def ready(self, timeout: float = 0.0) -> list[int]:
+        """Descriptors to read from, after at most `timeout` seconds (negative: no limit); admits who is at the door."""
+        found = [fd for fd, _ in self._poll.poll(timeout)]
+        if self._door_fd in found:
+            self._admit()
+            return [fd for fd, _ in self._poll.poll(0) if fd != self._door_fd]
+        return found
+
+    def link(self, fd: int) -> Link | None:
+        """The link with this descriptor; None when it has been dropped meanwhile."""
+        return self._by_fd.get(fd)
+
+    def transmit(self, packet: bytes) -> bool:
+        """Give a frame's bytes to every other member; never waits.
+
+        False: nobody was there to acknowledge it. Raises BlockingIOError when it fitted into nobody's queue.
+        """
+        if self._knocks.poll(0):  # who has joined before this frame is sent shall receive it
+            self._admit()
+        delivered = False
+        for link in self._links:
+            try:
+                if link.missed:
+                    self._tell(link)
+                link.send(packet, socket.MSG_NOSIGNAL)
+            except BlockingIOError:
+                link.missed += 1
+            except OSError:
+                self._part(link)
+            else:
+                delivered = True
+        if delivered or not self.others:
+            return delivered
+        raise BlockingIOError(errno.EAGAIN, "the receive queue of every member is full")
+
+    def _tell(self, link: Link) -> None:
+        """Tell a member how many frames it has lost; raises BlockingIOError while there is no room for that either."""
+        told = min(link.missed, _TOLD_AT_ONCE)
+        link.send(to_bytes(overflow_notice(told)), socket.MSG_NOSIGNAL)
+        link.missed -= told
+
+    def _part(self, link: Link) -> None:
+        """Stop sending to a member that has left; what it sent before it left is still to be read."""
+        with self._change:
+            self._links = tuple(other for other in self._links if other is not link)
+        if not _waiting(link.sock, _SIOCINQ):
+            self.lost(link.sock.fileno())
+
+    def lost(self, fd: int) -> None:
+        """The member behind this descriptor has left, and everything it sent has been read."""
+        with self._change:
+            link = self._by_fd.pop(fd, None)
+            if link is not None:
+                self._links = tuple(other for other in self._links if other is not link)
+                link.close()  # takes it out of the epoll set as well
+
+    def service(self, fd: int, packet: bytes) -> bool:
+        """Handle a packet that is no frame: the other side's greeting; False for anything else."""
+        link = self._by_fd.get(fd)
+        if link is None or len(packet) != _GREETING.size:
+            return False
+        mark, depth = _GREETING.unpack(packet)
+        if mark != _GREETING_MARK:
+            return False
+        _set_depth(link.sender, depth)
+        return True
+
+    def state(self) -> BusState:
+        """A local bus has no controller that could go error-passive."""
+        return BusState.ERROR_ACTIVE
+
+    def purge(self) -> bool:
+        """Whether nothing that was sent still waits to be read; what waits is its reader's and cannot be recalled."""
+        return not any(_waiting(link.sender) for link in self._links)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._door_path is not None:
+            self._door_path.unlink(missing_ok=True)
+            self._door_path = None
+        with self._change:
+            links, self._links = self._links, ()
+            self._by_fd.clear()
+        for link in links:
+            link.close()
+        self._door.close()
+        self._poll.close()
+        self._knocks.close()
+
+
+def channel_dir(channel: str) -> Path:
+    """The directory of a channel, made when missing."""
+    directory = runtime_dir() / "bus" / channel
+    make_private(directory.parent)
+    make_private(directory)
+    return directory
+
+
+def channels() -> list[str]:
+    """Names of the channels that somebody has used on this machine."""
+    try:
+        return sorted(path.name for path in (runtime_dir() / "bus").iterdir())
+    except OSError:
+        return []
+
+
+def _packet_socket() -> socket.socket:
+    return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+
+
+@contextlib.contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    """Hold the channel's lock; raises TimeoutError when another process keeps it. It ends with its holder."""
+    deadline = time.monotonic() + JOIN_TIMEOUT_S
+    fd = os.open(directory / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        while True:
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise TimeoutError(
+                        errno.ETIMEDOUT,
+                        f"another process has been joining this bus for {JOIN_TIMEOUT_S} s; is one stopped (state T)?",
+                        str(directory),
+                    ) from None
+                time.sleep(_LOCK_POLL_S)
+        yield
+    finally:
+        os.close(fd)
+
+
+@contextlib.contextmanager
+def _address(path: Path) -> Iterator[str]:
+    """`path` in a form short enough for a socket address."""
+    if len(os.fsencode(path)) <= _PATH_LIMIT:
+        yield str(path)
+        return
+    fd = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{fd}/{path.name}"
+    finally:
+        os.close(fd)
+
+
+def _waiting(sock: socket.socket, which: int = _SIOCOUTQ) -> int:
+    """Bytes that have been sent, or received (_SIOCINQ), and not been read."""
+    return int(struct.unpack("i", fcntl.ioctl(sock, which, bytes(4)))[0])
+
+
+@cache
+def _bytes_per_frame() -> int:
+    """What one queued frame takes of SO_SNDBUF: its bytes and the kernel's bookkeeping, which differs by kernel."""
+    sender, receiver = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with sender, receiver:
+        sender.send(bytes(CANFD_MTU))
+        return _waiting(sender)
+
+
+def _set_depth(sock: socket.socket, frames: int) -> None:
+    """Let `frames` frames wait on a socket; the kernel doubles what SO_SNDBUF is set to."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, min(frames, 1 << 16) * _bytes_per_frame() // 2)

@@ -1,0 +1,64 @@
+"""The private directory in which the processes of one user find each other: buses, rings, mailboxes.
+
+Whoever can write there can move the stage, so the directory belongs to one user and nobody else may enter it.
+"""
+
+import os
+import stat
+from pathlib import Path
+
+_OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+_SERVICE_DIRECTORY = Path("/run/hil")  # made by the systemd units (RuntimeDirectory=hil)
+
+
+class RuntimeDirectoryError(Exception):
+    """The runtime directory cannot be trusted or made; the text says which one, why, and what to do."""
+
+
+def runtime_dir() -> Path:
+    """The runtime directory of this user, made when missing; mode 0700, owned by this user.
+
+    The first of: $HIL_RUNTIME_DIR, $RUNTIME_DIRECTORY (set by systemd), /run/hil where it exists and is writable,
+    $XDG_RUNTIME_DIR/hil, /tmp/hil-<uid>. Raises RuntimeDirectoryError.
+    """
+    path = _choose()
+    make_private(path)
+    return path
+
+
+def _choose() -> Path:
+    named = os.environ.get("HIL_RUNTIME_DIR") or os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if named:
+        return Path(named).absolute()
+    if os.access(_SERVICE_DIRECTORY, os.W_OK | os.X_OK):
+        return _SERVICE_DIRECTORY
+    session = os.environ.get("XDG_RUNTIME_DIR")
+    if session and os.access(session, os.W_OK | os.X_OK):
+        return Path(session) / "hil"
+    return Path(f"/tmp/hil-{os.geteuid()}")
+
+
+def make_private(path: Path) -> None:
+    """Make `path` (and its parents) where missing, and see to it that only this user can enter it.
+
+    Root may use another user's directory: it is how an administrator looks at a service. Raises RuntimeDirectoryError.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        raise RuntimeDirectoryError(f"runtime directory {path}: {error.strerror}; set HIL_RUNTIME_DIR") from None
+    if not stat.S_ISDIR(found.st_mode):  # a symbolic link, planted before us in /tmp
+        raise RuntimeDirectoryError(f"runtime directory {path}: is not a directory; remove it or set HIL_RUNTIME_DIR")
+    if found.st_uid != os.geteuid() and os.geteuid() != 0:
+        raise RuntimeDirectoryError(
+            f"runtime directory {path}: belongs to user {found.st_uid}, not to {os.geteuid()}; set HIL_RUNTIME_DIR"
+        )
+    if found.st_mode & _OTHERS_MAY_WRITE:
+        raise RuntimeDirectoryError(
+            f"runtime directory {path}: mode {stat.S_IMODE(found.st_mode):04o} lets others write; must be 0700"
+        )
+    if found.st_mode & _OTHERS:
+        path.chmod(0o700)
