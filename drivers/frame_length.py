@@ -1,11 +1,11 @@
 """Bit-exact lengths of CAN frames on the wire (ISO 11898-1:2015, clauses 10.4 and 10.5), by byte tables.
 
-Classic: every bit from SOF to the end of the CRC-15 is stuffed dynamically, so the length depends on the payload and on
-its real CRC. FD: bits from SOF to the last data bit are stuffed dynamically; from there fixed stuff bits make the length
-of stuff count and CRC-17/21 independent of their values, so no CRC has to be calculated.
+Classic: every bit from SOF to the end of the CRC-15 is stuffed dynamically, so the length depends on the payload and
+on its real CRC. FD: bits from SOF to the last data bit are stuffed dynamically; from there fixed stuff bits make the
+length of stuff count and CRC-17/21 independent of their values, so no CRC has to be calculated.
 
-Stuffing is a state machine over (last bit, length of its run); its transition for a whole byte is one table look-up, which
-keeps a frame at about a microsecond: the simulated wire calls this for each frame of each tick.
+Stuffing is a state machine over (last bit, length of its run); its transition for a whole byte is one table look-up,
+which keeps a frame at about a microsecond: the simulated wire asks for every frame of every tick.
 """
 
 from functools import lru_cache
@@ -90,9 +90,12 @@ def _classic_header(can_id: int, length: int) -> tuple[int, int, int]:
 
 @lru_cache(maxsize=4096)
 def _fd_header(can_id: int, flags: int, length: int) -> tuple[int, int, int]:
-    """Running value after the DLC with the stuff bits of the data phase alone, nominal bits, and data-phase bits without
-    stuff bits. Of the two bits in which the rate changes, BRS counts as nominal and the CRC delimiter as a data bit: each
-    lasts partly at either rate, and together they last exactly one bit of each."""
+    """Running value after the DLC with the stuff bits of the data phase alone; nominal bits; data-phase bits without
+    stuff bits. Of the two bits in which the rate changes, BRS counts as nominal and the CRC delimiter as a data bit:
+    each lasts partly at either rate, and together they last exactly one bit of each.
+    """
+    if length not in FD_LENGTHS:
+        raise ValueError(f"FD frame {can_id:#x} with {length} bytes: an FD frame carries one of {FD_LENGTHS}")
     switch = 1 if flags & BRS else 0
     if can_id & EXTENDED:
         identifier = can_id & EXTENDED_MASK
@@ -114,7 +117,7 @@ def crc_field_bits(length: int) -> int:
 
 
 def classic_bits(can_id: int, data: bytes) -> int:
-    """Bits of a classic frame from SOF to the end of EOF, stuff bits included. A remote frame's `data` gives its DLC alone."""
+    """Bits of a classic frame, SOF to the end of EOF, stuff bits included. A remote frame's `data` gives its DLC."""
     v, crc, bits = _classic_header(can_id, len(data))
     if not can_id & REMOTE:
         for byte in data:
@@ -126,8 +129,8 @@ def classic_bits(can_id: int, data: bytes) -> int:
 
 
 def fd_bits(can_id: int, data: bytes, flags: int) -> tuple[int, int]:
-    """(nominal-rate bits, data-rate bits) of an FD frame from SOF to the end of EOF. Without BRS the data bits, too, are
-    sent at the nominal rate."""
+    """(nominal-rate bits, data-rate bits) of an FD frame from SOF to the end of EOF, stuff bits included. Without BRS
+    the data bits, too, are sent at the nominal rate."""
     v, nominal, data_bits = _fd_header(can_id, flags, len(data))
     for byte in data:
         v += _BYTE_STEP[v & 0xF00 | byte]
@@ -135,7 +138,7 @@ def fd_bits(can_id: int, data: bytes, flags: int) -> tuple[int, int]:
 
 
 def frame_bits(frame: Frame) -> tuple[int, int]:
-    """(bits at the nominal rate, bits at the data rate) of a frame from SOF to the end of EOF, without the intermission.
+    """(bits at the nominal rate, bits at the data rate) of a frame from SOF to the end of EOF, no intermission.
 
     Raises ValueError for a payload length the format does not have.
     """
@@ -149,7 +152,7 @@ def frame_bits(frame: Frame) -> tuple[int, int]:
 
 
 def worst_case_bits(length: int, *, fd: bool, extended: bool) -> tuple[int, int]:
-    """(nominal, data-rate) bits no frame of that length exceeds, including the intermission; the frame's cost on the bus.
+    """(nominal, data-rate) bits no frame of that length exceeds, with the intermission: the frame's cost on the bus.
 
     Classic: Davis et al. 2007, equation 1: 8n + g + 13 + floor((g + 8n - 1) / 4) with g = 34 (11-bit) or 54 (29-bit
     identifiers). FD (with bit-rate switch): one stuff bit after each four bits behind the first, from SOF to the data's

@@ -13,17 +13,18 @@ class FaultKind(StrEnum):
 
     Frame faults act on frames that match `can_id` and `node` (the sender) and begin within the window:
 
-    DROP: acknowledged on the wire and lost behind it, at every receiver (or at `receiver`): a full mailbox, a lost interrupt.
-    DUPLICATE: the last bit of EOF is disturbed: receivers have taken the frame, its sender repeats it (ISO 11898-1, 10.11).
-    REORDER: handed to the receivers only after the next frame (at the latest `delay_ns` later): a gateway, a receive queue.
-    DELAY: handed to the receivers `delay_ns` late.
-    CORRUPT: a bit error that every node sees: error frame, counters, retransmission. `bit` counts from SOF; -1: seeded.
+    DROP: acknowledged on the wire and lost behind it (a full mailbox, a lost interrupt).
+    DUPLICATE: the last bit of EOF is disturbed: its receivers have taken the frame, its sender repeats it.
+    REORDER: handed over only after the next frame, at the latest `delay_ns` later (a gateway, a receive queue).
+    DELAY: handed over `delay_ns` late.
+    All but DUPLICATE and CORRUPT can be confined to one `receiver`.
+    CORRUPT: a bit error that every node sees: error frame, counters, retransmission. `bit`: from SOF on; -1: seeded.
     ALTER: bit `bit` of the payload is inverted with a CRC that fits (damage beyond the controllers); -1: seeded.
 
     Node faults act on `node` for the whole window:
 
     NO_ACK: cut off from all other nodes (None: every node is): its frames are never acknowledged, it receives nothing.
-    BUS_OFF: driven into bus-off at `from_ns`; it stays there until it is restarted explicitly, after the window or later.
+    BUS_OFF: driven into bus-off at `from_ns`; it stays there until it is restarted explicitly.
     DOWN: its interface is down: it refuses to send, receives nothing and has lost what was queued.
 
     BABBLE: a node of its own sends `can_id` without a pause, or each `period_ns`, filling `length` bytes.
@@ -55,8 +56,9 @@ FRAME_FAULTS = (
 class WireFault:
     """One scripted fault. Times are virtual ns; the window is from_ns <= t < until_ns.
 
-    can_id: with Linux's flags; None: any frame. node: the sender (frame faults) or the victim (node faults); None: any.
-    count: frame faults end after so many hits; 0: no limit. probability: of each hit, 0 < p <= 1, drawn from the wire's seed.
+    can_id: with Linux's flags; None: any frame. node: the sender (frame faults) or the victim (node faults); None:
+    any. count: frame faults end after so many hits; 0: no limit. probability: of each hit, 0 < p <= 1, drawn from the
+    wire's seed. Raises ValueError naming key, value and allowed range.
     """
 
     kind: FaultKind
@@ -116,33 +118,30 @@ class Random:
 
 
 class FrameFaults:
-    """The frame faults of a script: which of them hits the frame that begins now."""
+    """The frame faults of a script: which of them hits the frame that begins now. armed: (fault, [hits])."""
 
     def __init__(self, random: Random, faults: Sequence[WireFault] = ()) -> None:
         self._random = random
-        self._armed: list[tuple[WireFault, list[int]]] = []
+        self.armed: list[tuple[WireFault, list[int]]] = []
         for fault in faults:
             self.add(fault)
 
-    def __bool__(self) -> bool:
-        return bool(self._armed)
-
     def add(self, fault: WireFault) -> None:
         """Arm a fault."""
-        self._armed.append((fault, [0]))
+        self.armed.append((fault, [0]))
 
     def clear(self) -> None:
         """Disarm all."""
-        self._armed.clear()
+        self.armed.clear()
 
     def strike(self, now_ns: int, node: str, can_id: int) -> WireFault | None:
         """The first armed fault that hits this frame, or None. Faults whose time or count is over are removed."""
-        self._armed = [
+        self.armed = [
             (fault, hits)
-            for fault, hits in self._armed
+            for fault, hits in self.armed
             if now_ns < fault.until_ns and (not fault.count or hits[0] < fault.count)
         ]
-        for fault, hits in self._armed:
+        for fault, hits in self.armed:
             matches = fault.from_ns <= now_ns and fault.can_id in (None, can_id) and fault.node in (None, node)
             if matches and (fault.probability >= 1.0 or self._random.chance(fault.probability)):
                 hits[0] += 1

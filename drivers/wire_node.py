@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from drivers.counters import BusState, PortCounters
 from drivers.frame import BRS, Frame
-from drivers.frame_length import frame_bits
+from drivers.frame_length import ACK_TO_EOF, frame_bits
 
 if TYPE_CHECKING:
     from drivers.wire import Wire
@@ -16,36 +16,37 @@ BUS_OFF_LIMIT = 255  # TEC above it: bus-off
 
 
 class WireNode:
-    """A node's transmit queue is a FIFO, as a qdisc is; the oldest frame alone sits in the controller and arbitrates.
+    """A node's transmit queue is a FIFO, as a qdisc is; its oldest frame alone sits in the controller and arbitrates.
 
-    Made by `Wire.attach`. sent, received, refused, errors, no_ack, ...: cumulative, as in `PortCounters`.
-    tec, rec: transmit and receive error counter.
+    Made by `Wire.attach`. sent, received, refused, errors, no_ack, bus_off, restarted, down: cumulative, as in
+    `PortCounters`. tec, rec: transmit and receive error counter. The other public attributes serve the simulation.
     """
 
     __slots__ = (
-        "_attempt_ns",
-        "_queue",
-        "_ready_ns",
-        "_receive",
-        "_repeating",
-        "_targets",
         "_wire",
         "accept",
+        "attempt_ns",
         "bus_off",
         "cut_off",
         "down",
+        "down_faults",
         "errors",
         "interface_up",
         "is_bus_off",
         "name",
         "no_ack",
         "on_sent",
+        "queue",
         "queue_length",
+        "ready_ns",
         "rec",
+        "receive",
         "received",
         "refused",
+        "repeating",
         "restarted",
         "sent",
+        "targets",
         "tec",
     )
 
@@ -60,6 +61,7 @@ class WireNode:
         if queue_length < 1:
             raise ValueError(f"node {name}: queue_length = {queue_length}, must be at least 1")
         self.name = name
+        self.receive = receive
         self.queue_length = queue_length
         self.accept = accept
         self.sent = self.received = self.refused = self.errors = 0
@@ -67,15 +69,15 @@ class WireNode:
         self.tec = self.rec = 0
         self.is_bus_off = False
         self.interface_up = True
-        self.cut_off = False
+        self.down_faults = 0  # scripted reasons for the interface to be down; windows may overlap
+        self.cut_off = 0  # likewise for being cut off from the others
+        self.queue: deque[tuple[int, Frame, int]] = deque()  # (earliest start, frame, duration SOF to EOF), ns
+        self.ready_ns = 0  # nothing of this node starts earlier: it is suspended, or has just come back
+        self.attempt_ns = -1  # its next attempt while it is cut off from the others
+        self.repeating = False  # the others have taken the oldest frame already
         self.on_sent: Callable[[int], None] | None = None
+        self.targets: dict[int, tuple[WireNode, ...]] = {}  # who takes a frame of this node, by identifier
         self._wire = wire
-        self._receive = receive
-        self._queue: deque[tuple[int, Frame, int]] = deque()  # (earliest start, frame, duration SOF to EOF), ns
-        self._ready_ns = 0  # no transmission before this: suspended, or still recovering
-        self._attempt_ns = -1  # cut off from the others: its next attempt
-        self._repeating = False  # the frame at the head has been received by others already
-        self._targets: dict[int, tuple[WireNode, ...]] = {}  # who takes a frame of mine, by identifier
 
     def send(self, frame: Frame, at_ns: int) -> bool:
         """Queue a frame that may start at `at_ns` (virtual ns, not before the wire's own time).
@@ -86,7 +88,7 @@ class WireNode:
         wire = self._wire
         if at_ns < wire.now_ns:
             raise ValueError(f"node {self.name}: send at {at_ns} ns, but the wire is at {wire.now_ns} ns")
-        queue = self._queue
+        queue = self.queue
         if len(queue) >= self.queue_length or self.is_bus_off or not self.interface_up:
             if self.interface_up:
                 self.refused += 1
@@ -94,28 +96,50 @@ class WireNode:
                 self.down += 1
             return False
         nominal, fast = frame_bits(frame)
-        if at_ns < self._ready_ns:
-            at_ns = self._ready_ns
+        if at_ns < self.ready_ns:
+            at_ns = self.ready_ns
         queue.append((at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast]))
         if len(queue) == 1:
             if self.cut_off:
-                wire.schedule_alone(self)
+                wire.node_faults.attempt_next(self)
             else:
                 wire.waiting.append(self)
         return True
 
     def purge(self) -> int:
         """Drop what is queued, except a frame on the wire at this moment. Returns how many were dropped."""
-        return self._wire.purge(self)
+        queue = self.queue
+        keep = 1 if self._wire.sender is self else 0
+        dropped = len(queue) - keep
+        while len(queue) > keep:
+            queue.pop()
+        if not queue:
+            self.repeating = False
+            if self in self._wire.waiting:
+                self._wire.waiting.remove(self)
+        return dropped
 
     def restart(self, at_ns: int) -> None:
-        """Ask for recovery from bus-off: it takes 128 times 11 recessive bits on the bus, then the node is error-active."""
-        self._wire.restart(self, at_ns)
+        """Ask for recovery from bus-off: 128 times 11 recessive bits on the bus later the node is error-active."""
+        self._wire.confinement.restart(self, at_ns)
+
+    def take(self, frame: Frame) -> None:
+        """A frame arrives at this node, if it is on the bus."""
+        if self.listening and self.receive is not None:
+            self.received += 1
+            self.receive(frame)
+
+    def not_before(self, ready_ns: int) -> None:
+        """Nothing of this node starts before `ready_ns`."""
+        self.ready_ns = ready_ns
+        if self.queue and self.queue[0][0] < ready_ns:
+            _, frame, duration_ns = self.queue[0]
+            self.queue[0] = (ready_ns, frame, duration_ns)
 
     @property
     def queued(self) -> int:
         """Frames not sent yet, the one on the wire included."""
-        return len(self._queue)
+        return len(self.queue)
 
     @property
     def listening(self) -> bool:
@@ -154,6 +178,5 @@ def elapsed_ns(frame: Frame, bit: int, nominal_ns: list[int], data_ns: list[int]
     done = min(bit + 1, nominal + fast)
     if not frame.flags & BRS:
         return nominal_ns[done]
-    head = nominal - 9  # the nominal bits behind the data phase: ACK slot to EOF
-    in_data_phase = min(max(done - head, 0), fast)
+    in_data_phase = min(max(done - (nominal - ACK_TO_EOF), 0), fast)
     return nominal_ns[done - in_data_phase] + data_ns[in_data_phase]
