@@ -61,6 +61,7 @@ _RESULT = _exactly(f"@{_MsgHdr.control_length.offset}xNi{_GAP}xI", _HEADER_BYTES
 _CMSG = f"{struct.calcsize('@N') + 4}x"
 _CONTENTS = _exactly(f"@IBB2x64s{_CMSG}ill{_CMSG}4xI", _SLOT_BYTES)
 
+_DONT_WAIT = int(socket.MSG_DONTWAIT)
 _recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
 _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
 _recvmmsg.restype = ctypes.c_int
@@ -96,7 +97,7 @@ class ReceiveBlock:
         which those beyond the frame's are left over; CLOCK_REALTIME of arrival; frames this socket has dropped so far.
         Raises OSError as recvmsg(2) does, except that nothing there is no error. Read it all before the next call.
         """
-        count = _recvmmsg(fd, self._address, SLOTS, socket.MSG_DONTWAIT, None)
+        count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
         if count < 0:
             number = ctypes.get_errno()
             if number == errno.EAGAIN:
