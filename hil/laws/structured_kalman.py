@@ -9,127 +9,121 @@ Coulomb term therefore switches on the reference's reversal, not on the measured
 again; theta3 carries the error of the mass. Kalman filter: e.g. Simon, Optimal State Estimation (2006), section 5.1.
 
 The covariance depends on the reference and on which samples came, never on what they say: plants that share both share
-one covariance of shape (6, 6, n_axes).
+one covariance. The arithmetic is in hil/laws/structured_filter.py.
 """
 
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedforward import Feedforward, default_damping, default_stiffness
+from hil.laws.feedforward import default_damping, default_stiffness
+from hil.laws.structured_filter import Covariance, Disturbance, Number, force_of, interval, move, predict, update
 
-SHORTEST = 1e-9  # s; intervals are never taken as shorter
 PRIOR_SPEED = 1e-3  # m/s, standard deviation at the start, at rest
-START, END = 0, 1  # the two intervals looked at: before the sample, and from the sample to the next force
 
 
-class Regressors:
-    """Reference increments and means over the last two intervals: up to the sample, and from there to `start`."""
+class Plant(NamedTuple):
+    """Belief about one axis (floats) or all (arrays), and the gains."""
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._position = np.zeros((3, *shape))
-        self._velocity = np.zeros((3, *shape))
-        self._speed = np.zeros((3, *shape))
-        self._sum = np.zeros((2, *shape))
-        self.time = np.zeros((2, *shape))
-        self.moved = np.zeros((2, *shape))  # increments of position and velocity
-        self.gained = np.zeros((2, *shape))
-        self.h = np.ones((2, 4, *shape))  # 1, mean sgn, mean velocity, mean acceleration
-        self.before = self._velocity[:2]  # velocity at each interval's start
-
-    def seed(self, inputs: LawInputs) -> None:
-        """There is no earlier sample: the reference is taken to have rested where it is now."""
-        self._position[1] = inputs.sample.position
-        self._velocity[1] = inputs.sample.velocity
-
-    def update(self, inputs: LawInputs) -> None:
-        """Take this tick's reference."""
-        position, velocity, speed, total = self._position, self._velocity, self._speed, self._sum
-        position[0] = position[1]
-        position[1] = inputs.sample.position
-        position[2] = inputs.start.position
-        velocity[0] = velocity[1]
-        velocity[1] = inputs.sample.velocity
-        velocity[2] = inputs.start.velocity
-        self.time[0] = inputs.sample_interval
-        self.time[1] = inputs.ahead
-        np.maximum(self.time, SHORTEST, out=self.time)
-        np.subtract(position[1:], position[:2], out=self.moved)
-        np.subtract(velocity[1:], velocity[:2], out=self.gained)
-        np.divide(self.moved, self.time, out=self.h[:, 2])
-        np.divide(self.gained, self.time, out=self.h[:, 3])
-        np.abs(velocity, out=speed)
-        np.add(speed[1:], speed[:2], out=total)
-        np.maximum(total, 1e-300, out=total)
-        np.add(velocity[1:], velocity[:2], out=self.h[:, 1])
-        np.divide(self.h[:, 1], total, out=self.h[:, 1])
+    mass: Number
+    inverse_mass: Number
+    coulomb: Number
+    viscous: Number
+    quadratic: Number
+    gravity: Number
+    kp: Number
+    kd: Number
+    noise: tuple[Number, ...]
+    measurement: Number
+    bounds: Disturbance
 
 
-class Covariance:
-    """P (6, 6, ...) of the structured filter, symmetric; row and column operations of its sparse transition only."""
+class Memory(NamedTuple):
+    """What is kept from tick to tick: estimates, covariance, and the reference at the last sample."""
 
-    def __init__(self, prior: Array, noise: Array, measurement: Array, shape: tuple[int, ...]) -> None:
-        self._p = np.zeros((6, 6, *shape))
-        self._diagonal = self._p.reshape((36, *shape))[::7]
-        self._diagonal[:] = prior
-        self._noise = noise  # variance per second
-        self._cap = np.maximum(prior, noise)
-        self._measurement = measurement
-        self.gain = np.zeros((6, *shape))
-        self._w4 = np.zeros((4, 6, *shape))
-        self._rows = np.zeros((2, 6, *shape))
-        self._c4 = np.zeros((2, 4, *shape))
-        self._block = np.zeros((2, 2, *shape))
-        self._six = np.zeros((6, *shape))
-        self._mask = np.zeros((6, *shape), dtype=np.bool_)
-        self._outer = np.zeros((6, 6, *shape))
-        self._scratch = np.zeros(shape)
-        self._pair = np.zeros((2, *shape))
+    error: Number
+    rate: Number
+    disturbance: Disturbance
+    covariance: Covariance
+    position: Number
+    velocity: Number
 
-    def predict(self, h: Array, time: Array, per_force: Array) -> None:
-        """P <- F P F' + Q time; h (4, ...): regressors; per_force = time / mass: speed gained per newton."""
-        p, rows, block, w4, c4, six = self._p, self._rows, self._block, self._w4, self._c4, self._six
-        half = np.multiply(0.5, time, out=self._scratch)
-        # Rows: speed loses what the disturbance takes; position gains the mean of the speed before and after.
-        np.multiply(p[2:], h[:, None], out=w4)
-        w = np.add(w4[0], w4[1], out=w4[0])
-        np.add(w, w4[2], out=w)
-        np.add(w, w4[3], out=w)
-        np.multiply(w, per_force, out=w)
-        np.subtract(p[1], w, out=rows[1])
-        np.add(p[1], rows[1], out=six)
-        np.multiply(six, half, out=six)
-        np.add(p[0], six, out=rows[0])
-        # Columns: by symmetry only the leading 2 x 2 block still has to be worked out.
-        np.multiply(rows[:, 2:], h, out=c4)
-        c = np.add(c4[:, 0], c4[:, 1], out=self._pair)
-        np.add(c, c4[:, 2], out=c)
-        np.add(c, c4[:, 3], out=c)
-        np.multiply(c, per_force, out=c)
-        np.subtract(rows[:, 1], c, out=block[:, 1])
-        np.add(rows[:, 1], block[:, 1], out=c)
-        np.multiply(c, half, out=c)
-        np.add(rows[:, 0], c, out=block[:, 0])
-        p[:2, 2:] = rows[:, 2:]
-        p[2:, 0] = rows[0, 2:]
-        p[2:, 1] = rows[1, 2:]
-        p[0, 0] = block[0, 0]
-        p[1, 1] = block[1, 1]
-        p[0, 1] = p[1, 0] = block[0, 1]
-        np.less(self._diagonal, self._cap, out=self._mask)
-        np.multiply(self._noise, time, out=six)
-        np.multiply(six, self._mask, out=six)
-        np.add(self._diagonal, six, out=self._diagonal)
 
-    def update(self, fresh: Array) -> None:
-        """P <- (I - K H) P with K in `gain`, zero where `fresh` is 0."""
-        p = self._p
-        np.add(p[0, 0], self._measurement, out=self._scratch)
-        np.divide(p[0], self._scratch, out=self.gain)
-        np.multiply(self.gain, fresh, out=self.gain)
-        np.multiply(self.gain[:, None], p[0], out=self._outer)
-        np.subtract(p, self._outer, out=p)
+class Sight(NamedTuple):
+    """One tick's LawInputs as the arithmetic takes them."""
+
+    position: Number
+    fresh: Number
+    sample_position: Number
+    sample_velocity: Number
+    sample_interval: Number
+    ahead: Number
+    start_position: Number
+    start_velocity: Number
+    mean_velocity: Number
+    mean_acceleration: Number
+    mean_sign: Number
+    force_last: Number
+    force_before: Number
+
+
+def _sight(inputs: LawInputs) -> Sight:
+    return Sight(
+        inputs.position, inputs.fresh, inputs.sample.position, inputs.sample.velocity, inputs.sample_interval,
+        inputs.ahead, inputs.start.position, inputs.start.velocity, inputs.mean_velocity, inputs.mean_acceleration,
+        inputs.mean_sign, inputs.force_last, inputs.force_before,
+    )  # fmt: skip
+
+
+def _clamp_float(value: float, bound: float) -> float:
+    return bound if value > bound else -bound if value < -bound else value
+
+
+def _clamp_array(value: Array, bound: Array) -> Array:
+    return np.minimum(np.maximum(value, -bound), bound)
+
+
+def _friction(plant: Plant, mean_sign: Number, mean_velocity: Number) -> Number:
+    """Nominal friction and gravity hold, N."""
+    dry = plant.coulomb * mean_sign + plant.gravity
+    return dry + (plant.viscous + plant.quadratic * abs(mean_velocity)) * mean_velocity
+
+
+def _step(
+    plant: Plant, memory: Memory, sight: Sight, clamp: Callable[[Number, Number], Number]
+) -> tuple[Memory, Number]:
+    """Filter the sample in, look ahead to `start`, feed forward what is known and feed back what is left."""
+    position, fresh, q1, v1, elapsed, ahead, q2, v2, mean_v, mean_a, mean_s, force_last, force_before = sight
+    error, rate, d, covariance, q0, v0 = memory
+    inverse_mass = plant.inverse_mass
+
+    past = interval(elapsed, q0, v0, q1, v1)
+    _, _, _, _, s, v, a = past
+    net = force_before - _friction(plant, s, v) - force_of(d, s, v, a)
+    error, rate = move(error, rate, net, inverse_mass, past)
+    covariance = predict(covariance, plant.noise, inverse_mass, past)
+    covariance, (k0, k1, k2, k3, k4, k5) = update(covariance, plant.measurement, fresh)
+    innovation = (position - q1) - error
+    error = error + k0 * innovation
+    rate = rate + k1 * innovation
+    bounds = plant.bounds
+    d = Disturbance(
+        clamp(d.bias + k2 * innovation, bounds.bias),
+        clamp(d.coulomb + k3 * innovation, bounds.coulomb),
+        clamp(d.viscous + k4 * innovation, bounds.viscous),
+        clamp(d.mass + k5 * innovation, bounds.mass),
+    )
+
+    coming = interval(ahead, q1, v1, q2, v2)
+    _, _, _, _, s, v, a = coming
+    net = force_last - _friction(plant, s, v) - force_of(d, s, v, a)
+    error_ahead, rate_ahead = move(error, rate, net, inverse_mass, coming)
+    known = plant.mass * mean_a + _friction(plant, mean_s, mean_v) + force_of(d, mean_s, mean_v, mean_a)
+    force = known - plant.kp * error_ahead - plant.kd * rate_ahead
+    # The setpoints' arrays are reused by the caller: keep copies.
+    return Memory(error, rate, d, covariance, q1 + 0.0, v1 + 0.0), force
 
 
 class StructuredKalman(Law):
@@ -167,118 +161,78 @@ class StructuredKalman(Law):
         mass_noise: float | Array = 1e-4,
         measurement_noise: float | Array = 29e-9,
     ) -> None:
-        self._model = model
-        self._kp = default_stiffness(model, period) if kp is None else kp
-        self._kd = default_damping(model, period) if kd is None else kd
-        self._feedforward = Feedforward(model)
-        self._inverse_mass = 1.0 / model.mass
-        one = np.ones(np.broadcast_shapes(model.mass.shape, *(np.shape(g) for g in (acceleration_noise, bias_noise))))
-        densities = (0.0, acceleration_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
-        self._noise = np.stack([np.multiply(d, d) * one for d in densities])
-        self._measurement = np.multiply(measurement_noise, measurement_noise) * one
-        # What the model may be wrong by before anything is known: a third of the force limit, of the mass.
-        third = force_limit / 3.0
-        spread = (np.sqrt(self._measurement), PRIOR_SPEED * one, third, third, third, 0.5 * model.mass)
-        self._prior = np.stack([s * s for s in spread])
-        self._bound = np.stack([force_limit * one, force_limit * one, force_limit * one, 0.9 * model.mass])
-        self._wide = False
-        self.reset(np.zeros_like(model.mass), model.gravity)
+        stiffness = default_stiffness(model, period) if kp is None else kp
+        damping = default_damping(model, period) if kd is None else kd
+        given = (stiffness, damping, acceleration_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
+        shape = np.broadcast_shapes(model.mass.shape, *(np.shape(gain) for gain in given))
+
+        def full(value: float | Array) -> Array:
+            return np.zeros(shape) + value
+
+        # What the model may be wrong by before anything is known: a third of the force limit, half the mass.
+        third, half = force_limit / 3.0, 0.5 * model.mass
+        prior = (measurement_noise, PRIOR_SPEED, third, third, third, half)
+        self._prior = [full(np.multiply(value, value)) for value in prior]
+        limit = full(force_limit)
+        self._plant = Plant(
+            mass=full(model.mass),
+            inverse_mass=full(1.0 / model.mass),
+            coulomb=full(model.coulomb),
+            viscous=full(model.viscous),
+            quadratic=full(model.quadratic),
+            gravity=full(model.gravity),
+            kp=full(stiffness),
+            kd=full(damping),
+            noise=tuple(full(np.multiply(value, value)) for value in given[2:]),
+            measurement=full(np.multiply(measurement_noise, measurement_noise)),
+            bounds=Disturbance(limit, limit, limit, full(0.9 * model.mass)),
+        )
+        self.reset(np.zeros(shape), model.gravity)
 
     def reset(self, position: Array, force: Array) -> None:
         """At rest, without error; what `force` has beyond the gravity hold is taken as bias."""
-        shape = position.shape
-        self._x = np.zeros((6, *shape))
-        self._x[2] = np.minimum(np.maximum(force - self._model.gravity, -self._bound[0]), self._bound[0])
-        self._force = np.zeros(shape)
-        self._terms = np.zeros((4, *shape))
-        self._states = np.zeros((6, *shape))
-        self._net = np.zeros(shape)
-        self._ahead = np.zeros((2, *shape))
+        plant, zero = self._plant, np.zeros(position.shape)
+        bias = _clamp_array(zero + (force - plant.gravity), plant.bounds.bias)
+        shared = np.zeros(plant.mass.shape)
+        diagonal = dict(zip(("p00", "p11", "p22", "p33", "p44", "p55"), self._prior, strict=True))
+        covariance = Covariance(*(diagonal.get(name, shared) for name in Covariance._fields))
+        memory = Memory(zero, zero, Disturbance(bias, zero, zero, zero), covariance, zero, zero)
+        self._force = np.zeros(position.shape)
+        self._memory = memory
         self._begun = False
+        self._axes: list[tuple[Plant, Memory]] = []
+        if position.ndim == 1 and shared.ndim == 1:
+            self._axes = [(_pick(plant, axis), _pick(memory, axis)) for axis in range(position.size)]
 
-    def _begin(self, inputs: LawInputs) -> None:
-        noise = self._noise
-        reference = (inputs.fresh.shape, inputs.sample_interval.shape, inputs.sample.position.shape)
-        shape = np.broadcast_shapes(noise.shape[1:], *reference)
-
-        def wide(values: Array, ndim: int) -> Array:
-            """Room for batch axes between the states and the axes."""
-            return values.reshape((values.shape[0], *(1,) * (ndim + 1 - values.ndim), *values.shape[1:]))
-
-        self._regressors = Regressors(shape)
-        prior, noise = wide(self._prior, len(shape)), wide(noise, len(shape))
-        self._covariance = Covariance(prior, noise, self._measurement, shape)
-        self._per_force = np.zeros((2, *shape))
-        self._friction = np.zeros((2, *shape))
-        self._h_end = np.ones((4, *shape))
-        self._high = wide(self._bound, self._force.ndim)
-        self._low = -self._high
-        self._gap = (slice(None),) + (None,) * (self._force.ndim - len(shape)) + (Ellipsis,)
-        self._regressors.seed(inputs)
+    def _begin(self, sight: Sight) -> None:
+        """There is no earlier sample: the reference is taken to have rested where it is now."""
+        q, v = sight.sample_position, sight.sample_velocity
+        self._memory = self._memory._replace(position=q, velocity=v)
+        self._axes = [
+            (plant, memory._replace(position=float(q[axis]), velocity=float(v[axis])))
+            for axis, (plant, memory) in enumerate(self._axes)
+        ]
         self._begun = True
 
-    def _disturbance(self, h: Array) -> Array:
-        """d0 + theta1 h1 + theta2 h2 + theta3 h3, N; valid until the next call."""
-        terms = self._terms
-        np.multiply(self._x[2:], h[self._gap], out=terms)
-        total: Array = terms[0]
-        np.add(total, terms[1], out=total)
-        np.add(total, terms[2], out=total)
-        np.add(total, terms[3], out=total)
-        return total
-
-    def _move(self, error: Array, rate: Array, force: Array, interval: int, to: Array) -> None:
-        """Error and its rate at the end of an interval under `force`, into to[0], to[1]."""
-        r, net = self._regressors, self._net
-        d = self._disturbance(r.h[interval])
-        np.subtract(force, self._friction[interval], out=net)
-        np.subtract(net, d, out=net)
-        np.multiply(net, self._per_force[interval], out=net)  # speed gained
-        np.multiply(net, 0.5, out=d)
-        np.add(d, rate, out=d)
-        np.add(d, r.before[interval], out=d)
-        np.multiply(d, r.time[interval], out=d)
-        np.subtract(d, r.moved[interval], out=d)
-        np.add(error, d, out=to[0])
-        np.subtract(net, r.gained[interval], out=net)
-        np.add(rate, net, out=to[1])
-
-    def _nominal_friction(self) -> None:
-        """Nominal friction and gravity over both intervals, N."""
-        model, h, out = self._model, self._regressors.h, self._friction
-        np.abs(h[:, 2], out=out)
-        np.multiply(out, model.quadratic, out=out)
-        np.add(out, model.viscous, out=out)
-        np.multiply(out, h[:, 2], out=out)
-        np.add(out, model.coulomb * h[:, 1], out=out)
-        np.add(out, model.gravity, out=out)
-
     def force(self, inputs: LawInputs) -> Array:
-        """Filter the sample in, look ahead to `start`, feed forward what is known and feed back what is left."""
+        """The law of the class's docstring."""
+        sight = _sight(inputs)
         if not self._begun:
-            self._begin(inputs)
-        x, r, covariance = self._x, self._regressors, self._covariance
-        r.update(inputs)
-        np.multiply(r.time, self._inverse_mass, out=self._per_force)
-        self._nominal_friction()
-        self._move(x[0], x[1], inputs.force_before, START, x)
-        covariance.predict(r.h[START], r.time[START], self._per_force[START])
-        covariance.update(inputs.fresh)
-        innovation = np.subtract(inputs.position, inputs.sample.position, out=self._net)
-        np.subtract(innovation, x[0], out=innovation)
-        np.multiply(covariance.gain[self._gap], innovation, out=self._states)
-        np.add(x, self._states, out=x)
-        np.minimum(x[2:], self._high, out=x[2:])
-        np.maximum(x[2:], self._low, out=x[2:])
-        self._move(x[0], x[1], inputs.force_last, END, self._ahead)
-        h = self._h_end
-        h[1] = inputs.mean_sign
-        h[2] = inputs.mean_velocity
-        h[3] = inputs.mean_acceleration
-        out = self._force
-        np.add(self._disturbance(h), self._feedforward(inputs), out=out)
-        np.multiply(self._ahead[0], self._kp, out=self._net)
-        np.subtract(out, self._net, out=out)
-        np.multiply(self._ahead[1], self._kd, out=self._net)
-        np.subtract(out, self._net, out=out)
-        return out
+            self._begin(sight)
+        if not self._axes:
+            self._memory, self._force = _step(self._plant, self._memory, sight, _clamp_array)
+            return self._force
+        columns = zip(*(array.tolist() for array in sight), strict=True)
+        for axis, values in enumerate(columns):
+            plant, memory = self._axes[axis]
+            memory, self._force[axis] = _step(plant, memory, Sight(*values), _clamp_float)
+            self._axes[axis] = plant, memory
+        return self._force
+
+
+def _pick(values: Any, axis: int) -> Any:
+    """One axis of nested tuples of arrays, as floats."""
+    if isinstance(values, tuple):
+        picked = (_pick(value, axis) for value in values)
+        return type(values)(*picked) if hasattr(values, "_fields") else tuple(picked)
+    return float(values[axis])
