@@ -29,8 +29,8 @@ class EmulatedStage:
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value.
 
-    rejected: received frames that carried no command, by reason. Raises ValueError for a plant or bus that does not
-    fit.
+    rejected: received frames that carried no command, by reason. sampled_position, sampled_velocity: truth (m, m/s,
+    (n_axes,)) at the latest sampling, before the encoder. Raises ValueError for a plant or bus that does not fit.
     """
 
     def __init__(
@@ -62,6 +62,9 @@ class EmulatedStage:
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
         self._jam = [0.0] * n_axes
         self._force = [0.0] * n_axes
+        self.sampled_position = self._stage.position.copy()
+        self.sampled_velocity = self._stage.velocity.copy()
+        self._senders: dict[int, str] = {}
         self._clamp: list[float] = []
         self._deadline_ns = NEVER_NS
         self._update()
@@ -90,6 +93,10 @@ class EmulatedStage:
     def deadline_ns(self) -> int:
         """When the next drive watchdog expires; NEVER_NS where none is armed."""
         return self._deadline_ns
+
+    def sender_of(self, answer: Frame) -> str:
+        """Name of the axis whose drive sent this answer."""
+        return self._senders[answer.can_id]
 
     def jam(self, axis: int, force: float) -> None:
         """From now on the axis is held by `force` (N) of additional dry friction; 0 frees it."""
@@ -124,13 +131,17 @@ class EmulatedStage:
 
     def _answer(self, command: Command) -> list[Frame]:
         now_ns = self.now_ns
+        self.sampled_position[:] = self._stage.position
+        self.sampled_velocity[:] = self._stage.velocity
         positions = self._stage.position.tolist()
         sequence, forces, enable, reset = command
         answers = []
         for drive, position, force in zip(self.drives, positions, forces, strict=True):
             enabled = bool(enable >> drive.axis & 1)
             if drive.on_command(force, enabled, reset, sequence, now_ns):
-                answers.append(self._protocol.encode_feedback(drive.sample(position, now_ns)))
+                answer = self._protocol.encode_feedback(drive.sample(position, now_ns))
+                self._senders[answer.can_id] = self.axis_names[drive.axis]
+                answers.append(answer)
         self._update()
         return answers
 
