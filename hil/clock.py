@@ -53,7 +53,7 @@ class Pacer:
     """Slots of `period_ns` from `start()` on. The attributes describe the slot that `wait()` returned in.
 
     index: slot number, 0-based. scheduled_ns: its deadline. now_ns: when the sleep ended. skipped: slots lost just
-    before this one. total_skipped: since start.
+    before this one. total_skipped, sleeps: slots lost and sleeps made since start.
     now, sleep_until: the clock and the sleep, ns; tests put their own.
     """
 
@@ -72,6 +72,7 @@ class Pacer:
         self.now_ns = 0
         self.skipped = 0
         self.total_skipped = 0
+        self.sleeps = 0
         self._now = now
         self._sleep_until = sleep_until or _sleeper()
 
@@ -79,7 +80,7 @@ class Pacer:
         """Let slot 0 begin one period from now."""
         self.index = -1
         self.scheduled_ns = self._now()
-        self.skipped = self.total_skipped = 0
+        self.skipped = self.total_skipped = self.sleeps = 0
 
     def wait(self) -> None:
         """Sleep to the start of the next slot that can still be kept; sets all attributes."""
@@ -89,6 +90,7 @@ class Pacer:
         skipped = max(0, -((deadline - self._now()) // period))
         for _ in range(MAX_RESLEEPS):
             self._sleep_until(deadline + skipped * period)
+            self.sleeps += 1
             now = self._now()
             late = now - deadline - skipped * period
             if late <= self.keep_ns:

@@ -1,0 +1,145 @@
+"""`hil run RIG`: the control process. Sets up, runs the loop, and says how it ended.
+
+Exit status: 0 stopped as asked, zero torque sent last; 69 no bus, or the rig is being run already; 70 the cycle failed
+(sending stopped at once, the drives' watchdogs act); 77 the kernel refused real time and [timing] allow_degraded is
+false; 78 the rig file is wrong (no bus was touched).
+"""
+
+import contextlib
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.bus import PortError, open_port
+from drivers.protocols import host_protocol
+from drivers.runtime import RuntimeDirectoryError
+from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
+from hil.loop import ControlLoop, Parts
+from hil.notify import Notifier
+from hil.realtime import EXIT_REALTIME, claim
+from hil.stage_clock import TimedCycle
+from hil.telemetry.mailbox import Mailbox
+from hil.telemetry.places import places
+from hil.telemetry.provenance import describe_run
+from hil.telemetry.ring import RingError, RingWriter
+from hil.timing import TimingRecorder, read_timing
+from hil.watched_file import WatchedFile
+
+EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
+EXIT_SOFTWARE = 70  # EX_SOFTWARE
+TIMING_FILE = "timing"  # in the rig's runtime directory
+
+
+class RealtimeRefusedError(Exception):
+    """The kernel refused what [timing] asks for, and the rig file does not allow to go on without."""
+
+
+def run(
+    rig: Annotated[Path, typer.Argument(help="rig file")],
+    override: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    ticks: Annotated[int | None, typer.Option(min=1, help="stop after so many ticks")] = None,
+    cpu_clock: Annotated[bool, typer.Option(hidden=True, help="measure stages in CPU time (benchmarks)")] = False,
+) -> None:
+    """Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, or an operator's shutdown)."""
+    clock = time.thread_time_ns if cpu_clock else time.monotonic_ns
+    sys.exit(run_rig(rig, override or [], ticks, clock))
+
+
+def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Callable[[], int]) -> int:
+    """Validate, set up, loop; returns the exit status."""
+    try:
+        watched = WatchedFile(path)  # before the file is read: a change in between is a change
+        config = validated(path, overrides)
+        with control_loop(config, path.parent, watched, stage_clock) as loop:
+            return _run_to_end(loop, ticks)
+    except RigError as error:
+        return _refuse(EXIT_CONFIG, error.problems)
+    except RealtimeRefusedError as error:
+        return _refuse(EXIT_REALTIME, [str(error)])
+    except (PortError, RingError, RuntimeDirectoryError, OSError) as error:
+        return _refuse(EXIT_UNAVAILABLE, [str(error)])
+
+
+def _refuse(status: int, problems: list[str]) -> int:
+    for problem in problems:
+        print(f"hil run: {problem}", file=sys.stderr)
+    return status
+
+
+def validated(path: Path, overrides: list[str]) -> RigConfig:
+    """The rig, with everything checked that can be checked before a bus is touched. Raises RigError."""
+    config = load_rig(path, overrides)
+    try:
+        rated = [axis.rated_force for axis in config.axes.values()]
+        host_protocol(config.bus, len(config.axes), rated, path.parent)
+    except (ValueError, OSError) as error:
+        raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
+    return config
+
+
+@contextlib.contextmanager
+def control_loop(
+    rig: RigConfig, base_dir: Path, rig_file: WatchedFile, stage_clock: Callable[[], int]
+) -> Iterator[ControlLoop]:
+    """All the loop needs, in the order in which it may fail; real time after every import and large allocation."""
+    files = places(rig.name)
+    cycle = TimedCycle(rig, base_dir, stage_clock)
+    with contextlib.ExitStack() as stack:
+        port = open_port(rig.bus, role="host", fd=cycle.protocol.fd)
+        stack.callback(port.close)
+        notifier = Notifier()
+        stack.callback(notifier.close)
+        held = claim(rig.timing)
+        stack.callback(held.close)
+        verdict = held.verdict.text()
+        if not held.verdict.ok and not rig.timing.allow_degraded:
+            raise RealtimeRefusedError(f"{verdict}. To run all the same: --set timing.allow_degraded=true")
+        metadata = describe_run(rig, base_dir, realtime=verdict)
+        ring = RingWriter(files.ring, rig.telemetry.ring_slots, period_ns=rig.period_ns, metadata=metadata)
+        mailbox = Mailbox.create(files.mailbox)
+        stack.callback(mailbox.close)
+        timing = TimingRecorder(
+            files.directory / TIMING_FILE, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict
+        )
+        print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
+        yield ControlLoop(Parts(cycle, port, ring, mailbox, timing, held, rig_file, notifier), stage_clock)
+
+
+def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
+    """Loop until stopped. What the cycle raises is shown once no more frames go out, and is never hidden."""
+
+    def ask_to_stop(_signal: int, _frame: object) -> None:
+        loop.stop = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, ask_to_stop)
+    try:
+        loop.run(ticks)
+    except BaseException:
+        loop.parts.port.close()
+        print("hil run: the control cycle failed; nothing is sent any more", file=sys.stderr)
+        traceback.print_exc()
+        return EXIT_SOFTWARE  # without an end mark in the ring: it is kept as the black box
+    loop.parts.ring.close()
+    loop.parts.timing.finish()
+    print(_summary(loop), flush=True)
+    if loop.overstayed:
+        print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
+        return EXIT_SOFTWARE
+    return 0
+
+
+def _summary(loop: ControlLoop) -> str:
+    timing = read_timing(loop.parts.timing.path)
+    late, cpu = (timing.summary()[metric] for metric in ("lateness", "cpu"))
+    ledger = loop.ledger
+    return (
+        f"hil run: {loop.ticks} ticks; lateness p50 {late['p50']:.0f} p99 {late['p99']:.0f} max {late['max']:.0f} us; "
+        f"CPU p50 {cpu['p50']:.0f} p99 {cpu['p99']:.0f} us; slots lost: {ledger.own} own, {ledger.host} the host's"
+    )
