@@ -140,12 +140,12 @@ def test_a_killed_writer_is_noticed_and_its_ring_is_kept_as_the_black_box(tmp_pa
 
 def test_a_clean_end_leaves_no_black_box_and_frees_the_ring(tmp_path: Path) -> None:
     for _ in range(2):
-        with RingWriter(tmp_path / "ring", 4) as writer:
+        with RingWriter(tmp_path / "rig" / "ring", 4) as writer:
             writer.append(_record(0))
-        with RingReader(tmp_path / "ring") as reader:
+        with RingReader(tmp_path / "rig" / "ring") as reader:
             assert reader.ended
             assert not reader.writer_alive
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["ring"]
+    assert [entry.name for entry in (tmp_path / "rig").iterdir()] == ["ring"]
 
 
 @pytest.mark.parametrize("content", [b"", b"HILRING1", b"\0" * 8192, b"HILRING1" + b"\xff" * 8192])

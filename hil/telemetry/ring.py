@@ -37,6 +37,7 @@ _LOCK = struct.Struct("hhqqi0q")  # struct flock (fcntl.h)
 
 _WRITE_INDEX = 128 // 8  # u64 words of the header, on cache lines of their own
 _ENDED = 192 // 8
+_CLEAN, _SAVED = 1, 2  # values of _ENDED
 
 _FIRST_RECEIVED = RECORD.fields["received"][1]  # type: ignore[index]
 _N_RECEIVED = RECORD.fields["n_received"][1] // 2  # type: ignore[index]  # as an index of u16
@@ -136,7 +137,7 @@ class RingWriter:
     def close(self) -> None:
         """Mark a clean end and let go of the file, which stays."""
         if not self._map.closed:
-            self._words[_ENDED] = 1
+            self._words[_ENDED] = _CLEAN
             self._record = None
             for view in (self._words, self._slots, self._view):
                 view.release()
@@ -272,7 +273,17 @@ class RingReader:
     @property
     def ended(self) -> bool:
         """The writer said that it ended cleanly."""
-        return bool(self._words[_ENDED])
+        return bool(self._words[_ENDED] == _CLEAN)
+
+    @property
+    def saved(self) -> bool:
+        """The writer was killed, and what it left is in a recording."""
+        return bool(self._words[_ENDED] == _SAVED)
+
+    def mark_saved(self) -> None:
+        """Note in a killed writer's ring that a recording holds it: it is no black box any more."""
+        if not self.ended and not self.writer_alive:
+            os.pwrite(self._fd, struct.pack("<Q", _SAVED), _ENDED * 8)
 
     @property
     def writer_alive(self) -> bool:

@@ -7,35 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Telemetry(_message.Message):
-    __slots__ = (
-        "batch",
-        "first",
-        "lost",
-        "axes",
-        "index",
-        "scheduled_ns",
-        "now_ns",
-        "state",
-        "fault",
-        "faults_active",
-        "task_ns",
-        "position",
-        "position_estimate",
-        "velocity_estimate",
-        "disturbance_estimate",
-        "innovation",
-        "setpoint_position",
-        "setpoint_velocity",
-        "following_error",
-        "force_requested",
-        "force",
-        "stamp_ns",
-        "age_ticks",
-        "drive_status",
-        "cpu_ns",
-        "run_delay_ns",
-        "counters",
-    )
+    __slots__ = ("batch", "first", "lost", "axes", "index", "scheduled_ns", "now_ns", "state", "fault", "faults_active", "task_ns", "position", "position_estimate", "velocity_estimate", "disturbance_estimate", "innovation", "setpoint_position", "setpoint_velocity", "following_error", "force_requested", "force", "stamp_ns", "age_ticks", "drive_status", "cpu_ns", "run_delay_ns", "counters")
     BATCH_FIELD_NUMBER: _ClassVar[int]
     FIRST_FIELD_NUMBER: _ClassVar[int]
     LOST_FIELD_NUMBER: _ClassVar[int]
@@ -90,56 +62,10 @@ class Telemetry(_message.Message):
     cpu_ns: _containers.RepeatedScalarFieldContainer[int]
     run_delay_ns: _containers.RepeatedScalarFieldContainer[int]
     counters: Counters
-    def __init__(
-        self,
-        batch: _Optional[int] = ...,
-        first: _Optional[int] = ...,
-        lost: _Optional[int] = ...,
-        axes: _Optional[int] = ...,
-        index: _Optional[_Iterable[int]] = ...,
-        scheduled_ns: _Optional[_Iterable[int]] = ...,
-        now_ns: _Optional[_Iterable[int]] = ...,
-        state: _Optional[_Iterable[int]] = ...,
-        fault: _Optional[_Iterable[int]] = ...,
-        faults_active: _Optional[_Iterable[int]] = ...,
-        task_ns: _Optional[_Iterable[int]] = ...,
-        position: _Optional[_Iterable[float]] = ...,
-        position_estimate: _Optional[_Iterable[float]] = ...,
-        velocity_estimate: _Optional[_Iterable[float]] = ...,
-        disturbance_estimate: _Optional[_Iterable[float]] = ...,
-        innovation: _Optional[_Iterable[float]] = ...,
-        setpoint_position: _Optional[_Iterable[float]] = ...,
-        setpoint_velocity: _Optional[_Iterable[float]] = ...,
-        following_error: _Optional[_Iterable[float]] = ...,
-        force_requested: _Optional[_Iterable[float]] = ...,
-        force: _Optional[_Iterable[float]] = ...,
-        stamp_ns: _Optional[_Iterable[int]] = ...,
-        age_ticks: _Optional[_Iterable[int]] = ...,
-        drive_status: _Optional[_Iterable[int]] = ...,
-        cpu_ns: _Optional[_Iterable[int]] = ...,
-        run_delay_ns: _Optional[_Iterable[int]] = ...,
-        counters: _Optional[_Union[Counters, _Mapping]] = ...,
-    ) -> None: ...
+    def __init__(self, batch: _Optional[int] = ..., first: _Optional[int] = ..., lost: _Optional[int] = ..., axes: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., state: _Optional[_Iterable[int]] = ..., fault: _Optional[_Iterable[int]] = ..., faults_active: _Optional[_Iterable[int]] = ..., task_ns: _Optional[_Iterable[int]] = ..., position: _Optional[_Iterable[float]] = ..., position_estimate: _Optional[_Iterable[float]] = ..., velocity_estimate: _Optional[_Iterable[float]] = ..., disturbance_estimate: _Optional[_Iterable[float]] = ..., innovation: _Optional[_Iterable[float]] = ..., setpoint_position: _Optional[_Iterable[float]] = ..., setpoint_velocity: _Optional[_Iterable[float]] = ..., following_error: _Optional[_Iterable[float]] = ..., force_requested: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., stamp_ns: _Optional[_Iterable[int]] = ..., age_ticks: _Optional[_Iterable[int]] = ..., drive_status: _Optional[_Iterable[int]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ...) -> None: ...
 
 class Counters(_message.Message):
-    __slots__ = (
-        "received",
-        "sent",
-        "refused",
-        "overflow",
-        "discarded",
-        "bus_errors",
-        "samples_lost",
-        "missed_own",
-        "missed_host",
-        "longest_streak",
-        "illegal_events",
-        "commands_refused",
-        "law_floors",
-        "saturations",
-        "rejects",
-        "bus_state",
-    )
+    __slots__ = ("received", "sent", "refused", "overflow", "discarded", "bus_errors", "samples_lost", "missed_own", "missed_host", "longest_streak", "illegal_events", "commands_refused", "law_floors", "saturations", "rejects", "bus_state")
     RECEIVED_FIELD_NUMBER: _ClassVar[int]
     SENT_FIELD_NUMBER: _ClassVar[int]
     REFUSED_FIELD_NUMBER: _ClassVar[int]
@@ -172,25 +98,7 @@ class Counters(_message.Message):
     saturations: _containers.RepeatedScalarFieldContainer[int]
     rejects: _containers.RepeatedScalarFieldContainer[int]
     bus_state: int
-    def __init__(
-        self,
-        received: _Optional[int] = ...,
-        sent: _Optional[int] = ...,
-        refused: _Optional[int] = ...,
-        overflow: _Optional[int] = ...,
-        discarded: _Optional[int] = ...,
-        bus_errors: _Optional[int] = ...,
-        samples_lost: _Optional[int] = ...,
-        missed_own: _Optional[int] = ...,
-        missed_host: _Optional[int] = ...,
-        longest_streak: _Optional[int] = ...,
-        illegal_events: _Optional[int] = ...,
-        commands_refused: _Optional[int] = ...,
-        law_floors: _Optional[int] = ...,
-        saturations: _Optional[_Iterable[int]] = ...,
-        rejects: _Optional[_Iterable[int]] = ...,
-        bus_state: _Optional[int] = ...,
-    ) -> None: ...
+    def __init__(self, received: _Optional[int] = ..., sent: _Optional[int] = ..., refused: _Optional[int] = ..., overflow: _Optional[int] = ..., discarded: _Optional[int] = ..., bus_errors: _Optional[int] = ..., samples_lost: _Optional[int] = ..., missed_own: _Optional[int] = ..., missed_host: _Optional[int] = ..., longest_streak: _Optional[int] = ..., illegal_events: _Optional[int] = ..., commands_refused: _Optional[int] = ..., law_floors: _Optional[int] = ..., saturations: _Optional[_Iterable[int]] = ..., rejects: _Optional[_Iterable[int]] = ..., bus_state: _Optional[int] = ...) -> None: ...
 
 class Frames(_message.Message):
     __slots__ = ("timestamp_ns", "can_id", "flags", "length", "data")
@@ -204,14 +112,7 @@ class Frames(_message.Message):
     flags: _containers.RepeatedScalarFieldContainer[int]
     length: _containers.RepeatedScalarFieldContainer[int]
     data: bytes
-    def __init__(
-        self,
-        timestamp_ns: _Optional[_Iterable[int]] = ...,
-        can_id: _Optional[_Iterable[int]] = ...,
-        flags: _Optional[_Iterable[int]] = ...,
-        length: _Optional[_Iterable[int]] = ...,
-        data: _Optional[bytes] = ...,
-    ) -> None: ...
+    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., can_id: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., length: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class Command(_message.Message):
     __slots__ = ("kind", "sequence", "expires_ns", "accepted")
@@ -223,29 +124,10 @@ class Command(_message.Message):
     sequence: int
     expires_ns: int
     accepted: bool
-    def __init__(
-        self,
-        kind: _Optional[int] = ...,
-        sequence: _Optional[int] = ...,
-        expires_ns: _Optional[int] = ...,
-        accepted: _Optional[bool] = ...,
-    ) -> None: ...
+    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., accepted: _Optional[bool] = ...) -> None: ...
 
 class Traffic(_message.Message):
-    __slots__ = (
-        "first",
-        "index",
-        "scheduled_ns",
-        "now_ns",
-        "flags",
-        "port",
-        "received_count",
-        "sent_count",
-        "command_count",
-        "received",
-        "sent",
-        "commands",
-    )
+    __slots__ = ("first", "index", "scheduled_ns", "now_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands")
     FIRST_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
     SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -270,55 +152,10 @@ class Traffic(_message.Message):
     received: Frames
     sent: Frames
     commands: _containers.RepeatedCompositeFieldContainer[Command]
-    def __init__(
-        self,
-        first: _Optional[int] = ...,
-        index: _Optional[_Iterable[int]] = ...,
-        scheduled_ns: _Optional[_Iterable[int]] = ...,
-        now_ns: _Optional[_Iterable[int]] = ...,
-        flags: _Optional[_Iterable[int]] = ...,
-        port: _Optional[_Iterable[int]] = ...,
-        received_count: _Optional[_Iterable[int]] = ...,
-        sent_count: _Optional[_Iterable[int]] = ...,
-        command_count: _Optional[_Iterable[int]] = ...,
-        received: _Optional[_Union[Frames, _Mapping]] = ...,
-        sent: _Optional[_Union[Frames, _Mapping]] = ...,
-        commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ...,
-    ) -> None: ...
+    def __init__(self, first: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[Frames, _Mapping]] = ..., sent: _Optional[_Union[Frames, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = (
-        "rig",
-        "rig_hash",
-        "axes",
-        "units",
-        "law",
-        "period_ns",
-        "pid",
-        "control_alive",
-        "control_ended",
-        "state",
-        "fault",
-        "faults_active",
-        "realtime",
-        "index",
-        "now_ns",
-        "task_ns",
-        "counters",
-        "position",
-        "setpoint",
-        "max_error",
-        "force",
-        "lateness_p50",
-        "lateness_p99",
-        "lateness_max",
-        "produced",
-        "sent",
-        "dropped",
-        "recording",
-        "recorder_errors",
-        "recording_path",
-    )
+    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path")
     RIG_FIELD_NUMBER: _ClassVar[int]
     RIG_HASH_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
@@ -379,39 +216,7 @@ class Status(_message.Message):
     recording: bool
     recorder_errors: int
     recording_path: str
-    def __init__(
-        self,
-        rig: _Optional[str] = ...,
-        rig_hash: _Optional[str] = ...,
-        axes: _Optional[_Iterable[str]] = ...,
-        units: _Optional[_Iterable[str]] = ...,
-        law: _Optional[str] = ...,
-        period_ns: _Optional[int] = ...,
-        pid: _Optional[int] = ...,
-        control_alive: _Optional[bool] = ...,
-        control_ended: _Optional[bool] = ...,
-        state: _Optional[str] = ...,
-        fault: _Optional[str] = ...,
-        faults_active: _Optional[_Iterable[str]] = ...,
-        realtime: _Optional[str] = ...,
-        index: _Optional[int] = ...,
-        now_ns: _Optional[int] = ...,
-        task_ns: _Optional[int] = ...,
-        counters: _Optional[_Union[Counters, _Mapping]] = ...,
-        position: _Optional[_Iterable[float]] = ...,
-        setpoint: _Optional[_Iterable[float]] = ...,
-        max_error: _Optional[_Iterable[float]] = ...,
-        force: _Optional[_Iterable[float]] = ...,
-        lateness_p50: _Optional[float] = ...,
-        lateness_p99: _Optional[float] = ...,
-        lateness_max: _Optional[float] = ...,
-        produced: _Optional[int] = ...,
-        sent: _Optional[int] = ...,
-        dropped: _Optional[int] = ...,
-        recording: _Optional[bool] = ...,
-        recorder_errors: _Optional[int] = ...,
-        recording_path: _Optional[str] = ...,
-    ) -> None: ...
+    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
     __slots__ = ("token", "kind", "client", "sequence", "expires_ns")
@@ -425,14 +230,7 @@ class CommandRequest(_message.Message):
     client: int
     sequence: int
     expires_ns: int
-    def __init__(
-        self,
-        token: _Optional[str] = ...,
-        kind: _Optional[int] = ...,
-        client: _Optional[int] = ...,
-        sequence: _Optional[int] = ...,
-        expires_ns: _Optional[int] = ...,
-    ) -> None: ...
+    def __init__(self, token: _Optional[str] = ..., kind: _Optional[int] = ..., client: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("accepted", "reason", "now_ns", "state")
@@ -444,10 +242,4 @@ class CommandReply(_message.Message):
     reason: str
     now_ns: int
     state: str
-    def __init__(
-        self,
-        accepted: _Optional[bool] = ...,
-        reason: _Optional[str] = ...,
-        now_ns: _Optional[int] = ...,
-        state: _Optional[str] = ...,
-    ) -> None: ...
+    def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ...) -> None: ...

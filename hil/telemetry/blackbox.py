@@ -1,0 +1,83 @@
+"""`hil blackbox`: the last seconds of a control process that was killed, out of its ring, as a recording."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.config import load_rig
+from hil.telemetry import codec
+from hil.telemetry.places import Places, places
+from hil.telemetry.recorder import Recorder
+from hil.telemetry.ring import RingError, RingReader, previous_path
+
+
+def save_ring(reader: RingReader, path: Path) -> int:
+    """Write all a ring still holds to a recording; returns the number of ticks. Raises OSError when it does not fit."""
+    recorder = Recorder(path, reader.metadata)
+    n_axes = len(reader.metadata["rig"]["axes"])
+    saved = 0
+    while len((batch := reader.read()).records):
+        write_batch(recorder, batch.records, n_axes, first=batch.first, lost=batch.lost)
+        saved += len(batch.records)
+    recorder.close()
+    if recorder.errors:
+        raise OSError(f"{path}: the recording could not be written")
+    return saved
+
+
+def write_batch(recorder: Recorder, records: codec.Records, n_axes: int, *, first: int, lost: int) -> None:
+    """Append ticks to a recording, on both channels."""
+    at = int(records["now_ns"][-1])
+    recorder.write("telemetry", at, codec.telemetry(records, n_axes, first=first, lost=lost).SerializeToString())
+    recorder.write("traffic", at, codec.traffic(records, first=first).SerializeToString())
+
+
+def killed_rings(rig_places: Places) -> list[Path]:
+    """Rings of this rig whose writer was killed, the oldest first."""
+    found = []
+    for path in (previous_path(rig_places.ring), rig_places.ring):
+        try:
+            with RingReader(path) as reader:
+                if reader.written and not (reader.ended or reader.saved or reader.writer_alive):
+                    found.append(path)
+        except RingError:
+            continue
+    return found
+
+
+def save_black_boxes(rig_places: Places, directory: Path) -> list[Path]:
+    """Save every killed ring once, as blackbox.mcap, blackbox-2.mcap, ... in `directory`."""
+    saved: list[Path] = []
+    for ring in killed_rings(rig_places):
+        target = directory / f"blackbox{f'-{len(saved) + 1}' if saved else ''}.mcap"
+        with RingReader(ring) as reader:
+            save_ring(reader, target)
+            reader.mark_saved()
+        saved.append(target)
+    return saved
+
+
+def run_directory(root: Path = Path("runs")) -> Path:
+    """A new directory runs/<time>, in local time, for what a run leaves."""
+    directory = root / time.strftime("%Y%m%d-%H%M%S")
+    number = 1
+    while directory.exists():
+        number += 1
+        directory = root / f"{time.strftime('%Y%m%d-%H%M%S')}-{number}"
+    directory.mkdir(parents=True)
+    return directory
+
+
+def blackbox(
+    rig: Annotated[Path, typer.Argument(help="rig file")],
+    out: Annotated[Path | None, typer.Option(help="directory for blackbox.mcap [runs/<time>]")] = None,
+) -> None:
+    """Save what a killed control process left behind."""
+    saved = killed_rings(rig_places := places(load_rig(rig).name))
+    if not saved:
+        print("nothing to save: no control process of this rig was killed since the last time")
+        return
+    for path in save_black_boxes(rig_places, out or run_directory()):
+        print(f"saved {path}; look into it with: hil replay {path}")

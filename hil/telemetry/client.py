@@ -1,0 +1,100 @@
+"""A client of a sidecar: the newest status, and commands with their verdict."""
+
+import os
+import time
+from types import TracebackType
+from typing import Any
+
+import zenoh
+from zenoh.handlers import RingChannel
+
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.gateway import ASK_TIME
+from hil.telemetry.places import known_endpoints
+from hil.telemetry.session import client_config
+from hil.tick import CommandKind
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+COMMAND_LIFE_NS = 300_000_000
+_POLL_S = 0.01
+_NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
+
+
+class NoSidecarError(Exception):
+    """Nobody answers at the endpoint; the text says what to start."""
+
+
+def find_endpoint(rig: str | None = None) -> str:
+    """The endpoint a running sidecar left word of, of this rig or any; else the default one."""
+    known = [endpoint for name, endpoint in known_endpoints() if rig in (None, name)]
+    return known[-1] if known else DEFAULT_ENDPOINT
+
+
+class RigClient:
+    """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
+
+    def __init__(self, endpoint: str, key: str = "hil", rig: str = "*") -> None:
+        self.endpoint = endpoint
+        self._key = f"{key}/{rig}"
+        self._client = int.from_bytes(os.urandom(7), "little")
+        self._sequence = 0
+        self._session: zenoh.Session | None = None
+        self._statuses: Any = None
+
+    def _connect(self) -> bool:
+        """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
+        if self._session is None:
+            try:
+                self._session = zenoh.open(client_config(self.endpoint))
+            except zenoh.ZError:
+                return False
+            self._statuses = self._session.declare_subscriber(f"{self._key}/status", RingChannel(1))
+        return True
+
+    def status(self) -> pb.Status | None:
+        """The newest status that was not returned before."""
+        sample = self._statuses.try_recv() if self._connect() else None
+        return pb.Status.FromString(sample.payload.to_bytes()) if sample else None
+
+    def wait_status(self, timeout_s: float) -> pb.Status:
+        """The next status. Raises NoSidecarError."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            if status := self.status():
+                return status
+            time.sleep(_POLL_S)
+        raise NoSidecarError(
+            f"no sidecar answers at {self.endpoint}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
+        )
+
+    def command(self, kind: CommandKind, token: str) -> pb.CommandReply:
+        """Send a command and wait for the verdict. Raises NoSidecarError."""
+        now_ns = self._ask(pb.CommandRequest(token=token, kind=ASK_TIME))
+        if not now_ns.accepted:
+            return now_ns
+        self._sequence += 1
+        expires_ns = now_ns.now_ns + COMMAND_LIFE_NS
+        request = pb.CommandRequest(
+            token=token, kind=kind, client=self._client, sequence=self._sequence, expires_ns=expires_ns
+        )
+        return self._ask(request)
+
+    def _ask(self, request: pb.CommandRequest) -> pb.CommandReply:
+        if not self._connect() or self._session is None:
+            raise NoSidecarError(_NOBODY.format(self.endpoint))
+        replies = self._session.get(f"{self._key}/command", payload=request.SerializeToString(), timeout=2.0)
+        for reply in replies:
+            if reply.ok:
+                return pb.CommandReply.FromString(reply.ok.payload.to_bytes())
+        raise NoSidecarError(f"no command gateway answers at {self.endpoint}")
+
+    def close(self) -> None:
+        """Leave."""
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> "RigClient":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,69 @@
+"""The sidecar's side of Zenoh: what is published under which key."""
+
+from contextlib import ExitStack
+from types import TracebackType
+
+import zenoh
+from zenoh.handlers import RingChannel
+
+from hil.telemetry.session import server_config
+
+_QUERIES_WAITING = 64
+
+
+class ListenError(Exception):
+    """Zenoh could not listen where the rig file says; the text names the endpoint."""
+
+
+class Publisher:
+    """An open Zenoh session with the keys of one rig. Nothing blocks: what the network cannot take is dropped."""
+
+    def __init__(self, key: str, rig: str, listen: list[str]) -> None:
+        self.key = f"{key}/{rig}"
+        self.failed = 0
+        with ExitStack() as stack:
+            self._session = stack.enter_context(_open(listen))
+            self._publishers = {
+                topic: self._session.declare_publisher(
+                    f"{self.key}/{topic}",
+                    encoding=zenoh.Encoding.APPLICATION_PROTOBUF,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                )
+                for topic in ("telemetry", "status")
+            }
+            self.rig_queries = self._session.declare_queryable(f"{self.key}/rig", RingChannel(_QUERIES_WAITING))
+            self.commands = self._session.declare_queryable(f"{self.key}/command", RingChannel(_QUERIES_WAITING))
+            self._alive = self._session.liveliness().declare_token(f"{self.key}/alive")
+            self._stack = stack.pop_all()
+
+    def put(self, topic: str, data: bytes) -> bool:
+        """Publish a serialised message; False (and counted) where Zenoh refused it."""
+        try:
+            self._publishers[topic].put(data)
+        except zenoh.ZError:
+            self.failed += 1
+            return False
+        return True
+
+    def answer_rig_queries(self, description: bytes) -> None:
+        """Reply to everybody who asked which rig this is."""
+        while query := self.rig_queries.try_recv():
+            with query:
+                query.reply(f"{self.key}/rig", description, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def close(self) -> None:
+        """Undeclare everything and leave."""
+        self._stack.close()
+
+    def __enter__(self) -> "Publisher":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def _open(listen: list[str]) -> zenoh.Session:
+    try:
+        return zenoh.open(server_config(listen))
+    except zenoh.ZError as error:
+        raise ListenError(f"cannot listen on {', '.join(listen)}: {error}") from None

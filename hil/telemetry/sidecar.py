@@ -1,0 +1,257 @@
+"""`hil sidecar`: everything around the control process that may wait, fail or restart without disturbing it.
+
+Drains the ring; publishes on Zenoh; records; hands authorised commands on. It may start before or after the control
+process, and outlives any number of them: each gets a recording of its own.
+"""
+
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.config import RigConfig, load_rig
+from hil.telemetry import codec
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.blackbox import run_directory, save_black_boxes
+from hil.telemetry.gateway import Gateway
+from hil.telemetry.mailbox import Mailbox, MailboxError
+from hil.telemetry.places import Places, places, renew_token, write_private
+from hil.telemetry.publisher import ListenError, Publisher
+from hil.telemetry.recorder import Recorder
+from hil.telemetry.ring import RingError, RingReader
+from hil.telemetry.window import Window
+
+STATUS_NS = 100_000_000
+MAX_PERIOD = 0.1  # s; commands and the recorder's sign of life do not wait longer
+EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
+
+
+class Attached:
+    """One control process's ring and mailbox, followed from its first tick that is still there to its end."""
+
+    def __init__(self, reader: RingReader, mailbox: Mailbox | None, recorder: Recorder | None) -> None:
+        self.reader = reader
+        self.mailbox = mailbox
+        self.recorder = recorder
+        self.metadata = reader.metadata
+        rig = self.metadata["rig"]
+        self.axes = list(rig["axes"])
+        self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
+        self.law = str(rig["law"]["name"])
+        self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
+        self.batches = self.sent = self.dropped = 0
+        self.lost = 0  # since the last batch
+        self.over = False  # the control process is gone, and all it left is safe
+
+    def close(self) -> None:
+        """Finish the recording and let go of the files."""
+        if self.recorder:
+            self.recorder.close()
+        if self.mailbox:
+            self.mailbox.close()
+        self.reader.close()
+
+
+class Sidecar:
+    """The loop's body. rig: for keys and limits; what is published about a run comes from its ring."""
+
+    def __init__(
+        self, rig: RigConfig, rig_places: Places, publisher: Publisher, gateway: Gateway, out: Path | None
+    ) -> None:
+        self.rig = rig
+        self._places = rig_places
+        self._publisher = publisher
+        self._gateway = gateway
+        self._out = out
+        self._runs = 0
+        self._status_due_ns = 0
+        self._seen_run = -1
+        self.attached: Attached | None = None
+        self.status = pb.Status(rig=rig.name)
+
+    def step(self, now_ns: int) -> None:
+        """One round: new ticks, commands, status."""
+        self._follow()
+        alive = self.attached is not None and self.attached.reader.writer_alive
+        if not self._drain(now_ns) and not alive:
+            self._conclude(now_ns)
+        self._serve(now_ns, alive)
+        if now_ns >= self._status_due_ns:
+            self._status_due_ns = now_ns + STATUS_NS
+            self.publish_status(now_ns)
+
+    def _follow(self) -> None:
+        """Attach to a control process that started; leave one whose ring was replaced."""
+        current = self.attached
+        if current and not current.reader.replaced:
+            return
+        try:
+            reader = RingReader(self._places.ring)
+        except RingError:
+            return
+        if reader.run_id == self._seen_run or not reader.writer_alive:
+            reader.close()
+            return
+        self._leave()
+        self._seen_run = reader.run_id
+        self.attached = Attached(reader, self._open_mailbox(), self._new_recorder(reader))
+
+    def _open_mailbox(self) -> Mailbox | None:
+        try:
+            return Mailbox(self._places.mailbox)
+        except MailboxError:
+            return None
+
+    def _new_recorder(self, reader: RingReader) -> Recorder | None:
+        if self._out is None:
+            return None
+        self._runs += 1
+        name = "run.mcap" if self._runs == 1 else f"run-{self._runs}.mcap"
+        return Recorder(self._out / name, reader.metadata)
+
+    def _leave(self) -> None:
+        if self.attached:
+            while self._drain(time.monotonic_ns()):
+                pass
+            if not self.attached.reader.writer_alive:
+                self._conclude(time.monotonic_ns())
+            self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
+            self.publish_status(time.monotonic_ns())
+            self.attached.close()
+            self.attached = None
+
+    def _conclude(self, now_ns: int) -> None:
+        """The control process is gone and its ring is drained: finish the recording, or leave the black box be."""
+        run = self.attached
+        if run is None or run.over:
+            return
+        run.over = True
+        self.publish_status(now_ns)
+        if run.recorder and run.recorder.ok:
+            run.recorder.close()
+            run.reader.mark_saved()
+
+    def _drain(self, now_ns: int) -> bool:
+        """Publish and record what is new; False when there was nothing."""
+        run = self.attached
+        if run is None:
+            return False
+        if run.recorder and run.recorder.ok and run.mailbox:
+            run.mailbox.beat_recorder(now_ns)
+        batch = run.reader.read()
+        run.lost += batch.lost
+        run.dropped += batch.lost
+        records = batch.records
+        if not len(records):
+            return False
+        message = codec.telemetry(records, len(run.axes), batch=run.batches, first=batch.first, lost=run.lost)
+        data = message.SerializeToString()
+        run.lost = 0
+        run.batches += 1
+        if self._publisher.put("telemetry", data):
+            run.sent += len(records)
+        else:
+            run.dropped += len(records)
+        if run.recorder:
+            at = int(records["now_ns"][-1])
+            run.recorder.write("telemetry", at, data)
+            run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
+        run.window.add(records)
+        self._gateway.verdicts(records, now_ns)
+        return True
+
+    def _serve(self, now_ns: int, alive: bool) -> None:
+        run = self.attached
+        state = run.window.state if run else "-"
+        if run and (run.mailbox is None or run.mailbox.replaced):
+            run.mailbox = self._open_mailbox()
+        while query := self._publisher.commands.try_recv():
+            self._gateway.take(query, run.mailbox if run and alive else None, now_ns, state)
+        self._gateway.give_up(now_ns, state, everything=not alive)
+        description = json.dumps(run.metadata if run else {"rig": self.rig.model_dump(mode="json")}).encode()
+        self._publisher.answer_rig_queries(description)
+
+    def publish_status(self, now_ns: int) -> None:
+        """Ten times a second, and once more at every end."""
+        status = pb.Status(rig=self.rig.name, now_ns=now_ns)
+        if run := self.attached:
+            status.rig_hash = run.metadata["rig_hash"]
+            status.realtime = run.metadata.get("realtime", "")
+            status.axes.extend(run.axes)
+            status.units.extend(run.units)
+            status.law = run.law
+            status.period_ns = run.reader.period_ns
+            status.pid = run.reader.pid
+            status.control_alive = run.reader.writer_alive
+            status.control_ended = run.reader.ended
+            status.produced = run.reader.written
+            status.sent, status.dropped = run.sent, run.dropped
+            run.window.fill(status)
+            if run.recorder:
+                status.recording = run.recorder.ok
+                status.recorder_errors = run.recorder.errors
+                status.recording_path = str(run.recorder.path)
+        data = status.SerializeToString()
+        self._publisher.put("status", data)
+        if self.attached and self.attached.recorder:
+            self.attached.recorder.write("status", now_ns, data)
+        self.status = status
+
+    def close(self) -> None:
+        """Drain to the end, finish the recording."""
+        self._leave()
+
+
+class _StopFlag:
+    """Set by SIGTERM or SIGINT; `pause` returns at once when it is."""
+
+    def __init__(self) -> None:
+        self.set = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._stop)
+
+    def _stop(self, *_: object) -> None:
+        self.set = True
+
+
+def serve(rig: RigConfig, out: Path | None, endpoint: str | None = None) -> None:
+    """Run until SIGTERM or SIGINT. Raises ListenError."""
+    stop = _StopFlag()
+    rig_places = places(rig.name)
+    listen = [endpoint] if endpoint else list(rig.telemetry.listen)
+    token = renew_token(rig_places.token)
+    period = min(1.0 / rig.telemetry.publish_hz, MAX_PERIOD)
+    with Publisher(rig.telemetry.key, rig.name, listen) as publisher:
+        write_private(rig_places.endpoint, listen[0])
+        gateway = Gateway(publisher.key, token, rig.safety.command_expiry_s)
+        sidecar = Sidecar(rig, rig_places, publisher, gateway, out)
+        print(f"sidecar of {rig.name}: listening on {', '.join(listen)}", flush=True)
+        try:
+            while not stop.set:
+                sidecar.step(time.monotonic_ns())
+                time.sleep(period)
+        finally:
+            sidecar.close()
+            rig_places.endpoint.unlink(missing_ok=True)
+
+
+def sidecar(
+    rig: Annotated[Path, typer.Argument(help="rig file")],
+    out: Annotated[Path | None, typer.Option(help="directory for recordings [runs/<time>]")] = None,
+    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint instead of the rig file's")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value over the rig file")] = None,
+) -> None:
+    """Publish, record and take commands for a control process. Ends on SIGTERM or SIGINT."""
+    config = load_rig(rig, set_ or ())
+    directory = (out or run_directory()) if config.telemetry.record else None
+    for saved in save_black_boxes(places(config.name), directory or run_directory()):
+        print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
+    try:
+        serve(config, directory, listen)
+    except ListenError as error:
+        print(f"hil sidecar: {error}", file=sys.stderr)
+        raise typer.Exit(EXIT_UNAVAILABLE) from None

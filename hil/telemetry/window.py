@@ -1,0 +1,64 @@
+"""The last second of ticks, in the few figures a status message shows."""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.faults import Fault
+from hil.state_machine import TORQUE_STATES, State
+from hil.telemetry import codec
+from hil.telemetry import telemetry_pb2 as pb
+
+_TORQUE = [int(state) for state in TORQUE_STATES]
+
+
+class Window:
+    """Keeps lateness (ns) and following error of the newest ticks. ticks: how many."""
+
+    def __init__(self, ticks: int, n_axes: int) -> None:
+        self._ticks = ticks
+        self._n_axes = n_axes
+        self._lateness: deque[NDArray[np.int64]] = deque()
+        self._errors: deque[NDArray[np.float64]] = deque()
+        self._held = 0
+        self.last: np.void | None = None
+
+    def add(self, records: codec.Records) -> None:
+        """Take a batch in; batches beyond the window fall out."""
+        if not len(records):
+            return
+        errors = np.abs(records["following_error"][:, : self._n_axes])
+        errors[~np.isin(records["state"], _TORQUE)] = 0.0
+        self._lateness.append(records["now_ns"] - records["scheduled_ns"])
+        self._errors.append(errors)
+        self._held += len(records)
+        self.last = records[-1].copy()
+        while self._held - len(self._lateness[0]) >= self._ticks:
+            self._held -= len(self._lateness.popleft())
+            self._errors.popleft()
+
+    @property
+    def state(self) -> str:
+        """Name of the newest tick's state."""
+        return "-" if self.last is None else State(int(self.last["state"])).name
+
+    def fill(self, status: pb.Status) -> None:
+        """Write the figures into a status message."""
+        last = self.last
+        if last is None:
+            return
+        n = self._n_axes
+        status.state = self.state
+        status.fault = Fault(int(last["fault"])).name
+        status.faults_active.extend(fault.name for fault in Fault if int(last["faults_active"]) >> fault & 1)
+        status.index = int(last["index"])
+        status.task_ns = int(last["task_ns"])
+        status.counters.CopyFrom(codec.counters(last, n))
+        status.position.extend(last["position"][:n].tolist())
+        status.setpoint.extend(last["setpoint_position"][:n].tolist())
+        status.force.extend(last["force"][:n].tolist())
+        status.max_error.extend(np.max([batch.max(axis=0) for batch in self._errors], axis=0).tolist())
+        lateness = np.concatenate(self._lateness) * 1e-9
+        status.lateness_p50, status.lateness_p99 = np.percentile(lateness, (50, 99)).tolist()
+        status.lateness_max = float(lateness.max())

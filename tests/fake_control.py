@@ -1,0 +1,63 @@
+"""A stand-in for the control process: writes records into a ring at 1 kHz and judges commands, nothing else.
+
+python -m tests.fake_control RIG_FILE [TICKS]: runs until SIGTERM, or for so many ticks. Prints "up" when it writes.
+"""
+
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from drivers.frame import Frame
+from hil.clock import Pacer
+from hil.commands import CommandDesk
+from hil.config import load_rig
+from hil.state_machine import Event, State
+from hil.telemetry.mailbox import Mailbox
+from hil.telemetry.places import places
+from hil.telemetry.provenance import describe_run
+from hil.telemetry.record import RecordBuilder
+from hil.telemetry.ring import RingWriter
+from hil.tick import PortCounters
+
+
+def main(rig_file: str, ticks: int) -> None:
+    rig = load_rig(rig_file)
+    rig_places = places(rig.name)
+    stopped: list[int] = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(1))
+    state = State.READY
+
+    def act(event: Event) -> bool:
+        nonlocal state
+        if event is Event.ACTIVATE and state is State.READY:
+            state = State.ACTIVE
+            return True
+        return False
+
+    desk, builder, pacer = CommandDesk(), RecordBuilder(len(rig.axes)), Pacer(rig.period_ns)
+    with (
+        Mailbox.create(rig_places.mailbox) as mailbox,
+        RingWriter(
+            rig_places.ring,
+            rig.telemetry.ring_slots,
+            period_ns=rig.period_ns,
+            metadata=describe_run(rig, Path(rig_file).parent, realtime="none: a test"),
+        ) as ring,
+    ):
+        print("up", flush=True)
+        pacer.start()
+        while not stopped and ring.written < ticks:
+            pacer.wait()
+            desk.handle(mailbox.poll(), pacer.now_ns, act)
+            flags = mailbox.recorder_ok(pacer.now_ns) << 1
+            builder.head(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
+            builder.motion[:] = np.sin(pacer.index * 1e-3)
+            builder.axes([0] * len(rig.axes), [0] * len(rig.axes), [1] * len(rig.axes), PortCounters(), [0] * 10)
+            builder.traffic(desk.handled, [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4)
+            ring.append(builder.record)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 2**62)
