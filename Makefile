@@ -35,9 +35,13 @@ lock:  ## renew requirements.lock from pyproject.toml (needs uv)
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
 
 include deploy/vm/vm.mk
+include deploy/package.mk
 
 proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
 
 test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills
 	@$(BIN)/python -m pytest -n 2 -m "slow and not vcan and not controller"
+
+docs: setup  ## renew the pages that are made from tables in code
+	@$(BIN)/python -m hil.docs

@@ -198,7 +198,9 @@ class RigConfig(BaseModel):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
     description: str = ""
     rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
-    axes: Annotated[dict[Annotated[str, Field(pattern=AXIS_NAME)], AxisConfig], Field(min_length=1, max_length=MAX_AXES)]
+    axes: Annotated[
+        dict[Annotated[str, Field(pattern=AXIS_NAME)], AxisConfig], Field(min_length=1, max_length=MAX_AXES)
+    ]
     law: LawConfig = LawConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     task: TaskConfig = TaskConfig()

@@ -46,6 +46,7 @@ def rig_model(rig: RigConfig) -> Model:
 
 def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
     """LawInputs of zeros."""
+
     def zeros() -> Array:
         return np.zeros(shape)
 
@@ -102,7 +103,9 @@ class ControlCycle:
         force = np.array([axis.limits.force for axis in rig.axes.values()])
         speed = np.array([axis.limits.speed for axis in rig.axes.values()])
 
-        self.protocol: HostProtocol = host_protocol(rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir)
+        self.protocol: HostProtocol = host_protocol(
+            rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir
+        )
         self.machine = StateMachine()
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
         gains, variance = design_gains(rig)
@@ -113,6 +116,9 @@ class ControlCycle:
         self.law = make_law(rig.law, self.model, period, force)
         self.commands = CommandDesk()
         self.inputs = blank_inputs((n,))
+        self.inputs.position_estimate = self.filter.ahead_position
+        self.inputs.velocity_estimate = self.filter.ahead_velocity
+        self.inputs.disturbance_estimate = self.filter.disturbance
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         self._stop = DampedStop(self.model, speed, period, rig.safety.stop_s)
         self._records = RecordBuilder(n)
@@ -129,9 +135,9 @@ class ControlCycle:
         self._sent_now_ns = 0
         self._latency_ns = [0] * n  # from the tick's start to the drives' sampling, averaged
         self._latency_known = [False] * n
-        self._filter_ns = np.zeros(n, dtype=np.int64)  # instant of the filter's state
-        self._start_ns = np.zeros(n, dtype=np.int64)  # expected start of the coming force's interval
-        self._measured = np.zeros(n)
+        self._filter_ns = [0] * n  # instant of the filter's state
+        self._start_ns = [0] * n  # expected start of the coming force's interval
+        self._measured = self.inputs.position
         self._net_last = np.zeros(n)
         self._net_before = np.zeros(n)
         self._scratch = np.zeros(n)
@@ -164,48 +170,45 @@ class ControlCycle:
 
     def _estimate(self, tick: Tick) -> None:
         """Move the filter to the samples' instants, correct it, and look ahead to where the next force will act."""
-        inputs, inbox = self.inputs, self.inbox
-        intervals, fresh = self._take_stamps(tick)
-        inputs.sample_interval[:] = intervals
-        self.filter.predict(self._net_before, inputs.sample_interval)
+        inputs, motion = self.inputs, self.filter
+        fresh = self._take_stamps(tick)
+        motion.predict(self._net_before, inputs.sample_interval)
         all_fresh = self._take_positions(fresh)
-        self.filter.innovate(self._measured)
-        if not self._tracked and all(inbox.heard):
+        if not self._tracked and all(self.inbox.heard):
             self._tracked = True
-            self.filter.reseed(self._measured)
-        inputs.position[:] = self._measured
+            motion.reseed(self._measured)
+        motion.innovate(self._measured)
         inputs.fresh[:] = fresh
-        self.filter.update(None if all_fresh else inputs.fresh)
-        np.subtract(self._start_ns, self._filter_ns, out=inputs.ahead, casting="unsafe")
-        np.multiply(inputs.ahead, 1e-9, out=inputs.ahead)
-        self.filter.look_ahead(self._net_last, inputs.ahead)
-        inputs.position_estimate = self.filter.ahead_position
-        inputs.velocity_estimate = self.filter.ahead_velocity
-        inputs.disturbance_estimate = self.filter.disturbance
+        motion.update(None if all_fresh else inputs.fresh)
+        motion.look_ahead(self._net_last, inputs.ahead)
         self.setpoints.update(self._filter_ns, self._start_ns)
 
-    def _take_stamps(self, tick: Tick) -> tuple[list[float], list[float]]:
-        """Sample instants from the drives' stamps: s since the previous instant, and 1.0 where a sample came, per axis."""
-        period, intervals, fresh = self._period_ns, [], []
-        latency, filter_ns = self._latency_ns, self._filter_ns
+    def _take_stamps(self, tick: Tick) -> list[float]:
+        """Sample instants from the drives' stamps, per axis; fills the inputs' intervals (s). Returns 1.0 where a sample came."""
+        period, intervals, ahead, fresh = self._period_ns, [], [], []
+        latency, filter_ns, sent_ns = self._latency_ns, self._filter_ns, self._sent_now_ns
         for axis, sample in enumerate(self.inbox.samples):
-            previous = int(filter_ns[axis])
+            previous = filter_ns[axis]
             elapsed = period
-            if sample is not None and self.inbox.fresh[axis]:
-                stamp = sample.stamp_ns if sample.stamp_ns >= 0 else self._sent_now_ns
-                delay = stamp - self._sent_now_ns
+            if self.inbox.fresh[axis] and sample is not None:
+                stamp = sample.stamp_ns if sample.stamp_ns >= 0 else sent_ns
+                delay = stamp - sent_ns
                 latency[axis] += (delay - latency[axis]) >> LATENCY_SHIFT if self._latency_known[axis] else delay
                 self._latency_known[axis] = True
                 # A stamp that jumps is no reason to integrate for hours; what it does to the position is judged there.
                 elapsed = min(max(stamp - previous, 0), 8 * period) if self._tracked else period
-                filter_ns[axis] = stamp
                 fresh.append(1.0)
             else:
-                filter_ns[axis] = previous + period
+                stamp = previous + period
                 fresh.append(0.0)
+            filter_ns[axis] = stamp
+            start = tick.now_ns + latency[axis]
+            self._start_ns[axis] = start
             intervals.append(elapsed * 1e-9)
-            self._start_ns[axis] = tick.now_ns + latency[axis]
-        return intervals, fresh
+            ahead.append((start - stamp) * 1e-9)
+        self.inputs.sample_interval[:] = intervals
+        self.inputs.ahead[:] = ahead
+        return fresh
 
     def _take_positions(self, fresh: list[float]) -> bool:
         """Positions in m; an implausible step is not believed. True where every axis has a trusted sample."""
@@ -350,11 +353,15 @@ class ControlCycle:
         self._waited_for_enable += 1
         if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
             self._enabled_seen = True
-            origin = np.array(self._latency_ns, dtype=np.int64) + tick.now_ns
+            origin = [tick.now_ns + latency for latency in self._latency_ns]
             start = self.inputs.sample.position.copy()
             homing = self.machine.state is State.HOMING
             rig = self.rig
-            task = home_trajectory(rig, start) if homing else make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
+            task = (
+                home_trajectory(rig, start)
+                if homing
+                else make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
+            )
             self.setpoints.follow(task, origin)
             self.setpoints.update(self._filter_ns, self._start_ns)
         elif self._waited_for_enable >= self.rig.safety.enable_timeout_ticks:
@@ -380,7 +387,9 @@ class ControlCycle:
         inputs.force_last[:] = gate.force
         permitted = state in TORQUE_STATES
         if permitted:
-            self._requested = self._stop.force(self.filter.ahead_velocity) if state is State.STOPPING else self.law.force(inputs)
+            self._requested = (
+                self._stop.force(self.filter.ahead_velocity) if state is State.STOPPING else self.law.force(inputs)
+            )
             if not gate.finite(self._requested):
                 self.monitor.see(Fault.NOT_FINITE)
                 self._latch(Fault.NOT_FINITE, Reaction.ZERO, tick)
@@ -388,7 +397,9 @@ class ControlCycle:
         self.sent_sequence += 1
         reset = self._reset_ticks > 0
         self._reset_ticks -= reset
-        out = gate.release(self._requested, self._measured, permitted=permitted, sequence=self.sent_sequence, reset=reset)
+        out = gate.release(
+            self._requested, self._measured, permitted=permitted, sequence=self.sent_sequence, reset=reset
+        )
         self._remember_force(tick)
         return out
 
@@ -397,7 +408,9 @@ class ControlCycle:
         self._sent_now_ns = tick.now_ns
         self._net_before, self._net_last = self._net_last, self._net_before
         inputs = self.inputs
-        nominal_net_force(self.gate.force, self.model, inputs.mean_velocity, inputs.mean_sign, self._net_last, self._scratch)
+        nominal_net_force(
+            self.gate.force, self.model, inputs.mean_velocity, inputs.mean_sign, self._net_last, self._scratch
+        )
 
     # record -----------------------------------------------------------------------------------------------------------
 
@@ -418,7 +431,7 @@ class ControlCycle:
         )  # fmt: skip
         records.motion[:] = self._motion
         status = [0 if s is None else s.status for s in inbox.samples]
-        records.axes(self._filter_ns.tolist(), inbox.age, status, tick.port, inbox.rejects)
+        records.axes(self._filter_ns, inbox.age, status, tick.port, inbox.rejects)
         floors = getattr(self.law, "denominator_floors", 0)
         records.counts(inbox.lost, self.machine.refused, self.commands.refused, floors, self.gate.saturations)
         records.traffic(self.commands.handled, sent, received)

@@ -69,12 +69,12 @@ class MotionFilter:
     """
 
     def __init__(self, gains: Array, innovation_variance: Array, mass: Array, shape: tuple[int, ...]) -> None:
-        self._k_position, self._k_velocity, self._k_disturbance = gains
+        self._gains = gains.reshape((3,) + (1,) * (len(shape) - 1) + shape[-1:])
         self.innovation_variance = innovation_variance
         self._inverse_mass = 1.0 / mass
-        self.position: Array = np.zeros(shape)
-        self.velocity: Array = np.zeros(shape)
-        self.disturbance: Array = np.zeros(shape)
+        self._state: Array = np.zeros((3, *shape))
+        self.position, self.velocity, self.disturbance = self._state
+        self._correction: Array = np.zeros((3, *shape))
         self.innovation: Array = np.zeros(shape)
         self.ahead_position: Array = np.zeros(shape)
         self.ahead_velocity: Array = np.zeros(shape)
@@ -102,19 +102,16 @@ class MotionFilter:
         innovation = self.innovation
         if fresh is not None:
             np.multiply(innovation, fresh, out=innovation)
-        scratch = self._scratch
-        np.multiply(self._k_position, innovation, out=scratch)
-        np.add(self.position, scratch, out=self.position)
-        np.multiply(self._k_velocity, innovation, out=scratch)
-        np.add(self.velocity, scratch, out=self.velocity)
-        np.multiply(self._k_disturbance, innovation, out=scratch)
-        np.add(self.disturbance, scratch, out=self.disturbance)
+        np.multiply(self._gains, innovation, out=self._correction)
+        np.add(self._state, self._correction, out=self._state)
 
     def look_ahead(self, force: Array, ahead: Array) -> None:
         """Compensate the period between sample and force: predict `ahead` s under `force` (N), into ahead_*."""
         self._move(self.position, self.velocity, force, ahead, self.ahead_position, self.ahead_velocity)
 
-    def _move(self, position: Array, velocity: Array, force: Array, time: Array, to_position: Array, to_velocity: Array) -> None:
+    def _move(
+        self, position: Array, velocity: Array, force: Array, time: Array, to_position: Array, to_velocity: Array
+    ) -> None:
         change, scratch = self._acceleration, self._scratch
         np.subtract(force, self.disturbance, out=change)
         np.multiply(change, self._inverse_mass, out=change)

@@ -85,21 +85,33 @@ RULES: dict[Fault, Rule] = {
     Fault.ENCODER_GAP: Rule("no answer to the latest command", "1 tick", Reaction.BRIDGE, MOVING),
     Fault.ENCODER_LOST: Rule("the same", "safety.silent_stop_ticks (3)", Reaction.STOP, MOVING),
     Fault.ENCODER_DEAD: Rule("the same", "safety.silent_zero_ticks (10)", Reaction.ZERO, WATCHING),
-    Fault.BAD_FRAMES: Rule("sequence, checksum, length; leaky bucket", "safety.bad_frame_limit (5)", Reaction.ZERO, WATCHING),
-    Fault.ENCODER_GLITCH: Rule("step beyond the speed bound; the sample is discarded", "1 sample", Reaction.BRIDGE, MOVING),
+    Fault.BAD_FRAMES: Rule(
+        "sequence, checksum, length; leaky bucket", "safety.bad_frame_limit (5)", Reaction.ZERO, WATCHING
+    ),
+    Fault.ENCODER_GLITCH: Rule(
+        "step beyond the speed bound; the sample is discarded", "1 sample", Reaction.BRIDGE, MOVING
+    ),
     Fault.ENCODER_JUMP: Rule("the same", "2 samples in a row", Reaction.ZERO, WATCHING),
     Fault.ENCODER_STUCK: Rule("high force, not one count of motion", "safety.stuck_ticks (50)", Reaction.ZERO, MOVING),
-    Fault.FOLLOWING_ERROR: Rule("|position - setpoint| beyond a limit that grows with speed", "1 tick", Reaction.STOP, MOVING),
-    Fault.TRAVEL_PLANNED: Rule("setpoint, or position plus stopping distance, outside the travel", "1 tick", Reaction.STOP, MOVING),
+    Fault.FOLLOWING_ERROR: Rule(
+        "|position - setpoint| beyond a limit that grows with speed", "1 tick", Reaction.STOP, MOVING
+    ),
+    Fault.TRAVEL_PLANNED: Rule(
+        "setpoint, or position plus stopping distance, outside the travel", "1 tick", Reaction.STOP, MOVING
+    ),
     Fault.TRAVEL: Rule("measured position outside the travel", "1 tick", Reaction.ZERO, MOVING),
     Fault.SPEED_PLANNED: Rule("setpoint speed above the limit", "1 tick", Reaction.STOP, MOVING),
     Fault.SPEED: Rule("estimated speed above the limit", "1 tick", Reaction.ZERO, MOVING),
     Fault.NOT_FINITE: Rule("NaN or infinity in the law's request or the filter", "1 tick", Reaction.ZERO, MOVING),
-    Fault.FILTER_DIVERGED: Rule("normalised innovation squared", "safety.nis_ticks (20) in a row", Reaction.ZERO, MOVING),
+    Fault.FILTER_DIVERGED: Rule(
+        "normalised innovation squared", "safety.nis_ticks (20) in a row", Reaction.ZERO, MOVING
+    ),
     Fault.DRIVE_FAULT: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
     Fault.DRIVE_WATCHDOG: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
     Fault.DRIVE_DISABLED: Rule("status bit gone after it was set", "1 tick", Reaction.ZERO, MOVING, True),
-    Fault.ENABLE_TIMEOUT: Rule("status bit not set after activation", "safety.enable_timeout_ticks (500)", Reaction.ZERO, MOVING, True),
+    Fault.ENABLE_TIMEOUT: Rule(
+        "status bit not set after activation", "safety.enable_timeout_ticks (500)", Reaction.ZERO, MOVING, True
+    ),
     Fault.ENCODER_FAULT: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
     Fault.BUS_PASSIVE: Rule("error frames", "1 tick", Reaction.COUNT, ALWAYS),
     Fault.BUS_OFF: Rule("error frames", "1 tick", Reaction.SILENT, ALWAYS),
@@ -111,9 +123,15 @@ RULES: dict[Fault, Rule] = {
     Fault.OVERRUN: Rule("a slot was skipped", "1 slot", Reaction.COUNT, ALWAYS),
     Fault.OVERRUN_BURST: Rule("the same", "safety.overrun_streak (5) ticks in a row", Reaction.STOP, MOVING),
     Fault.OVERRUN_LONG: Rule("time between two ticks", "safety.overrun_zero_s (20 ms)", Reaction.ZERO, MOVING),
-    Fault.HEARTBEAT_LOST: Rule("age of the operator's heartbeat", "safety.heartbeat_s, when not 0", Reaction.STOP, MOVING),
-    Fault.REALTIME_DENIED: Rule("what the kernel granted", "at start; ACTIVATE is refused unless timing.allow_degraded", Reaction.COUNT, ALWAYS),
-    Fault.RECORDER_LOST: Rule("the sidecar's heartbeat", "ACTIVATE is refused if telemetry.recording_required", Reaction.COUNT, ALWAYS),
+    Fault.HEARTBEAT_LOST: Rule(
+        "age of the operator's heartbeat", "safety.heartbeat_s, when not 0", Reaction.STOP, MOVING
+    ),
+    Fault.REALTIME_DENIED: Rule(
+        "what the kernel granted", "at start; ACTIVATE is refused unless timing.allow_degraded", Reaction.COUNT, ALWAYS
+    ),
+    Fault.RECORDER_LOST: Rule(
+        "the sidecar's heartbeat", "ACTIVATE is refused if telemetry.recording_required", Reaction.COUNT, ALWAYS
+    ),
     Fault.RIG_CHANGED: Rule("hash of the rig file", "ACTIVATE is refused", Reaction.COUNT, ALWAYS),
 }
 
@@ -145,7 +163,9 @@ class AxisLimits(NamedTuple):
 class FaultMonitor:
     """The detectors. Each method looks at one thing and raises bits of `active`; `worst` is the gravest armed one."""
 
-    def __init__(self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]) -> None:
+    def __init__(
+        self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
+    ) -> None:
         n = len(axes)
         self._safety = safety
         self._axes = axes

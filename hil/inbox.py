@@ -7,7 +7,16 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols.base import HostProtocol, Reject, Sample
 
-SUSPICIOUS = frozenset({Reject.WRONG_LENGTH, Reject.WRONG_FORMAT, Reject.BAD_CHECKSUM, Reject.INVALID_VALUE, Reject.STALE, Reject.DUPLICATE})
+SUSPICIOUS = frozenset(
+    {
+        Reject.WRONG_LENGTH,
+        Reject.WRONG_FORMAT,
+        Reject.BAD_CHECKSUM,
+        Reject.INVALID_VALUE,
+        Reject.STALE,
+        Reject.DUPLICATE,
+    }
+)
 
 
 class Inbox:

@@ -1,13 +1,11 @@
 """Setpoints of one tick: at the samples' instants, and at both ends of the interval in which the coming force acts."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.laws.base import Array, LawInputs, Model, Reference
 from hil.trajectories import Trajectory
-
-Times = NDArray[np.int64]
-SAMPLE, START, END = 0, 1, 2
 
 
 def average_reference(
@@ -30,7 +28,9 @@ def average_reference(
     np.divide(sign, scratch, out=sign)
 
 
-def nominal_net_force(force: Array, model: Model, mean_velocity: Array, mean_sign: Array, out: Array, scratch: Array) -> None:
+def nominal_net_force(
+    force: Array, model: Model, mean_velocity: Array, mean_sign: Array, out: Array, scratch: Array
+) -> None:
     """Force let out, less gravity hold and the nominal friction at the setpoint's mean velocity: the filter's known input, N."""
     np.multiply(model.coulomb, mean_sign, out=scratch)
     np.subtract(force, scratch, out=out)
@@ -43,18 +43,21 @@ def nominal_net_force(force: Array, model: Model, mean_velocity: Array, mean_sig
 
 
 class Setpoints:
-    """Fills a LawInputs' reference fields from a trajectory, or from a held position when there is none."""
+    """Fills a LawInputs' reference fields from a trajectory, or from a held position when there is none.
+
+    Instants are integer ns on the samples' clock, one per axis.
+    """
 
     def __init__(self, inputs: LawInputs, period_ns: int) -> None:
         self._inputs = inputs
         self._period_ns = period_ns
         self._period = period_ns * 1e-9
         n = inputs.position.shape[-1]
-        self._times: Times = np.zeros((3, n), dtype=np.int64)
         self._scratch: Array = np.zeros(n)
         self._zero: Array = np.zeros(n)
         self.trajectory: Trajectory | None = None
-        self._origin: Times = np.zeros(n, dtype=np.int64)
+        self._origin = [0] * n
+        self._sample: tuple[int, ...] = (0,) * n
 
     def hold(self, position: Array) -> None:
         """From now on: at rest at `position` (n_axes,), m."""
@@ -65,29 +68,33 @@ class Setpoints:
         for mean in (inputs.mean_velocity, inputs.mean_acceleration, inputs.mean_sign):
             mean[...] = 0.0
 
-    def follow(self, trajectory: Trajectory, origin_ns: Times) -> None:
-        """From now on: `trajectory`, whose time 0 is at `origin_ns` per axis on the samples' clock."""
+    def follow(self, trajectory: Trajectory, origin_ns: Sequence[int]) -> None:
+        """From now on: `trajectory`, whose time 0 is at `origin_ns`."""
         self.trajectory = trajectory
-        self._origin[...] = origin_ns
+        self._origin = list(origin_ns)
 
-    def update(self, sample_ns: Times, start_ns: Times) -> None:
-        """Setpoints for samples taken at sample_ns and a force that acts from start_ns on, both (n_axes,)."""
-        if self.trajectory is None:
+    def update(self, sample_ns: Sequence[int], start_ns: Sequence[int]) -> None:
+        """Setpoints for samples taken at sample_ns and a force that acts from start_ns on."""
+        trajectory = self.trajectory
+        if trajectory is None:
             return
-        times, inputs = self._times, self._inputs
-        np.subtract(sample_ns, self._origin, out=times[SAMPLE])
-        np.subtract(start_ns, self._origin, out=times[START])
-        np.add(times[START], self._period_ns, out=times[END])
-        reference = self.trajectory.sample(times)
-        position, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
-        inputs.sample = Reference(position[SAMPLE], velocity[SAMPLE], acceleration[SAMPLE])
-        inputs.start = Reference(position[START], velocity[START], acceleration[START])
-        inputs.end = Reference(position[END], velocity[END], acceleration[END])
+        inputs, origin, period = self._inputs, self._origin, self._period_ns
+        self._sample = tuple([t - zero for t, zero in zip(sample_ns, origin, strict=True)])
+        start = tuple([t - zero for t, zero in zip(start_ns, origin, strict=True)])
+        inputs.sample = trajectory.at(self._sample)
+        inputs.start = trajectory.at(start)
+        inputs.end = trajectory.at(tuple([t + period for t in start]))
         average_reference(
-            inputs.start, inputs.end, self._period, inputs.mean_velocity, inputs.mean_acceleration, inputs.mean_sign, self._scratch
+            inputs.start,
+            inputs.end,
+            self._period,
+            inputs.mean_velocity,
+            inputs.mean_acceleration,
+            inputs.mean_sign,
+            self._scratch,
         )
 
     @property
     def task_ns(self) -> int:
         """First axis' sample instant on the task's clock; -1 where no task runs."""
-        return int(self._times[SAMPLE, 0]) if self.trajectory is not None else -1
+        return self._sample[0] if self.trajectory is not None else -1

@@ -45,7 +45,9 @@ def metres(value: float, kind: str = "linear") -> str:
 
 def axis_table(rig: RigConfig, axes: dict[str, dict[str, float]], title: str) -> Table:
     """Per axis: errors, peak force, chatter."""
-    table = Table("axis", "max error", "RMS error", "plateau", "peak force", "chatter", title=title, title_justify="left")
+    table = Table(
+        "axis", "max error", "RMS error", "plateau", "peak force", "chatter", title=title, title_justify="left"
+    )
     for name, row in axes.items():
         kind = rig.axes[name].kind
         force = "N" if kind == "linear" else "N m"
@@ -72,7 +74,6 @@ def sim(
     """Run a rig in lockstep: the control cycle against the emulated stage over a simulated wire, in exact virtual time."""
     from hil.lockstep import simulate
 
-
     config = load_rig(rig, overrides)
     console = Console(stderr=json_target == "-")
 
@@ -87,7 +88,6 @@ def sim(
                 seconds,
                 progress=lambda done: bar.update(job, completed=done),
                 observer=recorder.observe if recorder else None,
-
             )
         except ValueError as error:  # a task or layout the rig cannot carry
             raise RigError([f"{rig}: {error}"]) from None

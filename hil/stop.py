@@ -4,7 +4,9 @@ import numpy as np
 
 from hil.laws.base import Array, Model
 
-TIME_CONSTANT_S = 0.008  # six of them fit into the default 50 ms; eight periods of the loop, so the delay does not matter
+TIME_CONSTANT_S = (
+    0.008  # six of them fit into the default 50 ms; eight periods of the loop, so the delay does not matter
+)
 
 
 class DampedStop:
@@ -25,4 +27,6 @@ class DampedStop:
 
     def over(self, velocity: Array, elapsed_s: float) -> bool:
         """Whether the axes are at rest, or the time allowed is up."""
-        return elapsed_s >= self._stop_s or (elapsed_s >= 0.2 * self._stop_s and bool((abs(velocity) <= self._rest).all()))
+        return elapsed_s >= self._stop_s or (
+            elapsed_s >= 0.2 * self._stop_s and bool((abs(velocity) <= self._rest).all())
+        )

@@ -40,7 +40,7 @@ class Tick(NamedTuple):
     rig_ok: the rig file is still the one this process was started with.
     """
 
-    index: int
+    index: int  # type: ignore[assignment]  # tuple has a method of that name
     scheduled_ns: int
     now_ns: int
     port: PortCounters

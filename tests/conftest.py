@@ -40,12 +40,12 @@ def microscope() -> RigConfig:
 
 
 @pytest.fixture
-def lockstep() -> Callable[..., 'LockstepRun']:
+def lockstep() -> Callable[..., "LockstepRun"]:
     """Makes lockstep runs whose every tick is checked against the invariants."""
 
     from hil.lockstep import LockstepRun
 
-    def make(rig: RigConfig, **keywords: object) -> 'LockstepRun':
+    def make(rig: RigConfig, **keywords: object) -> "LockstepRun":
         invariants = Invariants(rig, RIGS)
         return LockstepRun(rig, RIGS, observer=invariants.observe, **keywords)  # type: ignore[arg-type]
 

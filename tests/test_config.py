@@ -43,7 +43,9 @@ def test_the_rigs_we_ship_are_valid(name: str) -> None:
 
 @pytest.mark.parametrize("key", SCRIPTABLE)
 def test_every_scriptable_key_can_be_set(key: str) -> None:
-    assert rig_hash(load_rig(PAPER, [f"{key}={SCRIPTABLE[key]}"])) != "" and load_rig(PAPER, [f"{key}={SCRIPTABLE[key]}"])
+    assert rig_hash(load_rig(PAPER, [f"{key}={SCRIPTABLE[key]}"])) != "" and load_rig(
+        PAPER, [f"{key}={SCRIPTABLE[key]}"]
+    )
 
 
 def test_modelling_error_takes_one_number_or_one_per_axis() -> None:
@@ -115,7 +117,9 @@ def test_no_bytes_make_anything_but_a_rig_or_a_refusal(tmp_path_factory: pytest.
         load_rig(path)
 
 
-KEYS = st.sampled_from([*SCRIPTABLE, "axes.x.limits.force", "safety.stop_s", "bus.protocol", "timing.priority", "x", ""])
+KEYS = st.sampled_from(
+    [*SCRIPTABLE, "axes.x.limits.force", "safety.stop_s", "bus.protocol", "timing.priority", "x", ""]
+)
 VALUES = st.one_of(st.floats().map(repr), st.integers().map(str), st.text(max_size=12), st.just("[]"), st.just("{}"))
 
 

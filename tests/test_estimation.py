@@ -67,7 +67,9 @@ def test_a_batch_gives_the_same_bits_as_its_members(paper: RigConfig) -> None:
     for _ in range(50):
         force, measured = rng.normal(size=(3, 2)), rng.normal(scale=1e-5, size=(3, 2))
         interval = np.full((3, 2), 1e-3)
-        for filt, f, m, i in [(batch, force, measured, interval)] + [(s, force[k], measured[k], interval[k]) for k, s in enumerate(singles)]:
+        for filt, f, m, i in [(batch, force, measured, interval)] + [
+            (s, force[k], measured[k], interval[k]) for k, s in enumerate(singles)
+        ]:
             filt.predict(f, i)
             filt.innovate(m)
             filt.update(None)

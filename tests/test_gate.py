@@ -38,7 +38,9 @@ near = st.floats(-1.5, 1.5)
 
 
 @given(st.lists(any_float, min_size=2, max_size=2), st.lists(any_float, min_size=2, max_size=2), st.booleans())
-def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(request: list[float], position: list[float], permitted: bool) -> None:
+def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(
+    request: list[float], position: list[float], permitted: bool
+) -> None:
     command = let_out(make_gate(), request, position, permitted=permitted)
     for force in command.force:
         assert math.isfinite(force)
@@ -49,7 +51,9 @@ def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(request: lis
 
 
 @given(st.lists(st.tuples(st.floats(-20, 20), near), min_size=1, max_size=40))
-def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_the_travel(steps: list[tuple[float, float]]) -> None:
+def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_the_travel(
+    steps: list[tuple[float, float]],
+) -> None:
     gate = make_gate()
     previous = 0.0
     for request, position in steps:

@@ -75,7 +75,9 @@ def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
         assert axis["plateau_error"] == pytest.approx(0.3 / kp, rel=0.05)
 
 
-def test_four_axes_follow_the_injection_plan_with_a_belief_off_by_some_per_cent(microscope: RigConfig, lockstep: MakeRun) -> None:
+def test_four_axes_follow_the_injection_plan_with_a_belief_off_by_some_per_cent(
+    microscope: RigConfig, lockstep: MakeRun
+) -> None:
     run = lockstep(microscope)
     run_until(run, State.ACTIVE)
     ticks(run, 6500)
@@ -163,7 +165,9 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
     assert abs(float(run.cycle.inputs.sample.position[0] - run.true_position[0])) < 2e-6
 
 
-def test_an_expired_or_replayed_command_is_refused_but_an_emergency_stop_never(lockstep: MakeRun, paper: RigConfig) -> None:
+def test_an_expired_or_replayed_command_is_refused_but_an_emergency_stop_never(
+    lockstep: MakeRun, paper: RigConfig
+) -> None:
     def replayed(run: LockstepRun, index: int) -> Sequence[CommandKind]:
         if index == 99:
             run._command_sequence = 0  # numbers the cycle has seen already
@@ -181,6 +185,8 @@ def test_the_same_run_has_the_same_bytes_whatever_the_hash_seed() -> None:
     traces = set()
     for seed in ("0", "1234"):
         command = [sys.executable, "-m", "hil", "sim", str(RIGS / "paper.toml"), "--seconds", "1", "--json", "-"]
-        result = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed})
+        result = subprocess.run(
+            command, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed}
+        )
         traces.add(result.stdout.split('"trace_sha256": "')[1][:64])
     assert len(traces) == 1

@@ -66,7 +66,9 @@ def test_an_emergency_stop_is_obeyed_from_every_state(state: State) -> None:
 
 
 @given(st.lists(st.sampled_from(list(Event)), max_size=60))
-def test_no_sequence_of_events_reaches_active_from_a_fault_without_passing_connected_and_ready(events: list[Event]) -> None:
+def test_no_sequence_of_events_reaches_active_from_a_fault_without_passing_connected_and_ready(
+    events: list[Event],
+) -> None:
     machine = StateMachine()
     path = [machine.state]
     for event in events:

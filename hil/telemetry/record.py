@@ -20,7 +20,14 @@ REJECT_REASONS = 10  # drivers.protocols.base.Reject
 _AXES = (MAX_AXES,)
 
 FRAME = np.dtype(
-    [("timestamp_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", 64)]
+    [
+        ("timestamp_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("length", "u1"),
+        ("flags", "u1"),
+        ("reserved", "<u2"),
+        ("data", "u1", 64),
+    ]
 )  # 80 bytes
 COMMAND = np.dtype([("kind", "<u4"), ("accepted", "<u4"), ("sequence", "<u8"), ("expires_ns", "<i8")])
 
@@ -104,7 +111,9 @@ class RecordBuilder:
     def __init__(self, n_axes: int) -> None:
         self.buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
-        motion = np.frombuffer(self.buffer, dtype="<f8", count=len(MOTION_FIELDS) * MAX_AXES, offset=_OFFSET["position"])
+        motion = np.frombuffer(
+            self.buffer, dtype="<f8", count=len(MOTION_FIELDS) * MAX_AXES, offset=_OFFSET["position"]
+        )
         self.motion = motion.reshape(len(MOTION_FIELDS), MAX_AXES)[:, :n_axes]
         self._saturations = struct.Struct(f"<{n_axes}Q")
         self._pad = [0] * (MAX_AXES - n_axes)
@@ -113,7 +122,9 @@ class RecordBuilder:
         """index, scheduled_ns, now_ns, state, fault, faults_active, flags, sequence, task_ns."""
         _HEAD.pack_into(self.buffer, 0, *values)
 
-    def axes(self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]) -> None:
+    def axes(
+        self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]
+    ) -> None:
         """Per-axis integers and the counters of port and inbox."""
         pad = self._pad
         _COUNTERS.pack_into(
@@ -125,7 +136,9 @@ class RecordBuilder:
         _TAIL.pack_into(self.buffer, _OFFSET["samples_lost"], lost, 0, 0, 0, illegal, refused, floors)
         self._saturations.pack_into(self.buffer, _OFFSET["saturations"], *saturations)
 
-    def traffic(self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]) -> None:
+    def traffic(
+        self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
+    ) -> None:
         """All that went in and out of the tick."""
         buffer = self.buffer
         _COUNTS.pack_into(buffer, _OFFSET["n_commands"], len(commands), len(received), len(sent), 0)

@@ -28,7 +28,7 @@ class Trajectory(ABC):
 
     def __init__(self, n_axes: int) -> None:
         self._n = n_axes
-        self._memo: dict[tuple[int, ...], Array] = {}
+        self._memo: dict[tuple[int, ...], Reference] = {}
 
     def sample(self, t_ns: Times) -> Reference:
         """Reference at task times `t_ns` (ns, int64, (..., n_axes), each axis at its own; below 0 counts as 0).
@@ -43,25 +43,25 @@ class Trajectory(ABC):
             out[0, ..., axis], out[1, ..., axis], out[2, ..., axis] = self._axis_array(axis, clamped[..., axis])
         return Reference(out[0], out[1], out[2])
 
-    def _sample_few(self, t_ns: Times) -> Reference:
-        if t_ns.ndim == 1:
-            row = self._row(tuple(t_ns.tolist())).copy()
-            return Reference(row[0], row[1], row[2])
-        out = np.empty((3, t_ns.shape[0], self._n))
-        for i, times in enumerate(t_ns.tolist()):
-            out[:, i] = self._row(tuple(times))
-        return Reference(out[0], out[1], out[2])
-
-    def _row(self, times: tuple[int, ...]) -> Array:
-        """All axes at one instant each, (3, n_axes); remembered, as a tick's end is the next tick's start."""
-        row = self._memo.get(times)
-        if row is None:
-            axes = range(self._n)
-            row = np.array([self._axis(axis, max(times[axis], 0)) for axis in axes]).T
+    def at(self, times: tuple[int, ...]) -> Reference:
+        """Reference at one instant per axis (ns), arrays (n_axes,). Remembered, as a tick's end is the next tick's start: do not write to it."""
+        reference = self._memo.get(times)
+        if reference is None:
+            rows = np.array([self._axis(axis, max(time, 0)) for axis, time in enumerate(times)])
+            reference = Reference(rows[:, 0], rows[:, 1], rows[:, 2])
             if len(self._memo) >= MEMO_LIMIT:
                 self._memo.clear()
-            self._memo[times] = row
-        return row
+            self._memo[times] = reference
+        return reference
+
+    def _sample_few(self, t_ns: Times) -> Reference:
+        rows = [self.at(tuple(times)) for times in (t_ns.tolist() if t_ns.ndim == 2 else [t_ns.tolist()])]
+        shape = t_ns.shape
+        position, velocity, acceleration = np.empty(shape), np.empty(shape), np.empty(shape)
+        for i, row in enumerate(rows):
+            index = i if t_ns.ndim == 2 else ...
+            position[index], velocity[index], acceleration[index] = row.position, row.velocity, row.acceleration
+        return Reference(position, velocity, acceleration)
 
     def phase_at(self, t_ns: int) -> int:
         """Index into `phase_names` of the phase at task time `t_ns`."""

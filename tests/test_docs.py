@@ -1,0 +1,22 @@
+"""The pages made from tables in code say what the code says."""
+
+import re
+from pathlib import Path
+
+from hil.docs import FOLDER, faults_page, states_page
+from hil.faults import RULES, Fault
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_the_pages_are_up_to_date() -> None:
+    assert (FOLDER / "states.md").read_text() == states_page()
+    assert (FOLDER / "faults.md").read_text() == faults_page()
+
+
+def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:
+    assert set(RULES) == set(Fault) - {Fault.NONE}
+    code = "".join((ROOT / "hil" / name).read_text() for name in ("faults.py", "cycle.py"))
+    body = code[code.index("class FaultMonitor") :] + code[code.index("_STATUS_FAULTS = (") : code.index("_BAD_STATUS")]
+    unseen = [fault.name for fault in RULES if not re.search(rf"Fault\.{fault.name}\b", body)]
+    assert unseen == []
