@@ -21,6 +21,7 @@ from sim_plant.stage import Stage, Truth, per_axis_array
 Array = NDArray[np.float64]
 
 _BRAKE = int(DriveStatus.BRAKE)
+_LONGEST_NS = 100_000_000  # of one integration: what `position` has to make up for stays bounded
 
 
 class EmulatedStage:
@@ -45,6 +46,7 @@ class EmulatedStage:
         n_axes = len(axis_names)
         self.axis_names = list(axis_names)
         self.now_ns = start_ns
+        self._physics_ns = start_ns
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
         self._protocol = device_protocol(bus, n_axes, rated_force, base_dir)
         self._stage = Stage(
@@ -71,18 +73,18 @@ class EmulatedStage:
 
     @property
     def position(self) -> Array:
-        """True position now, m, (n_axes,)."""
-        return self._stage.position
+        """True position now, m, (n_axes,). Looking changes nothing, not even the rounding of what follows."""
+        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[0]
 
     @property
     def velocity(self) -> Array:
         """True velocity now, m/s, (n_axes,)."""
-        return self._stage.velocity
+        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[1]
 
     @property
     def pierced(self) -> Array:
         """1.0 where the axis' cell is pierced, (n_axes,)."""
-        return self._stage.pierced
+        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[2]
 
     @property
     def applied_force(self) -> list[float]:
@@ -100,34 +102,48 @@ class EmulatedStage:
 
     def jam(self, axis: int, force: float) -> None:
         """From now on the axis is held by `force` (N) of additional dry friction; 0 frees it."""
+        self._run_physics()
         self._jam[axis] = force
         self._update()
 
     def advance(self, now_ns: int) -> None:
-        """Run physics and drive watchdogs up to now_ns; a time already past changes nothing."""
+        """Let time pass to now_ns, through every watchdog that expires on the way; a time already past changes nothing.
+
+        Physics is integrated from event to event (a command, an expiry), because forces change only then.
+        """
         while self._deadline_ns <= now_ns:
-            self._run_physics(self._deadline_ns)
+            self.now_ns = self._deadline_ns
+            self._run_physics()
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
             self._update()
-        self._run_physics(now_ns)
+        if now_ns > self.now_ns:
+            self.now_ns = now_ns
+            if now_ns - self._physics_ns >= _LONGEST_NS:
+                self._run_physics()
 
     def on_frame(self, frame: Frame) -> list[Frame]:
         """The drives' answers, in axis order, to a frame received at frame.timestamp_ns; none unless it commands.
 
         A frame stamped before `now_ns` (late delivery) counts as received now: the past cannot be changed.
         """
-        self.advance(frame.timestamp_ns)
         command = self._protocol.decode_command(frame)
         if isinstance(command, Reject):
             self.rejected[command] += 1
             if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
-                for drive in self.drives:
-                    drive.fail()
-                self._update()
+                self._fail_all(frame.timestamp_ns)
             return []
+        self.advance(frame.timestamp_ns)
+        self._run_physics()
         return self._answer(command)
+
+    def _fail_all(self, now_ns: int) -> None:
+        self.advance(now_ns)
+        self._run_physics()
+        for drive in self.drives:
+            drive.fail()
+        self._update()
 
     def _answer(self, command: Command) -> list[Frame]:
         now_ns = self.now_ns
@@ -145,10 +161,11 @@ class EmulatedStage:
         self._update()
         return answers
 
-    def _run_physics(self, now_ns: int) -> None:
-        if now_ns > self.now_ns:
-            self._stage.advance(now_ns - self.now_ns, self._force)
-            self.now_ns = now_ns
+    def _run_physics(self) -> None:
+        """Integrate up to now, before anything that acts on the stage changes."""
+        if self.now_ns > self._physics_ns:
+            self._stage.advance(self.now_ns - self._physics_ns, self._force)
+            self._physics_ns = self.now_ns
 
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""

@@ -5,6 +5,7 @@ most 1 ms on which sgn(v) does not change; the instants of stops, breakaways and
 integration restarts there, so that nothing chatters at zero speed.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -187,6 +188,14 @@ class Stage:
             self._advance_single(pieces, h, force.tolist() if isinstance(force, np.ndarray) else force)
         else:
             self._advance_batch(pieces, h, np.asarray(force, dtype=np.float64))
+
+    def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
+        ahead = copy.copy(self)
+        ahead.position, ahead.velocity, ahead.pierced = self.position.copy(), self.velocity.copy(), self.pierced.copy()
+        ahead._states = list(self._states)
+        ahead.advance(duration_ns, force)
+        return ahead.position, ahead.velocity, ahead.pierced
 
     def _advance_single(self, pieces: int, h: float, force: Sequence[float]) -> None:
         for index, axis in enumerate(self._axes):
