@@ -1,0 +1,106 @@
+"""The doctor looks without changing anything, and says what to do."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hil import doctor
+from hil.cli import build_app
+
+
+def interface(net, name, kind="280", flags="0x1003", mtu="72"):
+    folder = net / name
+    folder.mkdir(parents=True)
+    for key, value in {"type": kind, "flags": flags, "mtu": mtu, "tx_queue_len": "16"}.items():
+        (folder / key).write_text(value + "\n")
+
+
+@pytest.fixture
+def with_socketcan(monkeypatch):
+    class Socket:
+        def close(self):
+            pass
+
+    monkeypatch.setattr(doctor.socket, "socket", lambda *_: Socket())
+
+
+def test_only_can_interfaces_are_listed_and_each_is_judged(tmp_path, with_socketcan):
+    interface(tmp_path, "can0")
+    interface(tmp_path, "can1", flags="0x1002")
+    interface(tmp_path, "vcan0", mtu="16")
+    interface(tmp_path, "eth0", kind="1")
+    found = {f.topic: f for f in doctor.can_findings(tmp_path)}
+    assert list(found) == ["CAN can0", "CAN can1", "CAN vcan0"]
+    assert found["CAN can0"].level == "ok"
+    assert "transmit queue 16" in found["CAN can0"].detail
+    assert (found["CAN can1"].level, found["CAN can1"].detail) == ("warn", "down")
+    assert "ip link set can1 up" in found["CAN can1"].advice
+    assert found["CAN vcan0"].level == "note"
+    assert "classic" in found["CAN vcan0"].detail
+
+
+def test_a_kernel_without_can_is_a_note_with_the_way_out(monkeypatch):
+    def refuse(*_):
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr(doctor.socket, "socket", refuse)
+    (finding,) = doctor.can_findings()
+    assert finding.level == "note"
+    assert "local bus" in finding.detail
+    assert "AF_CAN" in finding.advice
+
+
+def test_no_interface_tells_how_to_make_one(tmp_path, with_socketcan):
+    (finding,) = doctor.can_findings(tmp_path)
+    assert "vcan" in finding.advice
+
+
+def test_the_kernel_is_judged_by_what_it_says(tmp_path):
+    proc, kernel = tmp_path / "proc", tmp_path / "kernel"
+    (proc / "sys/kernel").mkdir(parents=True)
+    kernel.mkdir()
+    (proc / "sys/kernel/sched_rt_runtime_us").write_text("0\n")
+    plain = {f.topic: f for f in doctor.kernel_findings(proc, kernel)}
+    assert plain["kernel"].level == "note"
+    assert plain["throttling"].level == "warn"
+    (kernel / "realtime").write_text("1\n")
+    (proc / "sys/kernel/sched_rt_runtime_us").write_text("950000\n")
+    better = {f.topic: f for f in doctor.kernel_findings(proc, kernel)}
+    assert better["kernel"].level == better["throttling"].level == "ok"
+
+
+def test_real_time_is_tried_without_leaving_a_trace_in_this_process():
+    before = (os.sched_getscheduler(0), os.sched_getaffinity(0), Path("/proc/self/status").read_text().count("VmLck"))
+    findings = doctor.realtime_findings()
+    assert [f.topic for f in findings] == ["core", "collector", "memory", "dma_latency", "priority"]
+    assert all(f.advice for f in findings if f.level == "warn")
+    after = (os.sched_getscheduler(0), os.sched_getaffinity(0), Path("/proc/self/status").read_text().count("VmLck"))
+    assert before == after
+
+
+def test_memory_and_disk_are_told_apart():
+    assert doctor.in_memory(Path("/dev/shm"))
+    assert not doctor.in_memory(Path("/proc"))
+    assert not doctor.in_memory(Path("/does/not/exist"))
+
+
+def test_a_missing_tool_comes_with_the_way_to_get_it():
+    assert doctor.tool_finding("cc", "how", which=lambda _: "/usr/bin/cc").level == "ok"
+    missing = doctor.tool_finding("cyclictest", "how", which=lambda _: None)
+    assert (missing.level, missing.advice) == ("note", "how")
+
+
+def test_the_command_prints_json_and_fails_only_when_asked_to(monkeypatch):
+    runner = CliRunner()
+    app = build_app("doctor")
+    monkeypatch.setattr(doctor, "examine", lambda: [doctor.Finding("cores", "warn", "one", "another core")])
+    shown = runner.invoke(app, ["doctor", "--json"])
+    assert shown.exit_code == 0
+    assert json.loads(shown.stdout)["findings"][0]["advice"] == "another core"
+    assert runner.invoke(app, ["doctor", "--strict"]).exit_code == 1
+    table = runner.invoke(app, ["doctor"])
+    assert table.exit_code == 0
+    assert "another core" in table.stdout
