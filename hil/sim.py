@@ -103,9 +103,12 @@ def sim(
 def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
     if path is None:
         return None
-    from hil.telemetry.recorder import LockstepRecorder
+    from hil.telemetry.recorder import LockstepRecorder, RecordingError
 
-    return LockstepRecorder(path, config, rig)
+    try:
+        return LockstepRecorder(path, config, rig)
+    except RecordingError as error:
+        raise typer.BadParameter(str(error), param_hint="--record") from None
 
 
 def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:

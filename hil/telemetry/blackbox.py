@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 
 from hil.config import load_rig
-from hil.telemetry import codec
 from hil.telemetry.places import Places, places
-from hil.telemetry.recorder import Recorder
+from hil.telemetry.recorder import Recorder, write_batch
 from hil.telemetry.ring import RingError, RingReader, previous_path
 
 
@@ -25,13 +24,6 @@ def save_ring(reader: RingReader, path: Path) -> int:
     if recorder.errors:
         raise OSError(f"{path}: the recording could not be written")
     return saved
-
-
-def write_batch(recorder: Recorder, records: codec.Records, n_axes: int, *, first: int, lost: int) -> None:
-    """Append ticks to a recording, on both channels."""
-    at = int(records["now_ns"][-1])
-    recorder.write("telemetry", at, codec.telemetry(records, n_axes, first=first, lost=lost).SerializeToString())
-    recorder.write("traffic", at, codec.traffic(records, first=first).SerializeToString())
 
 
 def killed_rings(rig_places: Places) -> list[Path]:

@@ -1,6 +1,7 @@
 """A client of a sidecar: the newest status, and commands with their verdict."""
 
 import os
+import socket
 import time
 from types import TracebackType
 from typing import Any
@@ -10,7 +11,7 @@ from zenoh.handlers import RingChannel
 
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.gateway import ASK_TIME
-from hil.telemetry.places import known_endpoints
+from hil.telemetry.places import known_sidecars
 from hil.telemetry.session import client_config
 from hil.tick import CommandKind
 
@@ -26,8 +27,21 @@ class NoSidecarError(Exception):
 
 def find_endpoint(rig: str | None = None) -> str:
     """The endpoint a running sidecar left word of, of this rig or any; else the default one."""
-    known = [endpoint for name, endpoint in known_endpoints() if rig in (None, name)]
-    return known[-1] if known else DEFAULT_ENDPOINT
+    known = [sidecar.endpoint for sidecar in known_sidecars(rig)]
+    return next(filter(listens, known), DEFAULT_ENDPOINT)
+
+
+def listens(endpoint: str) -> bool:
+    """Somebody accepts connections there (tcp endpoints only; others are taken on trust)."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol != "tcp":
+        return True
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=0.5).close()
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 class RigClient:

@@ -8,6 +8,9 @@ from typing import NamedTuple
 from drivers.runtime import make_private, runtime_dir
 
 
+DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
+
+
 class Places(NamedTuple):
     """Files in the rig's part of the runtime directory."""
 
@@ -41,7 +44,20 @@ def write_private(path: Path, text: str) -> None:
     os.replace(temporary, path)
 
 
-def known_endpoints() -> list[tuple[str, str]]:
-    """(rig, endpoint) of every sidecar that left word, those of demos (in a directory of their own) included."""
-    files = sorted([*runtime_dir().glob("*/endpoint"), *runtime_dir().glob("demo-*/*/endpoint")])
-    return [(path.parent.name, path.read_text(encoding="utf-8").strip()) for path in files]
+class Known(NamedTuple):
+    """A sidecar that left word of itself."""
+
+    rig: str
+    endpoint: str
+    token: Path
+
+
+def known_sidecars(rig: str | None = None) -> list[Known]:
+    """Every sidecar (of one rig, or all) that left word, those of demos in a directory of their own first."""
+    base = runtime_dir()
+    files = [*sorted(base.glob(f"{DEMO_PREFIX}*/*/endpoint")), *sorted(base.glob("*/endpoint"))]
+    return [
+        Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.with_name("token"))
+        for path in files
+        if rig in (None, path.parent.name)
+    ]

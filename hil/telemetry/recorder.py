@@ -7,10 +7,11 @@ and `traffic` (every tick, in batches), `status` (10 Hz).
 import json
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+import numpy as np
 import zstandard
 from google.protobuf.message import Message
 from mcap.exceptions import McapError
@@ -20,10 +21,17 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from drivers.frame import Frame
+from hil.config import RigConfig
+from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.provenance import describe_run
+from hil.telemetry.record import RECORD
+from hil.tick import CycleResult, Tick
 
 CHANNELS: dict[str, type[Message]] = {"telemetry": pb.Telemetry, "traffic": pb.Traffic, "status": pb.Status}
 CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
+_LOCKSTEP_BATCH = 50  # ticks
 RUN_ATTACHMENT = "run.json"
 _SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
 
@@ -103,6 +111,52 @@ class Recorder:
                 self.errors += 1
         self.ok = False
         self._abandon()
+
+
+class LockstepRecorder:
+    """Records a lockstep run as the sidecar records a live one: give `observe` to hil.lockstep as its observer.
+
+    rig_file: where the rig was read from (files it names are beside it). Raises RecordingError when it cannot write.
+    """
+
+    def __init__(self, path: Path, rig: RigConfig, rig_file: Path) -> None:
+        metadata = {**describe_run(rig, rig_file.parent, realtime="lockstep"), "wall_offset_ns": 0}
+        self._recorder = Recorder(path, metadata)
+        self._n_axes = len(rig.axes)
+        self._records = np.zeros(_LOCKSTEP_BATCH, RECORD)
+        self._held = 0
+        self._first = 0
+        self._check()
+
+    def observe(self, _tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
+        """Take one tick in."""
+        self._records[self._held] = result.record
+        self._held += 1
+        if self._held == _LOCKSTEP_BATCH:
+            self._flush()
+
+    def _flush(self) -> None:
+        write_batch(self._recorder, self._records[: self._held], self._n_axes, first=self._first, lost=0)
+        self._first += self._held
+        self._held = 0
+
+    def close(self) -> None:
+        """Write what is left, index and summary."""
+        if self._held:
+            self._flush()
+        self._recorder.close()
+        self._check()
+
+    def _check(self) -> None:
+        if self._recorder.errors:
+            raise RecordingError(f"{self._recorder.path}: cannot be written")
+
+
+def write_batch(recorder: Recorder, records: codec.Records, n_axes: int, *, first: int, lost: int) -> None:
+    """Append ticks (at least one) to a recording, on both channels."""
+    at = int(records["now_ns"][-1])
+    recorder.write("telemetry", at, codec.telemetry(records, n_axes, first=first, lost=lost).SerializeToString())
+    recorder.write("traffic", at, codec.traffic(records, first=first).SerializeToString())
 
 
 class Recorded(NamedTuple):
