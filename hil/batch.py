@@ -14,7 +14,7 @@ from hil.gate import limit_force
 from hil.laws import make_law
 from hil.laws.base import Law
 from hil.setpoints import Setpoints, nominal_net_force
-from hil.trajectories import make_trajectory
+from hil.trajectories import make_trajectory, task_repeat
 from sim_plant.stage import Stage, Truth
 
 FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
@@ -23,7 +23,8 @@ FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
 def rig_law(rig: RigConfig) -> Law:
     """The law the rig file names, with its gains."""
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
-    return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit)
+    repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
+    return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit, repeat)
 
 
 class BatchRun:
@@ -72,15 +73,15 @@ class BatchRun:
 
     def tick(self) -> None:
         """One control period of every plant."""
+        now, n = self.index * self._period_ns, len(self.rig.axes)
         self._estimate()
+        self._setpoints.update([now - self._period_ns] * n, [now] * n)
         if self.index == 0:
             self._engage()
         elif self.index == 1:
             rig = self.rig
-            self._setpoints.follow(
-                make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns), self._times[1]
-            )
-            self._setpoints.update(self._times[0], self._times[1])
+            self._setpoints.follow(make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns), [now] * n)
+            self._setpoints.update([now - self._period_ns] * n, [now] * n)
         self._act()
         np.subtract(self._stage.position, self._inputs.sample.position, out=self.error)
         self._stage.advance(self._period_ns, self._applied)
@@ -102,7 +103,6 @@ class BatchRun:
         inputs.position_estimate = motion.ahead_position
         inputs.velocity_estimate = motion.ahead_velocity
         inputs.disturbance_estimate = motion.disturbance
-        self._setpoints.update(self._times[0], self._times[1])
 
     def _engage(self) -> None:
         self._filter.reseed(self._measured)

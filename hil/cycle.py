@@ -25,7 +25,7 @@ from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateM
 from hil.stop import DampedStop
 from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
 from hil.tick import BusState, CycleResult, Tick
-from hil.trajectories import make_trajectory
+from hil.trajectories import make_trajectory, task_repeat
 
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
 LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
@@ -113,7 +113,8 @@ class ControlCycle:
         innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
         self.monitor = FaultMonitor(rig.safety, _axis_limits(rig), rig.period_ns, innovation_limit)
         self.gate = TorqueGate(self.protocol, force_limits(rig, (n,)))
-        self.law = make_law(rig.law, self.model, period, force)
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
+        self.law = make_law(rig.law, self.model, period, force, repeat)
         self.commands = CommandDesk()
         self.inputs = blank_inputs((n,))
         self.inputs.position_estimate = self.filter.ahead_position

@@ -62,6 +62,7 @@ class Setpoints:
     def hold(self, position: Array) -> None:
         """From now on: at rest at `position` (n_axes,), m."""
         self.trajectory = None
+        self._inputs.task_ns = -1
         inputs, zero = self._inputs, self._zero
         held = Reference(position.copy(), zero, zero)
         inputs.sample = inputs.start = inputs.end = held
@@ -84,6 +85,7 @@ class Setpoints:
         inputs.sample = trajectory.at(self._sample)
         inputs.start = trajectory.at(start)
         inputs.end = trajectory.at(tuple([t + period for t in start]))
+        inputs.task_ns = start[0]
         average_reference(
             inputs.start,
             inputs.end,

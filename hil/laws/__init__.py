@@ -7,12 +7,33 @@ import numpy as np
 
 from hil.config import LawConfig
 from hil.laws.base import Array, Law, Model
+from hil.laws.computed_torque import ComputedTorque
+from hil.laws.disturbance_observer import DisturbanceObserver
+from hil.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.laws.pd_feedforward import PdFeedforward
+from hil.laws.pid import Pid
+from hil.laws.robust_pd import RobustPd
+from hil.laws.sliding_mode import SlidingMode
+from hil.laws.slotine_li import SlotineLi
 from hil.laws.structured_kalman import StructuredKalman
+from hil.laws.super_twisting import SuperTwisting
 
 __all__ = ["LAWS", "make_law"]
 
-LAWS: dict[str, type[Law]] = {law.name: law for law in (PdFeedforward, StructuredKalman)}
+LAWS: dict[str, type[Law]] = {
+    law.name: law
+    for law in (
+        PdFeedforward,
+        RobustPd,
+        Pid,
+        ComputedTorque,
+        SlidingMode,
+        SlotineLi,
+        SuperTwisting,
+        DisturbanceObserver,
+        StructuredKalman,
+    )
+}
 
 
 def _gain(key: str, value: Any, n_axes: int, default: Any) -> Any:
@@ -31,18 +52,32 @@ def _gain(key: str, value: Any, n_axes: int, default: Any) -> Any:
     return np.array(values, dtype=np.float64)
 
 
-def make_law(law: LawConfig, model: Model, period: float, force_limit: Array) -> Law:
+def _checked_gains(law: LawConfig, known: dict[str, Any], n_axes: int) -> dict[str, Any]:
+    gains = law.effective_gains()
+    unknown = [key for key in gains if key not in known]
+    if unknown:
+        raise ValueError(f"law.gains.{unknown[0]}: {law.name} has {', '.join(known)}")
+    return {key: _gain(key, value, n_axes, known[key]) for key, value in gains.items()}
+
+
+def make_law(
+    law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
+) -> Law:
     """The rig's law with its effective gains; period in s, force_limit (n_axes,) in N.
 
-    Raises ValueError naming the key, its value and what is allowed.
+    repeat: (period, first start) of a repeated task in ns of task time, needed where law.iterative_learning is set; see
+    hil.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
     if law.name not in LAWS:
         raise ValueError(f"law.name = {law.name!r}: the laws are {', '.join(LAWS)}")
     kind = LAWS[law.name]
-    gains = law.effective_gains()
-    unknown = [key for key in gains if key not in kind.GAINS]
-    if unknown:
-        raise ValueError(f"law.gains.{unknown[0]}: {law.name} has {', '.join(kind.GAINS)}")
-    n_axes = model.mass.shape[-1]
-    ready = {key: _gain(key, value, n_axes, kind.GAINS[key]) for key, value in gains.items()}
-    return kind(model, period, force_limit, **ready)
+    gains = _checked_gains(law, {**kind.GAINS, **LEARNING_GAINS}, model.mass.shape[-1])
+    learning = {key: gains.pop(key) for key in LEARNING_GAINS if key in gains}
+    inner = kind(model, period, force_limit, **gains)
+    if not law.iterative_learning:
+        return inner
+    if repeat is None:
+        raise ValueError(
+            "law.iterative_learning = true: the task does not repeat (circle, lissajous, point_to_point do)"
+        )
+    return IterativeLearning(inner, model, period, force_limit, *repeat, **learning)

@@ -11,7 +11,7 @@ from hil.trajectories.figures import Figure, circle_oscillations, lissajous_osci
 from hil.trajectories.injection import injection
 from hil.trajectories.segments import Segments, move, rest
 
-__all__ = ["Trajectory", "make_trajectory"]
+__all__ = ["Trajectory", "make_trajectory", "task_repeat"]
 
 
 def make_trajectory(task: TaskConfig, axis_names: Sequence[str], start_position: Array, period_ns: int) -> Trajectory:
@@ -43,6 +43,14 @@ def make_trajectory(task: TaskConfig, axis_names: Sequence[str], start_position:
     still = Segments([rest(ns(1.0), start)], final=start, repeat=True, phase_names=("hold",))
     still.steady_from_ns = settle
     return still
+
+
+def task_repeat(task: TaskConfig, axis_names: Sequence[str], period_ns: int) -> tuple[int, int] | None:
+    """(period, first start) of the task's repeats, ns of task time; None where it does not repeat."""
+    trajectory = make_trajectory(task, axis_names, np.zeros(len(axis_names)), period_ns)
+    if trajectory.repeat_ns is None or task.kind == "hold":
+        return None
+    return trajectory.repeat_ns, trajectory.repeat_from_ns
 
 
 def _point_to_point(

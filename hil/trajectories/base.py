@@ -44,7 +44,10 @@ class Trajectory(ABC):
         return Reference(out[0], out[1], out[2])
 
     def at(self, times: tuple[int, ...]) -> Reference:
-        """Reference at one instant per axis (ns), arrays (n_axes,). Remembered, as a tick's end is the next tick's start: do not write to it."""
+        """Reference at one instant per axis (ns), arrays (n_axes,).
+
+        Remembered, as a tick's end is the next tick's start: do not write to it.
+        """
         reference = self._memo.get(times)
         if reference is None:
             rows = np.array([self._axis(axis, max(time, 0)) for axis, time in enumerate(times)])

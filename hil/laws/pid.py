@@ -1,0 +1,49 @@
+"""PID without feedforward: the industrial baseline the paper names."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hil.laws.base import Array, Law, LawInputs, Model
+from hil.laws.feedback import bounded, error, error_rate, unless_saturated
+from hil.laws.feedforward import default_damping, default_stiffness
+
+
+class Pid(Law):
+    """tau = -Kp e - Ki int e dt - Kd ė + gravity hold (Astrom and Murray, Feedback Systems (2008), eq. (10.1)).
+
+    kp: N/m; ki: N/(m s); kd: N s/m; None: from mass and rate. Anti-windup: the integral force stays within the force
+    limit and stops while it would push a saturated force further out.
+    """
+
+    name = "pid"
+    GAINS: ClassVar[dict[str, Any]] = {"kp": None, "ki": None, "kd": None}
+
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: Array,
+        *,
+        kp: Array | None = None,
+        ki: Array | None = None,
+        kd: Array | None = None,
+    ) -> None:
+        self._kp = default_stiffness(model, period) if kp is None else kp
+        self._kd = default_damping(model, period) if kd is None else kd
+        self._ki = self._kp * (0.02 / period) if ki is None else ki
+        self._gravity = model.gravity
+        self._period = period
+        self._limit = force_limit
+        self.reset(np.zeros_like(model.mass), model.gravity)
+
+    def reset(self, position: Array, force: Array) -> None:
+        """The integral takes over what `force` has beyond the gravity hold."""
+        self._integral = bounded(np.zeros(position.shape) + (force - self._gravity), self._limit)
+
+    def force(self, inputs: LawInputs) -> Array:
+        """The law of the class's docstring."""
+        e = error(inputs)
+        change = unless_saturated(-self._ki * e * self._period, inputs.force_last, self._limit)
+        self._integral = bounded(self._integral + change, self._limit)
+        return self._integral - self._kp * e - self._kd * error_rate(inputs) + self._gravity

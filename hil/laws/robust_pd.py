@@ -1,0 +1,102 @@
+"""PD-based robust control, eqs. (27) and (28) of Xu, Cai, Zou (2013), as printed and in two other readings."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hil.laws.base import Array, Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate
+from hil.laws.feedforward import Feedforward, default_damping, default_stiffness
+
+READINGS = ("printed", "filtered-error", "alpha-brackets")
+NORMS = ("vector", "per-axis")
+
+
+class RobustPd(Law):
+    """tau = M q̈d + N q̇d - [alpha M + Kd] ė - [alpha N + Kp] e + u (27), u = alpha N e - nu (28).
+
+    The law's alpha N e cancels between (27) and (28) and is not computed: 1/Ẋ in the printed N is unbounded. Readings:
+
+    printed         -(alpha M + Kd) ė - Kp e - nu,            nu = ė rho^2 / (|ė| rho + epsilon - beta |e|^2)
+    filtered-error  the same with s = ė + alpha e for ė in nu
+    alpha-brackets  -alpha (M + Kd) ė - alpha Kp e - nu       (alpha before both brackets; nu as printed)
+
+    |.| is the Euclidean norm over all axes (norm = vector) or each axis by itself (per-axis). kp: N/m; kd: N s/m; None:
+    from mass and rate; alpha: 1/s; epsilon, rho: N, N m/s ... as printed. The printed denominator crosses zero at |e| =
+    sqrt(epsilon / beta): it is held at or above `floor`, and `denominator_floors` counts how often.
+    """
+
+    name = "robust-pd"
+    GAINS: ClassVar[dict[str, Any]] = {
+        "kp": None,
+        "kd": None,
+        "alpha": 60.0,
+        "epsilon": 0.001,
+        "beta": 100.0,
+        "rho": 0.3,
+        "floor": 1e-4,
+        "reading": "printed",
+        "norm": "vector",
+    }
+
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: Array,
+        *,
+        kp: Array | None = None,
+        kd: Array | None = None,
+        alpha: Array | float = 60.0,
+        epsilon: Array | float = 0.001,
+        beta: Array | float = 100.0,
+        rho: Array | float = 0.3,
+        floor: Array | float = 1e-4,
+        reading: str = "printed",
+        norm: str = "vector",
+    ) -> None:
+        for key, value, allowed in (("reading", reading, READINGS), ("norm", norm, NORMS)):
+            if value not in allowed:
+                raise ValueError(f"law.gains.{key} = {value!r}: expected one of {', '.join(allowed)}")
+        if np.any(np.asarray(floor) <= 0.0):
+            raise ValueError(f"law.gains.floor = {floor}: expected a number > 0")
+        kp = default_stiffness(model, period) if kp is None else kp
+        kd = default_damping(model, period) if kd is None else kd
+        inside = reading == "alpha-brackets"
+        self._stiffness = alpha * kp if inside else kp
+        self._damping = alpha * (model.mass + kd) if inside else alpha * model.mass + kd
+        self._slope = np.multiply(alpha, 1.0 if reading == "filtered-error" else 0.0)
+        self._vector = norm == "vector"
+        self._epsilon, self._beta = np.asarray(epsilon), np.asarray(beta)
+        self._rho, self._floor = np.asarray(rho), np.asarray(floor)
+        self._rho2 = self._rho * self._rho
+        self._feedforward = Feedforward(model)
+        self.denominator_floors = 0
+
+    def reset(self, position: Array, force: Array) -> None:
+        """It remembers nothing; the count goes on."""
+
+    def force(self, inputs: LawInputs) -> Array:
+        """The law of the class's docstring."""
+        e, rate = error(inputs), error_rate(inputs)
+        s = rate + self._slope * e
+        denominator = self._size(s) * self._rho + self._epsilon - self._beta * self._squared(e)
+        low = denominator < self._floor
+        if low.any():
+            self.denominator_floors += int(np.count_nonzero(low))
+        nu = s * self._rho2 / np.where(low, self._floor, denominator)
+        return self._feedforward(inputs) - self._damping * rate - self._stiffness * e - nu
+
+    def _squared(self, value: Array) -> Array:
+        """|value|^2; over the axes in their order, so that a batch adds up as one plant does."""
+        squares = value * value
+        if not self._vector:
+            return squares
+        total: Array = squares[..., 0]
+        for axis in range(1, squares.shape[-1]):
+            total = total + squares[..., axis]
+        return total[..., None] + np.zeros(squares.shape[-1])
+
+    def _size(self, value: Array) -> Array:
+        size: Array = np.sqrt(self._squared(value)) if self._vector else np.abs(value)
+        return size
