@@ -11,6 +11,7 @@ Rules:
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from drivers.protocols.base import DriveStatus, Sample
 
@@ -24,16 +25,24 @@ _BRAKE = int(DriveStatus.BRAKE)
 _LATCHES = _FAULT | _WATCHDOG
 
 
+class Trip(NamedTuple):
+    """One expiry of a drive's watchdog: last fresh command, instant of zero force, and the force until then (N)."""
+
+    command_ns: int
+    expired_ns: int
+    force: float
+
+
 class ServoDrive:
     """One axis' drive. Times are integer ns on the emulator's clock.
 
     axis: index. rated_force: N, > 0. resolution: m per count. watchdog_ns: > 0. has_brake: engaged whenever the drive
     applies no force. sequence_modulus: of the frame layout; 0 where it has no sequence (every valid command is fresh).
 
-    force: N, applied now. deadline_ns: when the watchdog expires (NEVER_NS: not armed). last_command_ns: last fresh
-    command, -1 before the first. trips_ns: instants at which the watchdog expired.
-    gain: torque constant over its nominal value. encoder: what the counter shows instead of the true count, for fault
-    injection; ENCODER_FAULT bits and the like come in through `extra_status`.
+    force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
+    last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
+    gain: torque constant over its nominal value. extra_status: bits shown on top of `status`. taps: what a sample goes
+    through before it is sent. These three are for fault injection.
     """
 
     __slots__ = (
@@ -41,7 +50,6 @@ class ServoDrive:
         "_sequence",
         "axis",
         "deadline_ns",
-        "encoder",
         "extra_status",
         "force",
         "gain",
@@ -52,7 +60,8 @@ class ServoDrive:
         "resolution",
         "stale",
         "status",
-        "trips_ns",
+        "taps",
+        "trips",
         "watchdog_ns",
     )
 
@@ -67,12 +76,12 @@ class ServoDrive:
         self.modulus = sequence_modulus
         self.force = 0.0
         self.gain = 1.0
-        self.encoder: Callable[[int, int], int] | None = None
         self.extra_status = 0
+        self.taps: list[Callable[[Sample], Sample]] = []
         self.status = _HOMED | (_BRAKE if has_brake else 0)
         self.deadline_ns = NEVER_NS
         self.last_command_ns = -1
-        self.trips_ns: list[int] = []
+        self.trips: list[Trip] = []
         self.stale = 0
         self._sequence = -1
         self._reset_seen_low = False
@@ -108,14 +117,15 @@ class ServoDrive:
 
     def sample(self, position: float, now_ns: int) -> Sample:
         """The encoder's count at now_ns, answering the last fresh command. position: truth, m."""
-        count = round(position / self.resolution)
-        if self.encoder is not None:
-            count = self.encoder(count, now_ns)
-        return Sample(self.axis, count, self.status | self.extra_status, self._sequence, now_ns)
+        status = self.status | self.extra_status
+        sample = Sample(self.axis, round(position / self.resolution), status, self._sequence, now_ns)
+        for tap in self.taps:
+            sample = tap(sample)
+        return sample
 
     def trip(self, now_ns: int) -> None:
         """The watchdog expires at now_ns: zero force, latched."""
-        self.trips_ns.append(now_ns)
+        self.trips.append(Trip(self.last_command_ns, now_ns, self.force))
         self._release()
         self.status |= _WATCHDOG
         self._forget()

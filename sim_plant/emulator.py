@@ -4,8 +4,11 @@ At the reception of a command frame all drives sample their encoders, answer, an
 forces.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from heapq import heappop, heappush
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +21,11 @@ from sim_plant.config import PlantConfig
 from sim_plant.drive import NEVER_NS, ServoDrive
 from sim_plant.stage import Stage, Truth, per_axis_array
 
+if TYPE_CHECKING:
+    from sim_plant.cia402_drive import Cia402Drive
+
 Array = NDArray[np.float64]
+FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
 
 _BRAKE = int(DriveStatus.BRAKE)
 _LONGEST_NS = 100_000_000  # of one integration: what `position` has to make up for stays bounded
@@ -30,8 +37,10 @@ class EmulatedStage:
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value.
 
-    rejected: received frames that carried no command, by reason. sampled_position, sampled_velocity: truth (m, m/s,
-    (n_axes,)) at the latest sampling, before the encoder. Raises ValueError for a plant or bus that does not fit.
+    now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
+    that carried no command, by reason. sampled_position, sampled_velocity: truth (m, m/s, (n_axes,)) at the latest
+    sampling, before the encoder. frame_taps: what every frame of a drive goes through (fault injection).
+    Raises ValueError for a plant or bus that does not fit.
     """
 
     def __init__(
@@ -47,58 +56,92 @@ class EmulatedStage:
         self.axis_names = list(axis_names)
         self.now_ns = start_ns
         self._physics_ns = start_ns
+        self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
-        self._protocol = device_protocol(bus, n_axes, rated_force, base_dir)
+        self.frame_taps: list[FrameTap] = []
+        canopen = bus.protocol == "cia402"
+        self._protocol = None if canopen else device_protocol(bus, n_axes, rated_force, base_dir)
+        self.fd = bool(getattr(self._protocol, "fd", False))
         self._stage = Stage(
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
-        resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
-        brake = per_axis_array("plant.brake", plant.brake, n_axes).astype(bool).tolist()
-        modulus = int(getattr(self._protocol, "sequence_modulus", 0))
-        watchdog_ns = round(plant.watchdog_s * 1e9)
-        self.drives = [
-            ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
-            for axis in range(n_axes)
-        ]
+        self.drives = self._make_drives(plant, rated_force)
+        self._nodes = self._make_nodes(bus.node_id) if canopen else []
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
         self._jam = [0.0] * n_axes
+        self._push = [0.0] * n_axes
         self._force = [0.0] * n_axes
         self.sampled_position = self._stage.position.copy()
         self.sampled_velocity = self._stage.velocity.copy()
         self._senders: dict[int, str] = {}
+        self._agenda: list[tuple[int, int, Callable[[], None]]] = []
+        self._planned = 0
         self._clamp: list[float] = []
         self._deadline_ns = NEVER_NS
         self._update()
 
+    def _make_drives(self, plant: PlantConfig, rated_force: Sequence[float]) -> list[ServoDrive]:
+        n_axes = len(self.axis_names)
+        resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
+        brake = per_axis_array("plant.brake", plant.brake, n_axes).astype(bool).tolist()
+        modulus = int(getattr(self._protocol, "sequence_modulus", 0))
+        watchdog_ns = round(plant.watchdog_s * 1e9)
+        return [
+            ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
+            for axis in range(n_axes)
+        ]
+
+    def _make_nodes(self, first_id: int) -> "list[Cia402Drive]":
+        from sim_plant.cia402_drive import Cia402Drive  # only CANopen rigs pay for it
+
+        return [
+            Cia402Drive(first_id + drive.axis, drive, partial(self._true_position, drive.axis), self.now_ns)
+            for drive in self.drives
+        ]
+
+    # what is true ----------------------------------------------------------------------------------------------------
+
     @property
     def position(self) -> Array:
         """True position now, m, (n_axes,). Looking changes nothing, not even the rounding of what follows."""
-        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[0]
+        return self._truth_now()[0]
 
     @property
     def velocity(self) -> Array:
         """True velocity now, m/s, (n_axes,)."""
-        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[1]
+        return self._truth_now()[1]
 
     @property
     def pierced(self) -> Array:
         """1.0 where the axis' cell is pierced, (n_axes,)."""
-        return self._stage.peek(self.now_ns - self._physics_ns, self._force)[2]
+        return self._truth_now()[2]
 
     @property
     def applied_force(self) -> list[float]:
         """Force each drive applies now, N."""
-        return self._force
+        return [drive.force for drive in self.drives]
 
     @property
     def deadline_ns(self) -> int:
-        """When the next drive watchdog expires; NEVER_NS where none is armed."""
+        """When the next drive watchdog expires or planned action is due; NEVER_NS where nothing is."""
         return self._deadline_ns
 
-    def sender_of(self, answer: Frame) -> str:
-        """Name of the axis whose drive sent this answer."""
-        return self._senders[answer.can_id]
+    def _truth_now(self) -> tuple[Array, Array, Array]:
+        return self._stage.peek(self.now_ns - self._physics_ns, self._force)
+
+    def _true_position(self, axis: int) -> float:
+        if self._physics_ns != self.now_ns:
+            return float(self.position[axis])
+        return float(self._stage.position[axis])
+
+    # what acts on it -------------------------------------------------------------------------------------------------
+
+    def at(self, time_ns: int, action: Callable[[], None]) -> None:
+        """Plan an action for that instant; those of one instant run in the order in which they were planned."""
+        self._planned += 1
+        heappush(self._agenda, (max(time_ns, self.now_ns), self._planned, action))
+        self._deadline_ns = min(self._deadline_ns, self._agenda[0][0])
 
     def jam(self, axis: int, force: float) -> None:
         """From now on the axis is held by `force` (N) of additional dry friction; 0 frees it."""
@@ -106,60 +149,34 @@ class EmulatedStage:
         self._jam[axis] = force
         self._update()
 
-    def advance(self, now_ns: int) -> None:
-        """Let time pass to now_ns, through every watchdog that expires on the way; a time already past changes nothing.
+    def push(self, axis: int, force: float) -> None:
+        """From now on a force (N) that no drive made acts on the axis."""
+        self._run_physics()
+        self._push[axis] = force
+        self._update()
 
+    def advance(self, now_ns: int) -> list[Frame]:
+        """Let time pass to now_ns, through everything that falls due on the way; a time already past changes nothing.
+
+        Returns what the drives send unasked (CANopen heartbeats and emergencies; nothing under the other layouts).
         Physics is integrated from event to event (a command, an expiry), because forces change only then.
         """
         while self._deadline_ns <= now_ns:
-            self.now_ns = self._deadline_ns
+            self.now_ns = max(self.now_ns, self._deadline_ns)
             self._run_physics()
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
+            while self._agenda and self._agenda[0][0] <= self.now_ns:
+                heappop(self._agenda)[2]()
             self._update()
         if now_ns > self.now_ns:
             self.now_ns = now_ns
             if now_ns - self._physics_ns >= _LONGEST_NS:
                 self._run_physics()
-
-    def on_frame(self, frame: Frame) -> list[Frame]:
-        """The drives' answers, in axis order, to a frame received at frame.timestamp_ns; none unless it commands.
-
-        A frame stamped before `now_ns` (late delivery) counts as received now: the past cannot be changed.
-        """
-        command = self._protocol.decode_command(frame)
-        if isinstance(command, Reject):
-            self.rejected[command] += 1
-            if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
-                self._fail_all(frame.timestamp_ns)
+        if not self._nodes:
             return []
-        self.advance(frame.timestamp_ns)
-        self._run_physics()
-        return self._answer(command)
-
-    def _fail_all(self, now_ns: int) -> None:
-        self.advance(now_ns)
-        self._run_physics()
-        for drive in self.drives:
-            drive.fail()
-        self._update()
-
-    def _answer(self, command: Command) -> list[Frame]:
-        now_ns = self.now_ns
-        self.sampled_position[:] = self._stage.position
-        self.sampled_velocity[:] = self._stage.velocity
-        positions = self._stage.position.tolist()
-        sequence, forces, enable, reset = command
-        answers = []
-        for drive, position, force in zip(self.drives, positions, forces, strict=True):
-            enabled = bool(enable >> drive.axis & 1)
-            if drive.on_command(force, enabled, reset, sequence, now_ns):
-                answer = self._protocol.encode_feedback(drive.sample(position, now_ns))
-                self._senders[answer.can_id] = self.axis_names[drive.axis]
-                answers.append(answer)
-        self._update()
-        return answers
+        return [frame for node in self._nodes for frame in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
 
     def _run_physics(self) -> None:
         """Integrate up to now, before anything that acts on the stage changes."""
@@ -169,8 +186,10 @@ class EmulatedStage:
 
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""
-        self._force = [drive.force for drive in self.drives]
+        self._force = [drive.force + push for drive, push in zip(self.drives, self._push, strict=True)]
         self._deadline_ns = min(drive.deadline_ns for drive in self.drives)
+        if self._agenda:
+            self._deadline_ns = min(self._deadline_ns, self._agenda[0][0])
         clamp = [
             jam + (hold if drive.status & _BRAKE else 0.0)
             for jam, hold, drive in zip(self._jam, self._brake_force, self.drives, strict=True)
@@ -178,3 +197,76 @@ class EmulatedStage:
         if clamp != self._clamp:
             self._clamp = clamp
             self._stage.clamp(clamp)
+
+    # the bus ---------------------------------------------------------------------------------------------------------
+
+    def on_frame(self, frame: Frame) -> list[Frame]:
+        """The drives' answers, in axis order, to a frame received at frame.timestamp_ns; none unless it concerns them.
+
+        A frame stamped before `now_ns` (late delivery) counts as received now: the past cannot be changed.
+        """
+        if frame.can_id in self._senders:
+            return []  # a drive's own answer, heard by the others
+        if self._protocol is None:
+            return self._to_nodes(frame)
+        command = self._protocol.decode_command(frame)
+        if isinstance(command, Reject):
+            self.rejected[command] += 1
+            if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
+                self._fail_all(frame.timestamp_ns)
+            return []
+        self.advance(frame.timestamp_ns)
+        self._run_physics()
+        return self._obey(command)
+
+    def sender_of(self, answer: Frame) -> str:
+        """Name of the axis whose drive sent this answer."""
+        return self._senders[answer.can_id]
+
+    def _fail_all(self, now_ns: int) -> None:
+        self.advance(now_ns)
+        self._run_physics()
+        for drive in self.drives:
+            drive.fail()
+        self._update()
+
+    def _obey(self, command: Command) -> list[Frame]:
+        assert self._protocol is not None
+        now_ns = self.now_ns
+        self._note_sampling()
+        positions = self._stage.position.tolist()
+        sequence, forces, enable, reset = command
+        answers: list[Frame] = []
+        for drive, position, force in zip(self.drives, positions, forces, strict=True):
+            enabled = bool(enable >> drive.axis & 1)
+            if drive.on_command(force, enabled, reset, sequence, now_ns):
+                answer = self._protocol.encode_feedback(drive.sample(position, now_ns))
+                answers += self._from_axis(drive.axis, (answer,))
+                self.commands += drive.axis == 0
+        self._update()
+        return answers
+
+    def _to_nodes(self, frame: Frame) -> list[Frame]:
+        answers = self.advance(frame.timestamp_ns)
+        self._run_physics()
+        heard = frame._replace(timestamp_ns=self.now_ns)
+        before_ns = self.drives[0].last_command_ns
+        for node in self._nodes:
+            answers += self._from_axis(node.servo.axis, node.on_frame(heard))
+        if self.drives[0].last_command_ns != before_ns:
+            self.commands += 1
+            self._note_sampling()
+        self._update()
+        return answers
+
+    def _note_sampling(self) -> None:
+        self.sampled_position[:] = self._stage.position
+        self.sampled_velocity[:] = self._stage.velocity
+
+    def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:
+        """What leaves the drive in place of these frames."""
+        for tap in self.frame_taps:
+            frames = [changed for frame in frames for changed in tap(axis, frame)]
+        for frame in frames:
+            self._senders[frame.can_id] = self.axis_names[axis]
+        return frames

@@ -190,7 +190,7 @@ class Stage:
             self._advance_batch(pieces, h, np.asarray(force, dtype=np.float64))
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
+        """Position, velocity, pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
         ahead = copy.copy(self)
         ahead.position, ahead.velocity, ahead.pierced = self.position.copy(), self.velocity.copy(), self.pierced.copy()
         ahead._states = list(self._states)

@@ -1,0 +1,50 @@
+"""`hil emulate RIG`: the emulated stage on the rig's bus, as a process of its own."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.bus import PortError, open_port
+from drivers.runtime import RuntimeDirectoryError
+from hil.config import RigConfig, RigError, load_rig
+from hil.telemetry.places import places
+from sim_plant.emulator import EmulatedStage
+from sim_plant.live import Emulator
+
+EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
+STATUS_FILE = "emulator.json"  # in the rig's runtime directory
+
+
+def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedStage:
+    """The rig's emulated stage. Raises RigError for a plant or layout that does not fit."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    try:
+        return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns)
+    except (ValueError, OSError) as error:
+        raise RigError([f"rig {rig.name}: {error}"]) from None
+
+
+def emulate(
+    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
+) -> None:
+    """Emulate the stage of RIG on its bus until SIGTERM or SIGINT."""
+    config = load_rig(rig, overrides or [])
+    stage = emulated_stage(config, rig.parent, time.monotonic_ns())
+    try:
+        port = open_port(config.bus, role="device", fd=stage.fd)
+        target = status or places(config.name).directory / STATUS_FILE
+    except (PortError, RuntimeDirectoryError) as error:
+        print(f"hil emulate: {error}", file=sys.stderr)
+        sys.exit(EXIT_UNAVAILABLE)
+    emulator = Emulator(stage, port, target)
+    print(f"hil emulate: {config.name} on {config.bus.channel}, status in {target}", flush=True)
+    try:
+        emulator.run()
+    finally:
+        port.close()
+    print(f"hil emulate: {stage.commands} commands answered", flush=True)
