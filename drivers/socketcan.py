@@ -77,14 +77,21 @@ class SocketCanMedium:
         return False
 
     def state(self) -> BusState:
-        """What the interface's flags tell: down, bus-off (a driver then takes the carrier away) or up."""
+        """What the interface tells: down, bus-off (a driver then takes the carrier away) or up."""
         try:
             flags = self._flags()
         except OSError:
             return BusState.DOWN
         if not flags & _IFF_UP:
             return BusState.DOWN
-        return BusState.ERROR_ACTIVE if flags & _IFF_RUNNING else BusState.BUS_OFF
+        return BusState.ERROR_ACTIVE if self._has_carrier(flags) else BusState.BUS_OFF
+
+    def _has_carrier(self, flags: int) -> bool:
+        """The flag follows the carrier by up to a second, so ask the driver's own word first."""
+        try:
+            return Path(f"/sys/class/net/{self._channel}/carrier").read_text(encoding="ascii").strip() == "1"
+        except OSError:  # no sysfs of this network namespace
+            return bool(flags & _IFF_RUNNING)
 
     def _flags(self) -> int:
         answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, _IFREQ.pack(self._channel.encode(), 0))
