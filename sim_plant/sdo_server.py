@@ -1,4 +1,4 @@
-"""SDO server of CiA 301, 7.2.4: expedited and segmented transfers in both directions, with abort codes. No block transfer."""
+"""SDO server of CiA 301, 7.2.4: expedited and segmented transfers both ways, with abort codes. No block transfer."""
 
 from drivers.protocols.cia301 import SDO, Abort
 from sim_plant.object_dictionary import MAX_STRING, ObjectDictionary, SdoAbort
@@ -7,7 +7,7 @@ _EMPTY = bytes(4)
 
 
 class SdoServer:
-    """Answers the requests of one client, one transfer at a time; a new initiate request ends an unfinished transfer."""
+    """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary

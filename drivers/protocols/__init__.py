@@ -12,10 +12,13 @@ __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 # The modules are imported where they are needed: a rig pays only for its own layout.
 
 
-def host_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> HostProtocol:
+def host_protocol(
+    bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path, period_ns: int = 1_000_000
+) -> HostProtocol:
     """The host's side of the layout `bus.protocol`, before any bus is opened.
 
     rated_force: N or N m per axis. base_dir: folder of the rig file, where a relative `dbc:` path starts.
+    period_ns: of the control loop (only cia402 has to tell its drives).
     Raises LayoutError (a ValueError) where the rig cannot be carried by the layout.
     """
     match bus.protocol:
@@ -27,6 +30,10 @@ def host_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], bas
             from drivers.protocols.stage_classic import StageClassicHost
 
             return StageClassicHost(bus, n_axes, rated_force)
+        case "cia402":
+            from drivers.protocols.cia402 import Cia402Host
+
+            return Cia402Host(bus, n_axes, rated_force, period_ns)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
 
 
@@ -41,4 +48,8 @@ def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], b
             from drivers.protocols.stage_classic import StageClassicDevice
 
             return StageClassicDevice(bus, n_axes, rated_force)
+        case "cia402":
+            raise LayoutError(
+                "bus.protocol = 'cia402': its drives are nodes (sim_plant.cia402_drive), not a DeviceProtocol"
+            )
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

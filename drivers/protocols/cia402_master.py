@@ -1,0 +1,124 @@
+"""The CANopen master of a rig: at most one service frame in two ticks brings the drives to operation and back.
+
+Order of precedence: reset of communication at the start, controlwords that change, the master's heartbeat,
+then the nodes in turn. One frame carries the controlwords of all drives: they are enabled and disabled together.
+"""
+
+from collections.abc import Sequence
+
+from drivers.frame import Frame
+from drivers.protocols import cia301
+from drivers.protocols.cia301 import DriveState, NmtCommand, NmtState
+from drivers.protocols.cia402_node import NodeMaster, Phase
+
+MASTER_ID = 127
+SERVICE_TICKS = 2  # at least, between service frames: what schedulability counts with
+HEARTBEAT_TICKS = 20
+RESEND_TICKS = 20  # a controlword whose effect is not seen after so long was lost
+RESET_TICKS = 100  # a reset that does not help in this time is over
+BOOT_TICKS = 10  # patience after the reset of communication, before the first SDO
+
+_CLIMB = {
+    DriveState.SWITCH_ON_DISABLED: cia301.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: cia301.SWITCH_ON,
+    DriveState.SWITCHED_ON: cia301.SWITCH_ON,
+    DriveState.OPERATION_ENABLED: cia301.SWITCH_ON,
+}
+"""Controlword that leads from a state towards SWITCHED ON, where a drive waits for its enable bit."""
+
+_GOALS = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
+
+
+class Master:
+    """All nodes of a rig, in axis order."""
+
+    def __init__(self, nodes: Sequence[NodeMaster], controlword_id: int) -> None:
+        self.nodes = list(nodes)
+        self._controlword_id = controlword_id
+        n = len(self.nodes)
+        self._words = [-1] * n
+        self._armed = [False] * n
+        self._words_tick = 0
+        self._reset_before = False
+        self._reset_tick = -RESET_TICKS - 1
+        self._enable_before = -1
+        self._quiet = False
+        self._turn = 0
+        self._started_tick = -1
+        self._sent_tick = -1
+        self._heartbeat_tick = 0
+        self._heartbeat = Frame(cia301.HEARTBEAT_ID + MASTER_ID, bytes((NmtState.OPERATIONAL,)))
+
+    def service(self, tick: int, enable: int, reset: bool) -> Frame | None:
+        """The service frame of this tick, or None. enable, reset: as in `Command`."""
+        if self._started_tick < 0:
+            self._started_tick = self._sent_tick = tick
+            return Frame(cia301.NMT_ID, bytes((NmtCommand.RESET_COMMUNICATION, 0)))
+        heartbeat_due = tick >= self._heartbeat_tick
+        if self._quiet and enable == self._enable_before and reset == self._reset_before and not heartbeat_due:
+            return None
+        if reset and not self._reset_before:
+            self._reset_tick = tick
+        self._reset_before, self._enable_before = reset, enable
+        if tick - self._sent_tick < SERVICE_TICKS:
+            return None
+        frame = self._controlwords(tick, enable)
+        if frame is None and heartbeat_due:
+            self._heartbeat_tick = tick + HEARTBEAT_TICKS
+            frame = self._heartbeat
+        elif frame is None and tick - self._started_tick >= BOOT_TICKS:
+            frame = self._serve_nodes(tick)
+        if frame is not None:
+            self._sent_tick = tick
+            self._quiet = False
+        return frame
+
+    def stir(self) -> None:
+        """Something was received that may call for an answer."""
+        self._quiet = False
+
+    def _resetting(self, tick: int) -> bool:
+        """Whether the reset bit is to be set: from one tick after the operator's edge, so that it has an edge too."""
+        return 0 < tick - self._reset_tick <= RESET_TICKS
+
+    def _serve_nodes(self, tick: int) -> Frame | None:
+        for _ in self.nodes:
+            self._turn = (self._turn + 1) % len(self.nodes)
+            frame = self.nodes[self._turn].service(tick)
+            if frame is not None:
+                return frame
+        return None
+
+    def _controlwords(self, tick: int, enable: int) -> Frame | None:
+        """The controlwords of all drives, where one has to change or had no effect."""
+        words, waiting, running = [], tick - self._reset_tick <= RESET_TICKS, 0
+        for axis, node in enumerate(self.nodes):
+            wanted = bool(enable >> axis & 1)
+            words.append(self._controlword(tick, axis, node, wanted))
+            if node.phase is Phase.RUNNING:
+                running += 1
+                goal = _GOALS[wanted and self._armed[axis]]
+                waiting = waiting or node.state not in (goal, DriveState.FAULT)
+        self._quiet = words == self._words and not waiting and running == len(self.nodes)
+        if not running:
+            self._words = words
+            return None
+        if words == self._words and not (waiting and tick - self._words_tick >= RESEND_TICKS):
+            return None
+        self._words, self._words_tick = words, tick
+        return Frame(self._controlword_id, b"".join(word.to_bytes(2, "little") for word in words))
+
+    def _controlword(self, tick: int, axis: int, node: NodeMaster, wanted: bool) -> int:
+        state = node.state
+        if node.phase is not Phase.RUNNING or state is None:
+            self._armed[axis] = False
+            return cia301.DISABLE_VOLTAGE
+        if state is DriveState.FAULT:
+            # An enable bit that outlives a fault enables nothing: it has to be seen clear first.
+            self._armed[axis] = False
+            return cia301.FAULT_RESET if self._resetting(tick) else cia301.DISABLE_VOLTAGE
+        if not wanted:
+            self._armed[axis] = True
+        elif self._armed[axis] and state in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED):
+            return cia301.ENABLE_OPERATION
+        return _CLIMB.get(state, cia301.DISABLE_VOLTAGE)
