@@ -10,9 +10,12 @@ import typer
 from drivers.bus import PortError, open_port
 from drivers.runtime import RuntimeDirectoryError
 from hil.config import RigConfig, RigError, load_rig
+from hil.scenario import load_scenario
 from hil.telemetry.places import places
 from sim_plant.emulator import EmulatedStage
+from sim_plant.faults import Injector
 from sim_plant.live import Emulator
+from sim_plant.scenario import Scenario
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 STATUS_FILE = "emulator.json"  # in the rig's runtime directory
@@ -27,14 +30,33 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
         raise RigError([f"rig {rig.name}: {error}"]) from None
 
 
+def _live_scenario(path: Path, rig: RigConfig) -> Scenario:
+    """A scenario that needs nobody to tell it what the control process is doing, nor a simulated wire."""
+    scenario = load_scenario(path, rig)
+    problems = [
+        f"{path}: fault {number + 1}: a live emulator knows no wire, state or phase; use at_s or at_tick, or `hil sim`"
+        for number, fault in enumerate(scenario.fault)
+        if fault.on_wire or fault.at_state or fault.at_phase
+    ]
+    if problems:
+        raise RigError(problems)
+    return scenario
+
+
 def emulate(
     rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
     overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    faults: Annotated[
+        Path | None, typer.Option(help="scenario of faults to inject (TOML), at_s and at_tick only")
+    ] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
 ) -> None:
     """Emulate the stage of RIG on its bus until SIGTERM or SIGINT."""
     config = load_rig(rig, overrides or [])
+    scenario = _live_scenario(faults, config) if faults else None
     stage = emulated_stage(config, rig.parent, time.monotonic_ns())
+    if scenario:
+        Injector(scenario, stage, None, config.period_ns)
     try:
         port = open_port(config.bus, role="device", fd=stage.fd)
         target = status or places(config.name).directory / STATUS_FILE

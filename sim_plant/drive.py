@@ -42,13 +42,14 @@ class ServoDrive:
     force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
     last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
     gain: torque constant over its nominal value. extra_status: bits shown on top of `status`. taps: what a sample goes
-    through before it is sent. These three are for fault injection.
+    through before it is sent. broken: a fault that no reset clears. These four are for fault injection.
     """
 
     __slots__ = (
         "_reset_seen_low",
         "_sequence",
         "axis",
+        "broken",
         "deadline_ns",
         "extra_status",
         "force",
@@ -77,6 +78,7 @@ class ServoDrive:
         self.force = 0.0
         self.gain = 1.0
         self.extra_status = 0
+        self.broken = False
         self.taps: list[Callable[[Sample], Sample]] = []
         self.status = _HOMED | (_BRAKE if has_brake else 0)
         self.deadline_ns = NEVER_NS
@@ -106,6 +108,8 @@ class ServoDrive:
         elif self._reset_seen_low:
             self._reset_seen_low = False
             self.status &= ~_LATCHES
+            if self.broken:
+                self.fail()
         if not -self.rated_force * 1.000001 <= force <= self.rated_force * 1.000001:  # also where it is not a number
             self.fail()
         elif enable and not self.status & _LATCHES:

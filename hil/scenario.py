@@ -1,0 +1,25 @@
+"""Scenario files against a rig: every name in them is checked before a run begins."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hil.config import RigConfig, RigError
+from hil.state_machine import State
+from hil.trajectories import make_trajectory
+from sim_plant.faults import Scenario, ScenarioError
+from sim_plant.faults import load_scenario as load
+
+
+def load_scenario(path: Path, rig: RigConfig) -> Scenario:
+    """Read a scenario for this rig. Raises RigError with every problem, each naming key, value and what is allowed."""
+    try:
+        scenario = load(path)
+    except ScenarioError as error:
+        raise RigError(error.problems) from None
+    trajectory = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns)
+    try:
+        scenario.check(rig.axis_names, [state.name for state in State], trajectory.phase_names)
+    except ScenarioError as error:
+        raise RigError([f"{path}: {line}" for line in error.problems]) from None
+    return scenario
