@@ -137,7 +137,7 @@ def _lateness(lateness: NDArray[np.float64]) -> dict[str, float]:
 
 
 def steady_from(run: RunData) -> int:
-    """First tick of the steady window: after the task's approach and settling, or the whole task when it was shorter."""
+    """First tick of the steady window: after the approach and settling, or the whole task when it was shorter."""
     columns = run.columns
     task = np.where(np.isin(columns["state"], _FOLLOWING), columns["task_ns"], -1)
     rig = run.rig
@@ -164,6 +164,6 @@ def show(summary: dict[str, Any], rig: RigConfig, console: Console) -> None:
     table.add_row("frames", f"{frames['sent']} sent, {frames['received']} received, {frames['lost']} samples lost")
     counts = summary["telemetry"]
     table.add_row("telemetry", f"{counts['produced']} produced = {counts['sent']} sent + {counts['dropped']} dropped")
-    table.add_row("real time", summary["realtime"] or "-")
     table.add_row("faults", ", ".join(summary["faults"]) or "none")
+    table.add_row("real time", summary["realtime"] or "-")
     console.print(table)

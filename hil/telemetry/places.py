@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from drivers.runtime import make_private, runtime_dir
 
-
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
 
 

@@ -1,0 +1,321 @@
+"""`hil demo RIG`: emulated stage, control process and sidecar as real processes, shown live, summed up at the end."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+from rich.console import Console
+from rich.live import Live
+
+from drivers.runtime import make_private, runtime_dir
+from hil.config import RigConfig, load_rig
+from hil.monitor.terminal import line, view
+from hil.processes import Family
+from hil.sim import write_json
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.blackbox import run_directory
+from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
+from hil.telemetry.places import DEMO_PREFIX
+from hil.telemetry.recorder import RecordingError
+from hil.tick import CommandKind
+
+START_S = 30.0  # for three Python processes to be up on a busy machine
+STOP_S = 3.0
+POLL_S = 0.02
+LINE_INTERVAL_S = 1.0
+STALL_FAULTS = (
+    "ENCODER_LOST",
+    "ENCODER_DEAD",
+    "DRIVE_WATCHDOG",
+    "DRIVE_DISABLED",
+    "OVERRUN",
+    "OVERRUN_BURST",
+    "OVERRUN_LONG",
+)  # what a host that holds up the emulator or the loop for milliseconds looks like
+MAX_STALLS = 10
+# The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
+ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
+
+
+class DemoError(Exception):
+    """Something the demo cannot go on without; the text says what happened."""
+
+
+class Interrupted(Exception):  # it is no error
+    """SIGINT or SIGTERM."""
+
+
+class Scene(NamedTuple):
+    """Where everything is."""
+
+    rig: RigConfig
+    rig_file: Path
+    overrides: tuple[str, ...]
+    runtime: Path
+    out: Path
+    endpoint: str
+
+    @property
+    def rig_runtime(self) -> Path:
+        """The rig's part of the private runtime directory."""
+        return self.runtime / self.rig.name
+
+
+class Signals:
+    """SIGINT and SIGTERM as an exception, once and only while asked for: nothing may cut the orderly end short."""
+
+    def __init__(self) -> None:
+        self.armed = True
+        self.seen = 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, _frame: object) -> None:
+        self.seen = number
+        if self.armed:
+            self.armed = False
+            raise Interrupted
+
+
+def private_runtime() -> Path:
+    """A runtime directory for this demo alone; those of demos that are gone are removed."""
+    base = runtime_dir()
+    for old in base.glob(f"{DEMO_PREFIX}*"):
+        pid = old.name.removeprefix(DEMO_PREFIX)
+        if pid.isdigit() and not Path(f"/proc/{pid}").exists():
+            shutil.rmtree(old, ignore_errors=True)
+    directory = base / f"{DEMO_PREFIX}{os.getpid()}"
+    make_private(directory)
+    return directory
+
+
+def free_endpoint() -> str:
+    """The default endpoint when nobody has it, else a free loopback port."""
+    if not listens(DEFAULT_ENDPOINT):
+        return DEFAULT_ENDPOINT
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class Demo:
+    """One demonstration from start to summary."""
+
+    def __init__(self, scene: Scene, console: Console) -> None:
+        self.scene = scene
+        self.console = console
+        self.troubles: list[str] = []
+        self.status = pb.Status()
+        self._family = Family()
+        self._said_s = 0.0
+        self.stalls = 0
+
+    def run(self, seconds: float, signals: Signals) -> None:
+        """Start, activate, watch for `seconds`, stop. What goes wrong is in `troubles` afterwards."""
+        with self._family, RigClient(self.scene.endpoint, self.scene.rig.telemetry.key, self.scene.rig.name) as client:
+            try:
+                self._start()
+                self._await_state(client, "READY", START_S)
+                self._activate(client)
+                self._watch(client, seconds)
+            except (DemoError, NoSidecarError) as error:
+                self.troubles.append(str(error))
+            except Interrupted:
+                self.console.print("interrupted: stopping the stage")
+            signals.armed = False
+            self._finish()
+
+    def _start(self) -> None:
+        scene = self.scene
+        environment = {**os.environ, "HIL_RUNTIME_DIR": str(scene.runtime), "PYTHONUNBUFFERED": "1"}
+        overrides = [word for text in scene.overrides for word in ("--set", text)]
+        rig = [str(scene.rig_file), *overrides]
+        listen = ["--listen", scene.endpoint, "--out", str(scene.out)]
+        start = self._family.start
+        self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
+        self.sidecar = start("sidecar", ["sidecar", *rig, *listen], environment, scene.out / "sidecar.log")
+        self.control = start("control process", ["run", *rig], environment, scene.out / "control.log")
+        pids = ", ".join(f"{child.name} {child.pid}" for child in self._family.children)
+        self.console.print(f"started {pids}", soft_wrap=True)
+        name = self.scene.rig.name
+        self.console.print(f"watch it from a second terminal: hil monitor {name} (at {scene.endpoint})", soft_wrap=True)
+
+    def _await_state(self, client: RigClient, wanted: str, seconds: float = STOP_S) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            if self._look(client) and self.status.state == wanted and self.status.recording:
+                return
+            time.sleep(POLL_S)
+        state, fault = self.status.state or "unknown", self.status.fault or "none"
+        raise DemoError(f"the rig did not become {wanted} within {seconds:.0f} s: state {state}, fault {fault}")
+
+    def _activate(self, client: RigClient) -> None:
+        reply = self._command(client, CommandKind.ACTIVATE)
+        if not reply.accepted:
+            raise DemoError(f"activate was refused: {reply.reason}")
+        self.console.print("activated through the command gateway")
+
+    def _command(self, client: RigClient, kind: CommandKind) -> pb.CommandReply:
+        return client.command(kind, (self.scene.rig_runtime / "token").read_text(encoding="utf-8"))
+
+    def _look(self, client: RigClient) -> bool:
+        """Take in the newest status; raises DemoError when a process has ended."""
+        status = client.status()
+        if status:
+            self.status = status
+        gone = self._family.ended()
+        if gone:
+            raise DemoError(gone.fate())
+        return status is not None
+
+    def _watch(self, client: RigClient, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        if not self.console.is_terminal:
+            while time.monotonic() < until:
+                self._look(client)
+                self._check_state(client)
+                self._say_line(until - time.monotonic())
+                time.sleep(POLL_S)
+            return
+        with Live(view(self.status), console=self.console, auto_refresh=False, transient=True) as live:
+            while time.monotonic() < until:
+                if self._look(client):
+                    live.update(view(self.status), refresh=True)
+                self._check_state(client)
+                time.sleep(POLL_S)
+
+    def _check_state(self, client: RigClient) -> None:
+        """Faults of a host that held up the emulated drives or the loop are shown, reset and the run goes on."""
+        status = self.status
+        if status.state not in ("FAULT", "ESTOP"):
+            return
+        self.stalls += 1
+        if status.fault not in STALL_FAULTS or self.stalls > MAX_STALLS:
+            raise DemoError(f"the rig stopped: {status.state}, fault {status.fault}")
+        self.console.print(f"{status.fault} at tick {status.index}: this machine held a process up; resetting")
+        until = time.monotonic() + STOP_S
+        while not (reply := self._command(client, CommandKind.RESET)).accepted:
+            self._look(client)
+            if time.monotonic() > until:
+                raise DemoError(f"reset was refused: {reply.reason}")
+            time.sleep(POLL_S)
+        self._await_state(client, "READY")
+        self._activate(client)
+        self._await_state(client, "ACTIVE")
+
+    def _say_line(self, left: float) -> None:
+        now = time.monotonic()
+        if now - self._said_s >= LINE_INTERVAL_S:
+            self._said_s = now
+            self.console.print(f"{left:5.1f} s to go  {line(self.status)}", soft_wrap=True)
+
+    def _finish(self) -> None:
+        """In this order: the stage stops and the last torque sent is zero; then the recording ends; then the stage."""
+        if not hasattr(self, "control"):
+            return
+        if self.control.exit_status is None and not self.control.end(STOP_S):
+            self.troubles.append(self.control.fate())
+        self.sidecar.end(STOP_S)
+        self.emulator.end(STOP_S)
+        self._report_drives()
+
+    def _report_drives(self) -> None:
+        """A control process that died leaves the stage to the drives' watchdogs: say what they did."""
+        if self.control.exit_status == 0:
+            return
+        try:
+            state = json.loads((self.scene.rig_runtime / "emulator.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            self.troubles.append("the emulator left no word of its drives")
+            return
+        self.troubles.extend(drive_report(state))
+
+
+def drive_report(state: dict[str, Any]) -> list[str]:
+    """What each emulated drive did after the last command, from the emulator's status file."""
+    lines = []
+    for name, axis in state["axes"].items():
+        if axis["trips"]:
+            last = axis["trips"][-1]
+            lines.append(
+                f"drive {name}: zero torque {last['zero_after_ms']:.1f} ms after the last command "
+                f"(it was applying {last['force_until_then']:.4g}); now {axis['applied_force']:g}"
+            )
+        else:
+            lines.append(f"drive {name}: applies {axis['applied_force']:g}; its watchdog did not trip")
+    return lines
+
+
+def summed_up(scene: Scene, console: Console) -> dict[str, Any] | None:
+    """Read the recording back; write summary.json and tracking.png; print the tables."""
+    from hil.monitor.plots import tracking_picture  # matplotlib takes a second: not while the loop runs
+    from hil.summary import load_run, show, summarise
+
+    try:
+        run = load_run(scene.out / "run.mcap")
+    except RecordingError as error:
+        console.print(f"no summary: {error}", soft_wrap=True)
+        return None
+    summary = summarise(run)
+    write_json(summary, str(scene.out / "summary.json"))
+    tracking_picture(scene.out / "tracking.png", run.rig, run, run.lateness)
+    show(summary, run.rig, console)
+    return summary
+
+
+def _what_next(scene: Scene, console: Console) -> None:
+    rig, out = scene.rig_file, scene.out
+    console.print(
+        f"in {out}/: summary.json, tracking.png, run.mcap, and the processes' logs\n"
+        "next, try:\n"
+        f"  hil replay {out}/run.mcap                     every torque frame again, byte for byte\n"
+        f"  hil demo {rig} --set law.name=structured-kalman\n"
+        f"  hil sim {rig} --seconds 20       the same in exact virtual time\n"
+        "  hil doctor                                    what this machine grants a real-time loop",
+        soft_wrap=True,
+        highlight=False,
+    )
+
+
+def demo(
+    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    seconds: Annotated[float, typer.Option(min=0.5, max=1e6, help="how long the task runs")] = 20.0,
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
+) -> None:
+    """Exit status 0: it went as planned; 1: something failed, said what; 130 or 143: interrupted, in good order."""
+    chosen = (*(overrides or ()), *ALWAYS)
+    config = load_rig(rig, chosen)
+    signals = Signals()
+    console = Console(highlight=False)
+    scene = Scene(config, rig, chosen, private_runtime(), out or run_directory(), free_endpoint())
+    scene.out.mkdir(parents=True, exist_ok=True)
+    console.print(f"demo of {config.name}: {config.description}", soft_wrap=True)
+    console.print(
+        "the stage is emulated, the bus is local to this demo, and the run goes on where this machine grants no real time",
+        soft_wrap=True,
+    )
+    stage = Demo(scene, console)
+    try:
+        stage.run(seconds, signals)
+        summary = summed_up(scene, console)
+    except Interrupted:  # before anything was started
+        summary = None
+    finally:
+        shutil.rmtree(scene.runtime, ignore_errors=True)
+    if stage.stalls:
+        console.print(f"{stage.stalls} stop(s) because this machine held up a process: shown, reset, activated again")
+    for trouble in stage.troubles:
+        console.print(trouble, soft_wrap=True, markup=False)
+    if signals.seen:
+        sys.exit(128 + signals.seen)
+    if stage.troubles or summary is None:
+        sys.exit(1)
+    _what_next(scene, console)

@@ -1,0 +1,89 @@
+"""Child processes of `hil demo`: started together, watched, and ended whatever happens to their parent."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+def _die_with_parent(parent: int) -> None:
+    """In the child, before exec: SIGTERM when the parent dies, so that no process is left running."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+class Child:
+    """One `hil …` process with its output in a log file."""
+
+    def __init__(self, name: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        parent = os.getpid()
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "hil", *arguments],
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C is the parent's business: it ends its children in the right order
+                preexec_fn=lambda: _die_with_parent(parent),
+            )
+        self.pid = self._process.pid
+
+    @property
+    def exit_status(self) -> int | None:
+        """None while it runs; negative: the signal that ended it."""
+        return self._process.poll()
+
+    def fate(self) -> str:
+        """How it ended, and its last words."""
+        status = self.exit_status
+        if status is None:
+            return f"the {self.name} is running"
+        how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
+        words = self.log.read_text(errors="replace").strip().splitlines()[-5:]
+        return "\n  ".join([f"the {self.name} {how}", *words])
+
+    def end(self, timeout_s: float) -> bool:
+        """SIGTERM, and SIGKILL when that is not obeyed in time; True where it ended by itself or with status 0."""
+        if self.exit_status is None:
+            self._process.terminate()
+        try:
+            return self._process.wait(timeout_s) == 0
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            return False
+
+
+class Family:
+    """All children; leaving the context ends those still running, the first started last."""
+
+    def __init__(self) -> None:
+        self.children: list[Child] = []
+
+    def start(self, name: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> Child:
+        """Start `hil ARGUMENTS`."""
+        child = Child(name, arguments, environment, log)
+        self.children.append(child)
+        return child
+
+    def ended(self) -> Child | None:
+        """The first child that has ended, if any."""
+        return next((child for child in self.children if child.exit_status is not None), None)
+
+    def __enter__(self) -> "Family":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for child in reversed(self.children):
+            child.end(3.0)
