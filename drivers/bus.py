@@ -35,7 +35,7 @@ _UNSIGNED_32 = 0xFFFFFFFF
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _OWN_ECHO = int(socket.MSG_CONFIRM)  # a plain int: & with an enum takes a microsecond
 _new_tuple = tuple.__new__  # Frame(...) by another name, in half the time
-_FIRST_BYTES = struct.Struct("=IBB2x64s")
+_PACKET = struct.Struct("=IBBH64s")
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
 
@@ -92,6 +92,7 @@ class Port:
         self._state = medium.state()
         self._dropped = 0  # the socket's own count, from its opening on
         self._drained_ns = time.monotonic_ns()
+        self._offset_ns = 0
 
     def fileno(self) -> int:
         """Descriptor that is readable when frames have arrived, for poll(2); another one after `rebind`."""
@@ -107,8 +108,10 @@ class Port:
         """
         frames: list[Frame] = []
         sources = self._medium.ready()
-        for fd in sources:
-            self._read(fd, frames)
+        if sources:
+            self._offset_ns = _wall_offset()
+            for fd in sources:
+                self._read(fd, frames)
         self._drained_ns = now_ns
         if frames:
             self._received += len(frames)
@@ -135,9 +138,8 @@ class Port:
 
     def _sort(self, fd: int, packets: Packets, frames: list[Frame]) -> bool:
         """Put frames into `frames` and count everything else; False when the other end has closed."""
-        now_ns, offset_ns = _clocks()
-        earliest_ns = self._drained_ns
-        for (control, message_flags, size), (can_id, length, flags, data, _, s, ns, dropped) in packets:
+        offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, time.monotonic_ns()
+        for (control, message_flags, size), (can_id, length, flags, rest, data, _, s, ns, dropped) in packets:
             if size == self._fd_size:
                 flags |= FD
             elif size == CAN_MTU and length <= 8:
@@ -146,16 +148,16 @@ class Port:
                 self._medium.lost(fd)
                 return False
             else:
-                self._note_stranger(fd, _FIRST_BYTES.pack(can_id, length, flags, data)[:size])
+                self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
                 continue
             if control > STAMPED:
                 self._note_dropped(dropped)
             if can_id & ERROR or message_flags & _OWN_ECHO:
                 self._note_special(can_id, data[:length])
                 continue
-            stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else now_ns
-            if not earliest_ns <= stamp_ns <= now_ns:
-                stamp_ns = max(earliest_ns, min(stamp_ns, now_ns))
+            stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else latest_ns
+            if not earliest_ns <= stamp_ns <= latest_ns:
+                stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
             frames.append(_new_tuple(Frame, (can_id, data[:length], flags, stamp_ns)))
         return True
 
@@ -258,15 +260,15 @@ class Port:
         self._medium.close()
 
 
-def _clocks() -> tuple[int, int]:
-    """(CLOCK_MONOTONIC now, CLOCK_REALTIME - CLOCK_MONOTONIC), ns; read until nothing came between the readings."""
+def _wall_offset() -> int:
+    """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; read until nothing came between the readings."""
     for _ in range(3):
         before_ns = time.monotonic_ns()
         wall_ns = time.time_ns()
-        now_ns = time.monotonic_ns()
-        if now_ns - before_ns < _CLOCKS_READ_NS:
+        after_ns = time.monotonic_ns()
+        if after_ns - before_ns < _CLOCKS_READ_NS:
             break
-    return now_ns, wall_ns - (before_ns + now_ns) // 2
+    return wall_ns - (before_ns + after_ns) // 2
 
 
 def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:

@@ -66,11 +66,12 @@ class LocalBus(BusABC):
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
-            for fd in self._medium.ready(left):
+            sources = self._medium.ready(left)
+            for fd in sources:
                 message = self._read(fd)
                 if message is not None:
                     return message, False
-            if deadline is not None and time.monotonic() >= deadline:
+            if not sources and left == 0.0:
                 return None, False
 
     def _read(self, fd: int) -> can.Message | None:

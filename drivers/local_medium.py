@@ -5,14 +5,16 @@ one SOCK_SEQPACKET connection, a link, to every other member; a link carries exa
 socket would: `struct can_frame` or `struct canfd_frame`, one frame per packet, time-stamped by the kernel.
 
 - Joining: under the channel's lock, connect to every door found, then open one's own. So there is exactly one link
-  per pair, and a new member hears everything that is sent after it has joined.
+  per pair, and a new member hears everything that is sent after it has joined. (What it sends itself before the
+  others have taken it in is stamped when they do, at their next read or write.)
 - Leaving: the kernel closes a member's links however it ends, SIGKILL included; the others see it at once.
 - A member that stops reading fills its own links only. A frame that does not fit is lost for that member alone, as
   it would be in a node whose receive buffer is full, and the member is told with the error frame that a
   controller uses for that: CAN_ERR_CRTL_RX_OVERFLOW (data[5]: how many were lost, at most 255 at a time).
-- Queues are short, and their lengths are the receiver's choice: the first packet on a link tells the other side
-  how many frames it may leave waiting. Links are used because the queue of an unconnected datagram socket is bound
-  by net.unix.max_dgram_qlen: 10 on some machines, 512 on others, and only root can change it.
+- Queues are short, and their lengths are the receiver's choice: the name of a door says how many frames a link to
+  it may hold, and the first packet on a link says it for the other direction. Links are used because the queue of an
+  unconnected datagram socket is bound by net.unix.max_dgram_qlen: 10 on some machines, 512 on others, and only root
+  can change it.
 
 Frames never leave the machine: AF_UNIX could not carry them.
 """
@@ -37,10 +39,12 @@ from drivers.frame_bytes import CANFD_MTU, to_bytes
 from drivers.receive_block import SO_TIMESTAMPNS
 from drivers.runtime import make_private, runtime_dir
 
-FIRST_DEPTH = 16  # frames that may wait on a link whose other side has not said anything yet
+FIRST_DEPTH = 16  # frames that may wait on a link before its greeting has been read
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; who holds the lock for longer has been stopped
 
 _BACKLOG = 128
+_DEEPEST = 1 << 16
+_LOOK_ONLY = int(socket.MSG_PEEK)
 _NO_SIGNAL = int(socket.MSG_NOSIGNAL)  # a plain int is quicker to pass than an enum
 _LOCK_POLL_S = 0.002
 _SIOCOUTQ = 0x5411  # bytes sent and not yet read by the other side, with the kernel's overhead
@@ -49,6 +53,7 @@ _PATH_LIMIT = 107  # sun_path without its terminator, <sys/un.h>
 _GREETING = struct.Struct("=4sI")  # first packet on a link; its size tells it from a frame
 _GREETING_MARK = b"hil1"
 _TOLD_AT_ONCE = 255  # lost frames that one overflow notice can count
+_DOORS = "*-*-*.sock"  # process, number within it, depth of its queues
 _door_numbers = itertools.count()
 
 
@@ -56,17 +61,65 @@ class Link:
     """The connection to one other member.
 
     sock: what it sends arrives here. send: what goes to it. own: it is this member itself (loopback).
-    missed: frames lost for the other side since it was last told.
+    missed: frames lost for the other side since it was last told. greeted: the depth it wants is known.
     """
 
-    __slots__ = ("missed", "own", "send", "sender", "sock")
+    __slots__ = ("greeted", "missed", "own", "send", "sender", "sock")
 
-    def __init__(self, sock: socket.socket, sender: socket.socket | None = None) -> None:
+    def __init__(self, sock: socket.socket, depth: int = 0, sender: socket.socket | None = None) -> None:
+        """depth: of the queue towards the other side; 0 while unknown."""
         self.sock = sock
         self.sender = sender or sock
         self.send = self.sender.send
         self.own = sender is not None
         self.missed = 0
+        self.sock.setblocking(False)
+        self.sender.setblocking(False)
+        self.sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self.greeted = depth > 0
+        self.set_depth(depth or FIRST_DEPTH)
+
+    def set_depth(self, frames: int) -> None:
+        """Let `frames` frames wait for the other side; the kernel doubles what SO_SNDBUF is set to."""
+        size = min(frames, _DEEPEST) * _bytes_per_frame() // 2
+        self.sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size)
+
+    def greet(self, depth: int) -> None:
+        """Tell the other side how many frames it may leave waiting."""
+        self.send(_GREETING.pack(_GREETING_MARK, depth), _NO_SIGNAL)
+
+    def take_greeting(self, packet: bytes) -> bool:
+        """Follow the other side's greeting; False when the packet is none."""
+        if len(packet) != _GREETING.size or not packet.startswith(_GREETING_MARK):
+            return False
+        self.set_depth(_GREETING.unpack(packet)[1])
+        self.greeted = True
+        return True
+
+    def look_for_greeting(self) -> bool:
+        """Follow the greeting if it is what comes next; it is left there, as another thread may be about to read."""
+        with contextlib.suppress(OSError):
+            return self.take_greeting(self.sock.recv(CANFD_MTU, _LOOK_ONLY))
+        return False
+
+    def deliver(self, packet: bytes) -> bool:
+        """Send without waiting; False when there is no room. Raises OSError when the other side has left."""
+        try:
+            if self.missed:
+                self._tell()
+            self.send(packet, _NO_SIGNAL)
+        except BlockingIOError:
+            if not self.greeted and self.look_for_greeting():
+                return self.deliver(packet)
+            self.missed += 1
+            return False
+        return True
+
+    def _tell(self) -> None:
+        """Tell the other side how many frames it has lost; raises BlockingIOError while there is no room for that."""
+        told = min(self.missed, _TOLD_AT_ONCE)
+        self.send(to_bytes(overflow_notice(told)), _NO_SIGNAL)
+        self.missed -= told
 
     def close(self) -> None:
         """Close both ends held here."""
@@ -96,14 +149,15 @@ class LocalMedium:
         try:
             self._join(channel_dir(channel))
             if loopback:
-                self._add(Link(*socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)))
+                receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                self._add(Link(receiver, depth, sender))
         except BaseException:
             self.close()
             raise
 
     def _join(self, directory: Path) -> None:
         with _locked(directory):
-            for path in sorted(directory.glob("*.sock")):
+            for path in sorted(directory.glob(_DOORS)):
                 self._connect(path)
             self._open_door(directory)
 
@@ -118,10 +172,13 @@ class LocalMedium:
         except (FileNotFoundError, BlockingIOError):  # left just now; stopped for so long that its backlog is full
             sock.close()
         else:
-            self._add(Link(sock))
+            link = Link(sock, depth=int(path.stem.rpartition("-")[2]))
+            self._add(link)
+            with contextlib.suppress(OSError):  # gone already: reading will tell
+                link.greet(self._depth)
 
     def _open_door(self, directory: Path) -> None:
-        paths = (directory / f"{os.getpid()}-{number}.sock" for number in _door_numbers)
+        paths = (directory / f"{os.getpid()}-{number}-{self._depth}.sock" for number in _door_numbers)
         self._door_path = path = next(path for path in paths if not path.exists())
         with _address(path) as address:
             self._door.bind(address)
@@ -131,13 +188,6 @@ class LocalMedium:
         self._knocks.register(self._door, select.EPOLLIN)
 
     def _add(self, link: Link) -> None:
-        link.sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        link.sock.setblocking(False)
-        link.sender.setblocking(False)
-        _set_depth(link.sender, self._depth if link.own else FIRST_DEPTH)
-        with contextlib.suppress(OSError):  # gone already: reading will tell
-            if not link.own:
-                link.send(_GREETING.pack(_GREETING_MARK, self._depth), _NO_SIGNAL)
         self._by_fd[link.sock.fileno()] = link
         self._links = (*self._links, link)
         self._poll.register(link.sock, select.EPOLLIN)
@@ -150,7 +200,10 @@ class LocalMedium:
                     sock, _ = self._door.accept()
                 except OSError:  # nobody (left); or no descriptors left, then they keep waiting
                     return
-                self._add(Link(sock))
+                link = Link(sock)
+                if link.look_for_greeting():
+                    sock.recv(CANFD_MTU)  # nobody else reads here yet
+                self._add(link)
 
     @property
     def others(self) -> int:
@@ -183,24 +236,12 @@ class LocalMedium:
         delivered = False
         for link in self._links:
             try:
-                if link.missed:
-                    self._tell(link)
-                link.send(packet, _NO_SIGNAL)
-            except BlockingIOError:
-                link.missed += 1
+                delivered |= link.deliver(packet)
             except OSError:
                 self._part(link)
-            else:
-                delivered = True
         if delivered or not self.others:
             return delivered
         raise BlockingIOError(errno.EAGAIN, "the receive queue of every member is full")
-
-    def _tell(self, link: Link) -> None:
-        """Tell a member how many frames it has lost; raises BlockingIOError while there is no room for that either."""
-        told = min(link.missed, _TOLD_AT_ONCE)
-        link.send(to_bytes(overflow_notice(told)), _NO_SIGNAL)
-        link.missed -= told
 
     def _part(self, link: Link) -> None:
         """Stop sending to a member that has left; what it sent before it left is still to be read."""
@@ -220,13 +261,7 @@ class LocalMedium:
     def service(self, fd: int, packet: bytes) -> bool:
         """Handle a packet that is no frame: the other side's greeting; False for anything else."""
         link = self._by_fd.get(fd)
-        if link is None or len(packet) != _GREETING.size:
-            return False
-        mark, depth = _GREETING.unpack(packet)
-        if mark != _GREETING_MARK:
-            return False
-        _set_depth(link.sender, depth)
-        return True
+        return link is not None and link.take_greeting(packet)
 
     def state(self) -> BusState:
         """A local bus has no controller that could go error-passive."""
@@ -319,8 +354,3 @@ def _bytes_per_frame() -> int:
     with sender, receiver:
         sender.send(bytes(CANFD_MTU))
         return _waiting(sender)
-
-
-def _set_depth(sock: socket.socket, frames: int) -> None:
-    """Let `frames` frames wait on a socket; the kernel doubles what SO_SNDBUF is set to."""
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, min(frames, 1 << 16) * _bytes_per_frame() // 2)

@@ -21,7 +21,7 @@ SO_RXQ_OVFL = 40
 STAMPED = socket.CMSG_SPACE(struct.calcsize("@ll"))  # control bytes of a message that has a time stamp
 
 Result = tuple[int, int, int]
-Contents = tuple[int, int, int, bytes, int, int, int, int]
+Contents = tuple[int, int, int, int, bytes, int, int, int, int]
 Packets = Iterable[tuple[Result, Contents]]
 
 
@@ -56,10 +56,10 @@ _HEADER_BYTES = ctypes.sizeof(_MMsgHdr)
 # control_length, flags, received: next to each other in struct mmsghdr but for padding
 _GAP = _MMsgHdr.received.offset - _MsgHdr.flags.offset - ctypes.sizeof(ctypes.c_int)
 _RESULT = _exactly(f"@{_MsgHdr.control_length.offset}xNi{_GAP}xI", _HEADER_BYTES)
-# can_id, len, flags, data; then the control messages: SO_TIMESTAMPNS with seconds and nanoseconds, SO_RXQ_OVFL with its
-# count. cmsg_len and cmsg_level are skipped, as only SOL_SOCKET messages have been asked for.
+# can_id, len, flags, reserved, data; then the control messages: SO_TIMESTAMPNS with seconds and nanoseconds,
+# SO_RXQ_OVFL with its count. cmsg_len and cmsg_level are skipped, as only SOL_SOCKET messages have been asked for.
 _CMSG = f"{struct.calcsize('@N') + 4}x"
-_CONTENTS = _exactly(f"@IBB2x64s{_CMSG}ill{_CMSG}4xI", _SLOT_BYTES)
+_CONTENTS = _exactly(f"@IBBH64s{_CMSG}ill{_CMSG}4xI", _SLOT_BYTES)
 
 _DONT_WAIT = int(socket.MSG_DONTWAIT)
 _recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
@@ -93,8 +93,8 @@ class ReceiveBlock:
 
         result: (control_length, flags, size): bytes of control messages (0: neither stamp nor count, STAMPED: a stamp,
         more: both), MSG_CONFIRM and the like, bytes of the message (0: the other end has closed).
-        contents: (can_id, length, flags, data, kind, seconds, nanoseconds, dropped): `data` always has 64 bytes, of
-        which those beyond the frame's are left over; CLOCK_REALTIME of arrival; frames this socket has dropped so far.
+        contents: (can_id, length, flags, reserved, data, kind, seconds, nanoseconds, dropped): `data` always has 64
+        bytes, of which those beyond the frame's are left over; CLOCK_REALTIME of arrival; what this socket has dropped.
         Raises OSError as recvmsg(2) does, except that nothing there is no error. Read it all before the next call.
         """
         count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)

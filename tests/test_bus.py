@@ -1,0 +1,346 @@
+"""The Port: what a bus does to a control loop ends in a counter, never in an exception or a wait.
+
+A pair of sockets stands in for the CAN socket, so that error frames and failing calls are fed in as the bytes and
+errno values the kernel delivers; the same Port is run on real SocketCAN in the VM lane and on the local bus in
+test_local_bus.py.
+"""
+
+import errno
+import os
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import bus as bus_module
+from drivers.bus import BusState, Port, PortCounters, PortError, open_port, resolve_interface
+from drivers.config import BusConfig
+from drivers.frame import BRS, ERROR, FD, Frame
+from drivers.frame_bytes import to_bytes
+from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
+
+COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
+FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
+
+
+class Cable:
+    """A Medium whose far end the test holds."""
+
+    def __init__(self, near: socket.socket, far: socket.socket) -> None:
+        self.near, self.far = near, far
+        near.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self.next_error = 0
+        self.present = BusState.ERROR_ACTIVE
+        self.strangers: list[bytes] = []
+        self.closed = False
+
+    @classmethod
+    def pair(cls) -> "Cable":
+        return cls(*socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+
+    def fileno(self) -> int:
+        return self.near.fileno()
+
+    def ready(self) -> list[int]:
+        return [self.near.fileno()]
+
+    def transmit(self, packet: bytes) -> bool:
+        if self.next_error:
+            raise OSError(self.next_error, os.strerror(self.next_error))
+        self.near.send(packet)
+        return True
+
+    def lost(self, fd: int) -> None:
+        self.closed = True
+
+    def service(self, fd: int, packet: bytes) -> bool:
+        self.strangers.append(packet)
+        return packet == b"greeting"
+
+    def state(self) -> BusState:
+        return self.present
+
+    def purge(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self.near.close()
+        self.far.close()
+
+    def arrive(self, *frames: Frame) -> None:
+        for frame in frames:
+            self.far.send(to_bytes(frame))
+
+
+@pytest.fixture
+def cable() -> Iterator[Cable]:
+    cable = Cable.pair()
+    yield cable
+    cable.close()
+
+
+@pytest.fixture
+def port(cable: Cable) -> Port:
+    return Port(lambda: cable, fd=True, receive_limit=32)
+
+
+def drain(port: Port) -> list[Frame]:
+    return port.drain(time.monotonic_ns())
+
+
+def bare(frames: list[Frame]) -> list[Frame]:
+    return [frame._replace(timestamp_ns=0) for frame in frames]
+
+
+def test_a_drain_empties_the_socket_oldest_first(port: Port, cable: Cable) -> None:
+    sent = [FEEDBACK._replace(can_id=0x100 + axis) for axis in range(4)] + [Frame(0x701, b"\x05")]
+    cable.arrive(*sent)
+    assert bare(drain(port)) == sent
+    assert drain(port) == []
+    assert port.counters() == PortCounters(received=5)
+
+
+def test_what_is_sent_arrives_as_the_kernels_frame_bytes(port: Port, cable: Cable) -> None:
+    assert port.send(COMMAND)
+    assert cable.far.recv(100) == to_bytes(COMMAND)
+    assert port.counters() == PortCounters(sent=1)
+
+
+def test_a_stamp_is_the_monotonic_time_of_arrival(port: Port, cable: Cable) -> None:
+    times = [time.monotonic_ns()]
+    for _ in range(3):
+        cable.arrive(FEEDBACK)
+        times.append(time.monotonic_ns())
+    stamps = [frame.timestamp_ns for frame in drain(port)]
+    slack = 100_000  # the two clocks are read one after the other
+    assert all(
+        before - slack <= stamp <= after + slack for stamp, (before, after) in zip(stamps, pairwise(times), strict=True)
+    )
+    assert stamps == sorted(stamps)
+
+
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_setting_the_wall_clock_cannot_move_a_stamp_out_of_its_interval(
+    port: Port, cable: Cable, monkeypatch: pytest.MonkeyPatch, step_s: int
+) -> None:
+    previous = time.monotonic_ns()
+    port.drain(previous)
+    cable.arrive(FEEDBACK, FEEDBACK)  # stamped before the step
+    wall = time.time_ns
+    monkeypatch.setattr(bus_module.time, "time_ns", lambda: wall() + step_s * 10**9)
+    frames = drain(port)
+    assert len(frames) == 2
+    assert all(previous <= frame.timestamp_ns <= time.monotonic_ns() for frame in frames)
+
+
+def test_a_flood_keeps_the_newest_frames_and_counts_the_rest(port: Port, cable: Cable) -> None:
+    flood = [Frame(0x200, struct.pack("<I", number)) for number in range(3 * SLOTS + 5)]
+    cable.arrive(*flood)
+    assert bare(drain(port)) == flood[-32:]
+    assert port.counters() == PortCounters(received=len(flood), discarded=len(flood) - 32)
+
+
+def test_a_sender_without_end_costs_a_drain_a_bounded_number_of_reads(
+    port: Port, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = (STAMPED, 0, 16)
+    contents = (0x200, 1, 0, 0, bytes(64), 35, 0, 0, 0)
+    monkeypatch.setattr(port, "_receive", lambda fd: (SLOTS, [(result, contents)] * SLOTS))
+    assert len(drain(port)) == 32
+    assert port.counters().received == 16 * SLOTS
+
+
+def test_error_frames_change_the_state_and_the_counters_and_are_not_returned(port: Port, cable: Cable) -> None:
+    def after(can_id: int, data: str = "0000000000000000") -> PortCounters:
+        cable.arrive(Frame(ERROR | can_id, bytes.fromhex(data)), FEEDBACK)
+        assert bare(drain(port)) == [FEEDBACK]
+        return port.counters()._replace(received=0)
+
+    assert after(0x020) == PortCounters(errors=1, no_ack=1)
+    assert after(0x204, "0020000000008000") == PortCounters(errors=2, no_ack=1, state=BusState.ERROR_PASSIVE)
+    assert after(0x088, "0000001900008000") == PortCounters(errors=3, no_ack=2, state=BusState.ERROR_PASSIVE)
+    assert after(0x040) == PortCounters(errors=4, no_ack=2, bus_off=1, state=BusState.BUS_OFF)
+    assert after(0x100) == PortCounters(errors=5, no_ack=2, bus_off=1, restarted=1)
+    assert after(0x004, "0001000000070000") == PortCounters(errors=6, no_ack=2, bus_off=1, restarted=1, overflow=7)
+
+
+@pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
+def test_a_full_queue_is_counted_and_the_frame_is_not_tried_again(port: Port, cable: Cable, number: int) -> None:
+    cable.next_error = number
+    assert not port.send(COMMAND)
+    cable.next_error = 0
+    assert port.send(FEEDBACK)
+    assert cable.far.recv(100) == to_bytes(FEEDBACK)
+    assert port.counters() == PortCounters(sent=1, refused=1)
+
+
+@pytest.mark.parametrize("number", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO])
+def test_an_interface_that_is_gone_is_reported_and_bound_again_off_the_loop(number: int) -> None:
+    cables = [Cable.pair(), Cable.pair()]
+    handed_out = iter(cables)
+    port = Port(lambda: next(handed_out), fd=True, receive_limit=32)
+    cables[0].next_error = number
+    assert not port.send(COMMAND)
+    assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
+    assert port.rebind()
+    assert port.fileno() == cables[1].fileno()
+    assert cables[0].near.fileno() == -1
+    assert port.send(COMMAND)
+    cables[1].arrive(FEEDBACK)
+    assert bare(drain(port)) == [FEEDBACK]
+    assert port.counters() == PortCounters(down=1, sent=1, received=1)
+    port.close()
+
+
+def test_a_rebind_that_fails_leaves_the_port_down_and_usable_for_the_next_try(cable: Cable) -> None:
+    opened = 0
+
+    def open_medium() -> Cable:
+        nonlocal opened
+        opened += 1
+        if opened == 2:
+            raise OSError(errno.ENODEV, "No such device")
+        return cable
+
+    port = Port(open_medium, fd=True, receive_limit=32)
+    assert not port.rebind()
+    assert port.counters().state is BusState.DOWN
+    assert drain(port) == []
+
+
+def test_a_bus_that_comes_back_without_its_controller_is_not_called_usable(cable: Cable) -> None:
+    spare = Cable.pair()
+    spare.present = BusState.BUS_OFF
+    media = iter([cable, spare])
+    port = Port(lambda: next(media), fd=True, receive_limit=32)
+    assert not port.rebind()
+    assert port.counters().state is BusState.BUS_OFF
+    port.close()
+
+
+def test_going_down_shows_in_a_read_as_well(port: Port, cable: Cable, monkeypatch: pytest.MonkeyPatch) -> None:
+    def receive(fd: int) -> tuple[int, list[object]]:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+    monkeypatch.setattr(port, "_receive", receive)
+    assert drain(port) == []
+    assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
+
+
+def test_an_own_echo_is_told_apart(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+    def packet(can_id: int, message_flags: int) -> tuple[tuple[int, ...], tuple[object, ...]]:
+        return (STAMPED, message_flags, 16), (can_id, 1, 0, 0, bytes(64), 35, 0, 0, 0)
+
+    packets = [packet(0x080, int(socket.MSG_CONFIRM)), packet(0x100, int(socket.MSG_DONTROUTE)), packet(0x101, 0)]
+    monkeypatch.setattr(port, "_receive", lambda fd: (len(packets), packets))
+    assert [frame.can_id for frame in drain(port)] == [0x100, 0x101]
+    assert port.counters() == PortCounters(received=2, echo=1)
+
+
+def test_frames_that_the_kernel_dropped_are_counted_from_its_own_count() -> None:
+    """SO_RXQ_OVFL on a UDP socket on the loopback: the same socket option, cmsg and code path as on a CAN socket."""
+    near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    near.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    near.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+    near.bind(("127.0.0.1", 0))
+    far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    far.connect(near.getsockname())
+    cable = Cable(near, far)
+    port = Port(lambda: cable, fd=True, receive_limit=32)
+    for _ in range(2):
+        before = port.counters()
+        cable.arrive(*[FEEDBACK] * 50)
+        received = len(drain(port))
+        assert 0 < received < 50
+        cable.arrive(FEEDBACK)  # the count comes with the next frame that fits
+        received += len(drain(port))
+        counters = port.counters()
+        assert counters.received - before.received == received
+        assert counters.overflow - before.overflow == 51 - received
+    port.close()
+
+
+def test_the_kernels_drop_count_may_wrap(port: Port) -> None:
+    port._dropped = 0xFFFFFFFE
+    port._note_dropped(3)
+    assert port.counters().overflow == 5
+
+
+def test_a_classic_port_takes_fd_frames_for_errors_as_a_classic_controller_does(cable: Cable) -> None:
+    port = Port(lambda: cable, fd=False, receive_limit=32)
+    cable.arrive(FEEDBACK, Frame(0x100, b"12345678"))
+    assert bare(drain(port)) == [Frame(0x100, b"12345678")]
+    assert port.counters() == PortCounters(received=1, errors=1)
+
+
+def test_packets_of_the_mediums_own_are_handed_to_it(port: Port, cable: Cable) -> None:
+    cable.far.send(b"greeting")
+    cable.arrive(FEEDBACK)
+    cable.far.send(bytes(16)[:-1])
+    assert bare(drain(port)) == [FEEDBACK]
+    assert cable.strangers == [b"greeting", bytes(15)]
+    assert port.counters() == PortCounters(received=1, errors=1)
+
+
+def test_what_was_sent_before_the_other_end_closed_is_still_received(port: Port, cable: Cable) -> None:
+    assert port.send(COMMAND)  # never read: the kernel reports ECONNRESET first
+    cable.arrive(FEEDBACK)
+    cable.far.close()
+    assert bare(drain(port)) == [FEEDBACK]
+    assert cable.closed
+
+
+@given(st.lists(st.binary(min_size=1, max_size=72), max_size=40))
+def test_no_packet_raises_and_each_is_accounted_for(packets: list[bytes]) -> None:
+    cable = Cable.pair()
+    port = Port(lambda: cable, fd=True, receive_limit=1000)
+    for packet in packets:
+        cable.far.send(packet)
+    frames = drain(port)
+    counters = port.counters()
+    assert counters.received == len(frames)
+    assert counters.received + counters.errors == len(packets)
+    assert all(len(frame.data) <= (64 if frame.flags & FD else 8) for frame in frames)
+    port.close()
+
+
+def test_auto_means_the_local_bus_where_no_can_interface_has_that_name() -> None:
+    assert resolve_interface(BusConfig(channel="lo")) == "local"  # exists, but is no CAN interface
+    assert resolve_interface(BusConfig(channel="nosuch0")) == "local"
+    assert resolve_interface(BusConfig(interface="socketcan", channel="nosuch0")) == "socketcan"
+
+
+def test_auto_means_socketcan_where_the_interface_exists(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_module, "is_can_interface", lambda name: name == "can7")
+    assert resolve_interface(BusConfig(channel="can7")) == "socketcan"
+    with pytest.raises(PortError, match=r"'can7' \(socketcan\): "):  # never the local bus instead
+        open_port(BusConfig(channel="can7"), role="host", fd=True)
+
+
+def test_a_socketcan_interface_that_does_not_exist_is_named() -> None:
+    with pytest.raises(
+        PortError, match=r"^bus\.channel = 'nosuch0' \(socketcan\): (no such interface|this process may)"
+    ):
+        open_port(BusConfig(interface="socketcan", channel="nosuch0"), role="host", fd=True)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (OSError(errno.EAFNOSUPPORT, "x"), "RestrictAddressFamilies= does not list AF_CAN"),
+        (OSError(errno.ENODEV, "x"), "no such interface"),
+        (OSError(errno.EPERM, "Operation not permitted"), "Operation not permitted"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_says_why(monkeypatch: pytest.MonkeyPatch, error: OSError, text: str) -> None:
+    def fail(*args: object, **keywords: object) -> None:
+        raise error
+
+    monkeypatch.setattr(bus_module, "LocalMedium", fail)
+    with pytest.raises(PortError, match=text):
+        open_port(BusConfig(interface="local"), role="host", fd=True)
