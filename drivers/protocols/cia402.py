@@ -8,7 +8,7 @@ Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that
 32767 thousandths that 6071h can say. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
 
 Sampling time: CANopen carries none. All drives sample when SYNC ends, and their TPDOs follow it back to back, so the
-sampling instant is the reception of the first TPDO less the time the TPDOs took on the wire.
+sampling instant is the reception of the first TPDO less the time it took on the wire.
 """
 
 import math
@@ -21,7 +21,7 @@ import canopen
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.frame_length import frame_bits
+from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.cia301 import DriveState, mapping_entry
@@ -36,7 +36,7 @@ EMCY_ID = 0x480  # below the cyclic traffic; the predefined 080h would let four 
 DUMMY_INT16, DUMMY_UINT16 = 0x0003, 0x0006
 TPDO_OBJECTS = (cia301.POSITION, cia301.STATUSWORD)
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE | cia301.HOMED | cia301.BRAKE  # bits of the statusword that are looked at
-_TPDO_WORST_BITS = 115  # 6 bytes, with intermission
+_TPDO_BITS = 105  # 6 bytes, with intermission and half of the stuff bits there can be
 
 
 @cache
@@ -52,8 +52,8 @@ def _code(index: int) -> str:
 
 def _size(index: int, subindex: int) -> int:
     item = _eds()[index]
-    variable = item if isinstance(item, canopen.objectdictionary.ODVariable) else item[subindex]
-    return Struct("<" + cia301.BASIC_TYPES[int(variable.data_type)]).size
+    variable: Any = item if isinstance(item, canopen.objectdictionary.ODVariable) else item[subindex]
+    return Struct("<" + cia301.BASIC_TYPES[variable.data_type]).size
 
 
 def _write(index: int, subindex: int, value: int) -> Step:
@@ -138,6 +138,9 @@ class Cia402Host:
         self._rpdo_id = cia301.RPDO1_ID + bus.node_id
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,))) for count in range(1, cia301.SYNC_COUNTER_MAX + 1)]
         self._sampled_ns = -1  # of the TPDOs that follow the last SYNC
+        self._first_axis = 0
+        self._instant_ns = -1  # of the last SYNC that was answered
+        self._period_ns = period_ns
         self._bit_ns = 1e9 / bus.bitrate
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
         self._axis = {cia301.TPDO1_ID + node.node_id: axis for axis, node in enumerate(self.nodes)}
@@ -177,9 +180,22 @@ class Cia402Host:
             self._master.stir()
         node.on_state(state)
         if self._sampled_ns < 0 < received:
-            bits = frame_bits(frame)[0] + axis * _TPDO_WORST_BITS
-            self._sampled_ns = received - int(bits * self._bit_ns)
+            self._sampled_ns = self._sampling_instant(axis, frame)
         return Sample(axis, position, status | node.alarms, -1, self._sampled_ns)
+
+    def _sampling_instant(self, axis: int, frame: Frame) -> int:
+        """When the SYNC ended whose first TPDO is this frame, ns.
+
+        Where another axis than before is first, the usual one may be lost: then as many TPDOs are taken to have gone
+        before as explain best that a period has passed.
+        """
+        instant = frame.timestamp_ns - round((frame_bits(frame)[0] + INTERMISSION) * self._bit_ns)
+        if axis != self._first_axis and self._instant_ns >= 0:
+            expected = self._instant_ns + self._period_ns
+            earlier = [instant - round(lost * _TPDO_BITS * self._bit_ns) for lost in range(self.n_axes)]
+            instant = min(earlier, key=lambda candidate: abs(candidate - expected))
+        self._first_axis, self._instant_ns = axis, instant
+        return instant
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         service = self._services.get(can_id)
