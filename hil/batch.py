@@ -56,7 +56,6 @@ class BatchRun:
         self._inputs = blank_inputs(shape)
         self._share_reference(n)
         self._setpoints = Setpoints(self._inputs, rig.period_ns)
-        self._times = [[0] * n, [0] * n]  # of the sample, of the coming force
         self._net_last, self._net_before = np.zeros(shape), np.zeros(shape)
         self._measured, self._scratch = np.zeros(shape), np.zeros(shape)
         self._friction = np.zeros(n)
@@ -90,8 +89,6 @@ class BatchRun:
 
     def _estimate(self) -> None:
         inputs, motion = self._inputs, self._filter
-        self._times[0] = [(self.index - 1) * self._period_ns] * len(self._belief)
-        self._times[1] = [self.index * self._period_ns] * len(self._belief)
         np.divide(self._stage.position, self._resolution, out=self._measured)
         np.rint(self._measured, out=self._measured)
         np.multiply(self._measured, self._belief, out=self._measured)

@@ -95,7 +95,8 @@ class RobustPd(Law):
         total: Array = squares[..., 0]
         for axis in range(1, squares.shape[-1]):
             total = total + squares[..., axis]
-        return total[..., None] + np.zeros(squares.shape[-1])
+        spread: Array = total[..., None] + np.zeros(squares.shape[-1])
+        return spread
 
     def _size(self, value: Array) -> Array:
         size: Array = np.sqrt(self._squared(value)) if self._vector else np.abs(value)

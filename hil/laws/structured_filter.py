@@ -85,9 +85,15 @@ def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: I
 
 
 def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval) -> Covariance:
-    """P <- F P F' + Q. noise: variance per second of ė, d0, theta1..3; the thetas drift only in motion."""
+    """P <- F P F' + Q.
+
+    noise: variances per second of ė; of ė at a reversal, over the square of the speed gained there; per second of d0,
+    theta1, theta2 and theta3. The thetas drift only in motion. Where the reference reverses, the plant stops a little
+    early or late and friction holds it meanwhile: its speed is uncertain there, which is not to be blamed on the thetas.
+    """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
-    time, _, _, _, s, v, a = over
+    time, _, gained, before, s, v, a = over
+    after = before + gained
     g = time * inverse_mass
     half = 0.5 * time
     # Rows: the rate loses what the disturbance takes; the error gains the mean of the rate before and after.
@@ -107,10 +113,14 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
     n01 = r01 - g * (n02 + s * n03 + v * n04 + a * n05)
     n11 = r11 - g * (n12 + s * n13 + v * n14 + a * n15)
     n00 = r00 + half * (r01 + n01)
-    rate, bias, coulomb, viscous, mass = noise
+    rate, reversal, bias, coulomb, viscous, mass = noise
+    # The speed gained where the reference reverses, falling with the distance from it.
+    squared = gained * gained
+    near = squared * (squared / (before * before + after * after + TINY))
+    rate = rate * time + reversal * near
     moving = s * s * time
     return Covariance(
-        n00, n01, n02, n03, n04, n05, n11 + rate * time, n12, n13, n14, n15, p22 + bias * time, p23, p24, p25,
+        n00, n01, n02, n03, n04, n05, n11 + rate, n12, n13, n14, n15, p22 + bias * time, p23, p24, p25,
         p33 + coulomb * moving, p34, p35, p44 + viscous * moving, p45, p55 + mass * moving,
     )  # fmt: skip
 

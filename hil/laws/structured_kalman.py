@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedforward import default_damping, default_stiffness
+from hil.laws.feedforward import DEFAULT_BANDWIDTH, DEFAULT_DAMPING
 from hil.laws.structured_filter import Covariance, Disturbance, Number, force_of, interval, move, predict, update
 
 PRIOR_SPEED = 1e-3  # m/s, standard deviation at the start, at rest
@@ -129,8 +129,10 @@ def _step(
 class StructuredKalman(Law):
     """tau = feedforward(15) + d(estimated) - Kp e - Kd ė on the filter's own estimates, at the instant the force acts.
 
-    kp: N/m; kd: N s/m; None: from mass and rate. Noise densities of the random walks, per sqrt(s): acceleration_noise
-    m/s^2 sqrt(s); bias_noise N; coulomb_noise N; viscous_noise N s/m; mass_noise kg. measurement_noise: m, standard
+    kp: N/m; kd: N s/m; None: mass times omega^2 and 2 damping omega, omega = bandwidth (rad per period) / period, so
+    that the same gains fit every rate. Noise densities of the random walks, per sqrt(s): acceleration_noise
+    m/s; bias_noise N; coulomb_noise N; viscous_noise N s/m; mass_noise kg. reversal_noise: standard deviation of the
+    speed where the reference reverses, as a fraction of the speed gained in that period. measurement_noise: m, standard
     deviation of a sample; not below 29 nm at 0.1 um counts. Estimates are bounded by the force limit.
     """
 
@@ -138,7 +140,10 @@ class StructuredKalman(Law):
     GAINS: ClassVar[dict[str, Any]] = {
         "kp": None,
         "kd": None,
+        "bandwidth": DEFAULT_BANDWIDTH,
+        "damping": DEFAULT_DAMPING,
         "acceleration_noise": 1e-2,
+        "reversal_noise": 0.5,
         "bias_noise": 1e-2,
         "coulomb_noise": 1e-2,
         "viscous_noise": 1e-2,
@@ -154,17 +159,21 @@ class StructuredKalman(Law):
         *,
         kp: Array | None = None,
         kd: Array | None = None,
+        bandwidth: float | Array = DEFAULT_BANDWIDTH,
+        damping: float | Array = DEFAULT_DAMPING,
         acceleration_noise: float | Array = 1e-2,
+        reversal_noise: float | Array = 0.5,
         bias_noise: float | Array = 1e-2,
         coulomb_noise: float | Array = 1e-2,
         viscous_noise: float | Array = 1e-2,
         mass_noise: float | Array = 1e-4,
         measurement_noise: float | Array = 29e-9,
     ) -> None:
-        stiffness = default_stiffness(model, period) if kp is None else kp
-        damping = default_damping(model, period) if kd is None else kd
-        given = (stiffness, damping, acceleration_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
-        shape = np.broadcast_shapes(model.mass.shape, *(np.shape(gain) for gain in given))
+        omega = np.multiply(bandwidth, 1.0 / period)
+        kp = model.mass * (omega * omega) if kp is None else kp
+        kd = model.mass * (2.0 * damping * omega) if kd is None else kd
+        noises = (acceleration_noise, reversal_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
+        shape = np.broadcast_shapes(model.mass.shape, *(np.shape(gain) for gain in (kp, kd, *noises)))
 
         def full(value: float | Array) -> Array:
             return np.zeros(shape) + value
@@ -181,9 +190,9 @@ class StructuredKalman(Law):
             viscous=full(model.viscous),
             quadratic=full(model.quadratic),
             gravity=full(model.gravity),
-            kp=full(stiffness),
-            kd=full(damping),
-            noise=tuple(full(np.multiply(value, value)) for value in given[2:]),
+            kp=full(kp),
+            kd=full(kd),
+            noise=tuple(full(np.multiply(value, value)) for value in noises),
             measurement=full(np.multiply(measurement_noise, measurement_noise)),
             bounds=Disturbance(limit, limit, limit, full(0.9 * model.mass)),
         )
