@@ -40,6 +40,7 @@ STALL_FAULTS = (
     "OVERRUN_LONG",
 )  # what a host that holds up the emulator or the loop for milliseconds looks like
 MAX_STALLS = 10
+LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
 
@@ -124,6 +125,7 @@ class Demo:
                 self._start()
                 self._await_state(client, "READY", START_S)
                 self._activate(client)
+                self._await_state(client, "ACTIVE")
                 self._watch(client, seconds)
             except (DemoError, NoSidecarError) as error:
                 self.troubles.append(str(error))
@@ -295,11 +297,13 @@ def demo(
     config = load_rig(rig, chosen)
     signals = Signals()
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = LOG_WIDTH
     scene = Scene(config, rig, chosen, private_runtime(), out or run_directory(), free_endpoint())
     scene.out.mkdir(parents=True, exist_ok=True)
     console.print(f"demo of {config.name}: {config.description}", soft_wrap=True)
     console.print(
-        "the stage is emulated, the bus is local to this demo, and the run goes on where this machine grants no real time",
+        "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,
     )
     stage = Demo(scene, console)
