@@ -1,0 +1,177 @@
+"""`hil bench tick`: what one tick of the live control process costs, against a C program that does the same work.
+
+Both run in turns on the same core, at the same priority, paced at the rig's rate (so that caches are cold), on the same
+kind of socket, against the same emulated stage in a process of its own on another core.
+"""
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import hil
+from drivers.local_medium import channel_dir
+from hil.bench.harness import (
+    Block,
+    Case,
+    Figures,
+    as_json,
+    block_table,
+    interleave,
+    percentiles,
+    publish,
+    ratios,
+    spread,
+    values_of,
+)
+from hil.bench.live import BenchError, Run, cores, emulator, local, private_bus, run_control
+from hil.config import RigConfig, load_rig
+from hil.timing import STAGES
+
+C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "tick.c"
+SUBJECT, REFERENCE = "hil run", "C program"
+
+
+def tick(
+    rig: Annotated[Path, typer.Argument(help="rig file, stage_fd layout")] = Path("deploy/rigs/microscope.toml"),
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    blocks: Annotated[int, typer.Option(min=1)] = 5,
+    ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 5000,
+    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+) -> None:
+    """CPU per tick by stage, system calls, allocations, against a C program doing the same work."""
+    sets = overrides or []
+    config = load_rig(rig, local(sets))
+    if config.bus.protocol != "stage_fd":
+        raise typer.BadParameter("the C program speaks stage_fd only")
+    try:
+        with private_bus(), tempfile.TemporaryDirectory() as build:
+            program = build_reference(Path(build))
+            measured, runs, calls = _measure(rig, sets, config, program, blocks, ticks)
+    except BenchError as error:
+        raise typer.BadParameter(str(error)) from None
+    result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
+    publish(result, [_table(measured)], as_json_to, _lines(result))
+
+
+def build_reference(directory: Path) -> Path:
+    """Compile tick.c. Raises BenchError without a compiler or outside a checkout."""
+    compiler = shutil.which("cc")
+    if not compiler or not C_SOURCE.exists():
+        raise BenchError(f"needs a C compiler (apt install gcc) and {C_SOURCE}")
+    program = directory / "tick"
+    subprocess.run([compiler, "-O2", "-o", str(program), str(C_SOURCE), "-lm"], check=True)
+    return program
+
+
+def _measure(
+    rig: Path, sets: list[str], config: RigConfig, program: Path, blocks: int, ticks: int
+) -> tuple[list[Block], list[Run], float | None]:
+    runs: list[Run] = []
+
+    def subject() -> Figures:
+        with emulator(rig, sets):
+            run = run_control(rig, sets, ticks, cpu_clock=True)
+        runs.append(run)
+        return _figures(run)
+
+    def reference() -> Figures:
+        with emulator(rig, sets):
+            return run_reference(program, config, ticks)
+
+    measured = interleave([Case(SUBJECT, subject), Case(REFERENCE, reference)], blocks)
+    strace = shutil.which("strace")
+    if strace is None:
+        return measured, runs, None
+    with emulator(rig, sets):
+        return measured, runs, run_control(rig, sets, 1000, strace=strace).system_calls_per_tick
+
+
+def _figures(run: Run) -> Figures:
+    tick_us = percentiles(run.stages.sum(axis=1) / 1e3)
+    stages = {f"{name}_p50": float(np.median(run.stages[:, i])) / 1e3 for i, name in enumerate(STAGES)}
+    period_us = run.timing.quantile("cpu", 0.5) / 1e3
+    return {**tick_us, **stages, "period_p50": period_us, "own_misses": run.lost[0], "host_misses": run.lost[1]}
+
+
+def run_reference(program: Path, config: RigConfig, ticks: int) -> Figures:
+    """One block of the C program, beside a running emulator."""
+    limit = min(axis.rated_force for axis in config.axes.values()) / 2
+    bus, timing = config.bus, config.timing
+    arguments = [channel_dir(bus.channel), ticks + 500, config.period_ns, cores()[1], timing.priority, bus.host_id]
+    arguments += [bus.feedback_id, len(config.axes), limit]
+    done = subprocess.run([str(program), *map(str, arguments)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise BenchError(f"the C program failed: {done.stderr}")
+    rows = np.array([line.split() for line in done.stdout.splitlines()], dtype=np.int64)[500:]
+    answered = float((rows[:, 3] == len(config.axes)).mean())
+    if answered < 0.9:
+        raise BenchError(f"the C program got all answers in only {answered:.0%} of its ticks: nothing to compare with")
+    return {**percentiles(rows[:, 0] / 1e3), "period_p50": float(np.median(rows[:, 1])) / 1e3}
+
+
+def allocations_per_tick(config: RigConfig, base_dir: Path, ticks: int = 2000) -> float:
+    """Memory blocks that a tick leaves behind on average, in lockstep; 0: no growth."""
+    import gc
+    import sys
+
+    from hil.lockstep import LockstepRun
+
+    run = LockstepRun(config, base_dir)
+    for _ in range(2000):
+        run.tick()
+    gc.collect()
+    before = sys.getallocatedblocks()
+    for _ in range(ticks):
+        run.tick()
+    gc.collect()
+    return (sys.getallocatedblocks() - before) / ticks
+
+
+def _result(blocks: list[Block], runs: list[Run], calls: float | None, allocations: float) -> dict[str, Any]:
+    def median_of(case: str, *figures: str) -> Figures:
+        return {figure: spread(values_of(blocks, case, figure)).median for figure in figures}
+
+    marks = ("p50", "p99", "p999")
+    return {
+        "cpu_us": median_of(SUBJECT, *marks),
+        "c_cpu_us": median_of(REFERENCE, *marks),
+        "ratio": {mark: spread(ratios(blocks, SUBJECT, REFERENCE, mark)).median for mark in marks},
+        "stages_us": {name: median_of(SUBJECT, f"{name}_p50")[f"{name}_p50"] for name in STAGES},
+        "period_cpu_us": {"hil": median_of(SUBJECT, "period_p50"), "c": median_of(REFERENCE, "period_p50")},
+        "system_calls_per_tick": calls,
+        "allocated_blocks_per_tick": allocations,
+        "collector_runs": sum(run.timing.counters["collector_runs"] for run in runs),
+        "major_faults": sum(run.major_faults for run in runs),
+        "own_misses": sum(run.lost[0] for run in runs),
+        "host_misses": sum(run.lost[1] for run in runs),
+        "ticks": sum(len(run.lateness) for run in runs),
+        "rss_bytes": max(run.rss_bytes for run in runs),
+        "rss_growth_bytes": max(run.growth_bytes for run in runs),
+        "repeated_blocks": sum(run.repeated for run in runs),
+        "realtime": runs[0].timing.verdict,
+        "blocks": as_json(blocks),
+    }
+
+
+def _table(blocks: list[Block]) -> Any:
+    figures = ["p50", "p99", "p999", "max", *(f"{name}_p50" for name in STAGES), "period_p50"]
+    return block_table("CPU per tick, us (period: with its sleep and wake)", blocks, figures)
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    calls = result["system_calls_per_tick"]
+    shown = f"{calls:.1f}" if calls is not None else "not counted (strace is not installed: apt install strace)"
+    ratio = result["ratio"]
+    return [
+        f"hil / C: p50 {ratio['p50']:.1f}, p99 {ratio['p99']:.1f}, p99.9 {ratio['p999']:.1f}",
+        f"system calls per tick {shown}; allocated blocks per tick {result['allocated_blocks_per_tick']:.3f}; "
+        f"collector runs {result['collector_runs']}; major faults {result['major_faults']}; "
+        f"slots lost of {result['ticks']}: {result['own_misses']} own, {result['host_misses']} the host's",
+        f"resident {result['rss_bytes'] / 1e6:.0f} MB, growth {result['rss_growth_bytes'] / 1e3:.0f} kB",
+        f"{result['realtime']}; blocks spoilt by the host and repeated: {result['repeated_blocks']}",
+    ]
