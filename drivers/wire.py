@@ -14,30 +14,17 @@ from heapq import heappop, heappush
 from typing import Any
 
 from drivers.config import BusConfig, WireConfig
-from drivers.frame import EXTENDED, EXTENDED_MASK, REMOTE, STANDARD_MASK, Frame
+from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.wire_confinement import ERROR_FRAME, Confinement
 from drivers.wire_faults import FRAME_FAULTS, FaultKind, FrameFaults, Random, WireFault
-from drivers.wire_node import WireNode, elapsed_ns
+from drivers.wire_node import WireNode, arbitration_key, elapsed_ns
 from drivers.wire_script import LateDeliveries, NodeFaults
 
 LONGEST = 800  # bits; more than any frame has at either rate
 COLLISION_BIT = 20  # two senders with one identifier differ behind the arbitration field
 
 Observer = Callable[[int, int, str, Frame, bool], None]
-
-
-def arbitration_key(can_id: int) -> int:
-    """The arbitration field as an integer: of two frames that begin together the one with the lower key wins.
-
-    11-bit identifiers: id, RTR, IDE = 0. 29-bit ones: base id, SRR = 1, IDE = 1, extension, RTR. So a base frame beats
-    an extended frame with the same first 11 bits, and data beats remote.
-    """
-    remote = 1 if can_id & REMOTE else 0
-    if can_id & EXTENDED:
-        identifier = can_id & EXTENDED_MASK
-        return (identifier >> 18) << 21 | 0b11 << 19 | (identifier & 0x3FFFF) << 1 | remote
-    return (can_id & STANDARD_MASK) << 21 | remote << 20
 
 
 class Wire:
@@ -89,7 +76,7 @@ class Wire:
         self._drop_probability = drop_probability
         self._intermission_ns = self.nominal_ns[INTERMISSION]
         self._keys: dict[int, int] = {}
-        self._agenda: list[tuple[int, int, Callable[..., None], tuple[Any, ...]]] = []
+        self._agenda: list[tuple[int, int, Callable[..., object], tuple[Any, ...]]] = []
         self._planned = 0
         for fault in faults:
             self.inject(fault)
@@ -107,16 +94,17 @@ class Wire:
         receive: Callable[[Frame], None] | None,
         queue_length: int = 16,
         accept: Container[int] | None = None,
+        fifo: bool = True,
     ) -> WireNode:
         """Put a node on the bus. Raises ValueError for a name that is taken.
 
         receive: gets every frame of the others at its last bit, and may send at that time; None: acknowledges only.
         queue_length: frames, the one on the wire included. accept: identifiers (with Linux's flags) its acceptance
-        filter lets through; None: all.
+        filter lets through; None: all. fifo: one transmit queue, as under Linux; False: its most urgent frame first.
         """
         if name in self.nodes:
             raise ValueError(f"node {name!r} is attached already")
-        node = self.nodes[name] = WireNode(self, name, receive, queue_length, accept)
+        node = self.nodes[name] = WireNode(self, name, receive, queue_length, accept, fifo)
         self.topology_changed()
         return node
 
@@ -146,7 +134,7 @@ class Wire:
                 break
         self.now_ns = until_ns
 
-    def at(self, time_ns: int, action: Callable[..., None], *arguments: Any) -> None:
+    def at(self, time_ns: int, action: Callable[..., object], *arguments: Any) -> None:
         """Plan an action; those of one instant run in the order in which they were planned."""
         self._planned += 1
         heappush(self._agenda, (max(time_ns, self.now_ns), self._planned, action, arguments))

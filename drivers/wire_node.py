@@ -5,7 +5,7 @@ from collections.abc import Callable, Container
 from typing import TYPE_CHECKING
 
 from drivers.counters import BusState, PortCounters
-from drivers.frame import BRS, Frame
+from drivers.frame import BRS, EXTENDED, EXTENDED_MASK, REMOTE, STANDARD_MASK, Frame
 from drivers.frame_length import ACK_TO_EOF, frame_bits
 
 if TYPE_CHECKING:
@@ -15,8 +15,22 @@ PASSIVE_LIMIT = 127  # TEC or REC above it: error-passive (ISO 11898-1:2015, 12.
 BUS_OFF_LIMIT = 255  # TEC above it: bus-off
 
 
+def arbitration_key(can_id: int) -> int:
+    """The arbitration field as an integer: of two frames that begin together the one with the lower key wins.
+
+    11-bit identifiers: id, RTR, IDE = 0. 29-bit ones: base id, SRR = 1, IDE = 1, extension, RTR. So a base frame beats
+    an extended frame with the same first 11 bits, and data beats remote.
+    """
+    remote = 1 if can_id & REMOTE else 0
+    if can_id & EXTENDED:
+        identifier = can_id & EXTENDED_MASK
+        return (identifier >> 18) << 21 | 0b11 << 19 | (identifier & 0x3FFFF) << 1 | remote
+    return (can_id & STANDARD_MASK) << 21 | remote << 20
+
+
 class WireNode:
-    """A node's transmit queue is a FIFO, as a qdisc is; its oldest frame alone sits in the controller and arbitrates.
+    """A node with `fifo` queues as a qdisc does: its oldest frame alone sits in the controller and arbitrates. Without,
+    it has a transmit buffer for each message, as drives do: its most urgent frame arbitrates.
 
     Made by `Wire.attach`. sent, received, refused, errors, no_ack, bus_off, restarted, down: cumulative, as in
     `PortCounters`. tec, rec: transmit and receive error counter. The other public attributes serve the simulation.
@@ -31,6 +45,7 @@ class WireNode:
         "down",
         "down_faults",
         "errors",
+        "fifo",
         "interface_up",
         "is_bus_off",
         "name",
@@ -57,6 +72,7 @@ class WireNode:
         receive: Callable[[Frame], None] | None,
         queue_length: int,
         accept: Container[int] | None,
+        fifo: bool,
     ) -> None:
         if queue_length < 1:
             raise ValueError(f"node {name}: queue_length = {queue_length}, must be at least 1")
@@ -64,6 +80,7 @@ class WireNode:
         self.receive = receive
         self.queue_length = queue_length
         self.accept = accept
+        self.fifo = fifo
         self.sent = self.received = self.refused = self.errors = 0
         self.no_ack = self.bus_off = self.restarted = self.down = 0
         self.tec = self.rec = 0
@@ -88,6 +105,9 @@ class WireNode:
         wire = self._wire
         if at_ns < wire.now_ns:
             raise ValueError(f"node {self.name}: send at {at_ns} ns, but the wire is at {wire.now_ns} ns")
+        if not self.fifo and at_ns > wire.now_ns:
+            wire.at(at_ns, self.send, frame, at_ns)  # it takes its place among the others when it is due
+            return True
         queue = self.queue
         if len(queue) >= self.queue_length or self.is_bus_off or not self.interface_up:
             if self.interface_up:
@@ -98,13 +118,25 @@ class WireNode:
         nominal, fast = frame_bits(frame)
         if at_ns < self.ready_ns:
             at_ns = self.ready_ns
-        queue.append((at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast]))
+        entry = (at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast])
+        if self.fifo or not queue:
+            queue.append(entry)
+        else:
+            self._insert(entry)
         if len(queue) == 1:
             if self.cut_off:
                 wire.node_faults.attempt_next(self)
             else:
                 wire.waiting.append(self)
         return True
+
+    def _insert(self, entry: tuple[int, Frame, int]) -> None:
+        """Before what is less urgent and not on the wire."""
+        position = 1 if self._wire.sender is self or self.repeating else 0
+        key = arbitration_key(entry[1].can_id)
+        while position < len(self.queue) and arbitration_key(self.queue[position][1].can_id) <= key:
+            position += 1
+        self.queue.insert(position, entry)
 
     def purge(self) -> int:
         """Drop what is queued, except a frame on the wire at this moment. Returns how many were dropped."""

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from drivers.counters import BusState
 from drivers.frame import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
-from drivers.wire import Wire, arbitration_key
+from drivers.wire import Wire
 from drivers.wire_faults import FaultKind, Random, WireFault
-from drivers.wire_node import WireNode
+from drivers.wire_node import WireNode, arbitration_key
 
 BIT = 1000  # ns at 1 Mbit/s
 MS = 1_000_000
@@ -158,6 +158,21 @@ def test_the_queue_of_a_node_is_a_fifo_so_an_urgent_frame_waits_behind_a_lazy_on
         other.send(Frame(0x300, b""), 0)
     wire.advance(MS)
     assert order == [0x300, 0x300, 0x700, 0x001]
+
+
+def test_a_node_with_a_buffer_for_each_message_sends_its_most_urgent_one_first() -> None:
+    wire = Wire(1_000_000)
+    order: list[int] = []
+    buffered, other = wire.attach("buffered", None, fifo=False), wire.attach("other", None)
+    wire.attach("listener", lambda frame: order.append(frame.can_id))
+    other.send(Frame(0x300, b""), 0)
+    wire.advance(BIT)
+    for can_id, at_ns in ((0x700, BIT), (0x200, 2 * BIT), (0x001, MS)):
+        buffered.send(Frame(can_id, b""), at_ns)
+    wire.advance(80 * BIT)  # 0x200 is on the wire
+    buffered.send(Frame(0x100, b""), 80 * BIT)
+    wire.advance(2 * MS)
+    assert order == [0x300, 0x200, 0x100, 0x700, 0x001]
 
 
 def test_a_full_queue_refuses_and_counts_and_the_refused_frame_is_never_sent() -> None:
