@@ -28,7 +28,7 @@ COMMANDS: dict[str, Entry] = {
     "dashboard": Entry("hil.monitor.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.command:command", "Activate, stop, reset or emergency-stop a running rig"),
     "doctor": Entry("hil.doctor:doctor", "What this machine grants, and what to do about it"),
-    "faults": Entry("hil.fault_campaign:faults", "Every fault in every state, phase and axis, in lockstep"),
+    "faults": Entry("hil.campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"),
     "reproduce": Entry("hil.paper.reproduce:reproduce", "Check the paper's claims"),
     "compare": Entry("hil.compare:compare", "All control laws on the same task"),
     "tune": Entry("hil.tune:tune", "Find gains for a law and write them to the rig file"),

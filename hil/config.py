@@ -181,7 +181,7 @@ class SafetyConfig(BaseModel):
     nis_limit: Positive = 1e6  # normalised innovation squared
     nis_ticks: Ticks = 20
     transmit_refused_limit: Ticks = 3
-    flood_frames: Annotated[int, Field(ge=8, le=1000)] = 24  # received in one tick
+    flood_frames: Annotated[int, Field(ge=8, le=1000)] = 12  # received in one tick
     overrun_streak: Ticks = 5
     overrun_zero_s: Positive = 0.02
     stop_s: Annotated[float, Field(gt=0, le=0.5)] = 0.05  # a damped stop ends within this

@@ -16,7 +16,6 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.wire import Wire
 from drivers.wire_faults import Random, WireFault
-from drivers.wire_node import WireNode
 from hil.config import RigConfig
 from hil.cycle import ControlCycle
 from hil.state_machine import State
@@ -61,11 +60,10 @@ class LockstepRun:
         self.wire = Wire.from_config(rig.bus, rig.wire)
         for fault in wire_faults:
             self.wire.inject(fault)
-        self._inbox: list[Frame] = []
-        self.host = self.wire.attach("host", self._inbox.append, rig.bus.transmit_queue)
+        self.received: list[Frame] = []  # by the host since the last tick
+        self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives)
-        self._senders: dict[int, WireNode] = {}
-        self._axis_nodes = [self.wire.attach(name, None) for name in rig.axis_names]
+        self._axis_nodes = {name: self.wire.attach(name, None) for name in rig.axis_names}
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
         self._jitter_ns = round(rig.wire.jitter * 1e9)
         self._command_sequence = 0
@@ -75,39 +73,36 @@ class LockstepRun:
         self.stop = False
         self.true_position = np.zeros(len(axes))  # of the samples the latest tick worked on, before the encoder
         self.true_velocity = np.zeros(len(axes))
-        self._sampled_position = np.zeros(len(axes))
-        self._sampled_velocity = np.zeros(len(axes))
+        self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
     def _to_drives(self, frame: Frame) -> None:
         answers = self.stage.on_frame(frame)
-        if not answers:
-            return
-        self._sampled_position[:] = self.stage.position
-        self._sampled_velocity[:] = self.stage.velocity
-        if len(answers) == len(self._axis_nodes):
-            for answer, node in zip(answers, self._axis_nodes, strict=True):
-                self._senders[answer.can_id] = node
         for answer in answers:
-            self._senders.get(answer.can_id, self._axis_nodes[0]).send(answer, frame.timestamp_ns)
+            self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+
+    def skip(self, slots: int) -> None:
+        """Let `slots` periods pass without a tick: the control process was held up."""
+        self.index += slots
+        self.wire.advance(self.index * self.rig.period_ns)
+        for unasked in self.stage.advance(self.index * self.rig.period_ns):
+            self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
 
     def tick(self) -> CycleResult:
         """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
         now = self.index * self.rig.period_ns
-        tick = Tick(self.index, now, now, self.host.counters(), self._commands(now), stop=self.stop)
-        frames = self._inbox.copy()
-        self._inbox.clear()
+        tick = Tick(self.index, now, now, self.host.counters(), self._commands(now), stop=self.stop, **self.grants)
+        frames = self.received.copy()
+        self.received.clear()
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
-        self.true_position[:] = self._sampled_position
-        self.true_velocity[:] = self._sampled_velocity
+        self.true_position[:] = self.stage.sampled_position
+        self.true_velocity[:] = self.stage.sampled_velocity
         self._send(result.frames, now)
         self._hash(frames, result.frames)
         if self._observer:
             self._observer(tick, frames, result)
-        self.index += 1
-        self.wire.advance(self.index * self.rig.period_ns)
-        self.stage.advance(self.index * self.rig.period_ns)
+        self.skip(1)
         return result
 
     def _commands(self, now: int) -> tuple[OperatorCommand, ...]:

@@ -1,0 +1,1 @@
+"""The fault campaign: every fault, in every state and phase, on every axis, in lockstep."""
