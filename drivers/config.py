@@ -25,9 +25,10 @@ class DbcBinding(BaseModel):
     position: list[SignalBinding]
     status: list[SignalBinding] = []
     torque: list[SignalBinding]
-    enable: SignalBinding | None = None
+    enable: list[SignalBinding] = []  # one signal (a bit for all, or a bit per axis), or one per axis
+    reset: list[SignalBinding] = []
     feedback_counter: list[SignalBinding] = []
-    command_counter: SignalBinding | None = None
+    command_counter: list[SignalBinding] = []
     checksum: list[SignalBinding] = []
     checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = "crc8-sae-j1850"
 

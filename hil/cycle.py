@@ -104,7 +104,7 @@ class ControlCycle:
         speed = np.array([axis.limits.speed for axis in rig.axes.values()])
 
         self.protocol: HostProtocol = host_protocol(
-            rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir
+            rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir, rig.period_ns
         )
         self.machine = StateMachine()
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)

@@ -18,7 +18,7 @@ def host_protocol(
     """The host's side of the layout `bus.protocol`, before any bus is opened.
 
     rated_force: N or N m per axis. base_dir: folder of the rig file, where a relative `dbc:` path starts.
-    period_ns: of the control loop (only cia402 has to tell its drives).
+    period_ns: of the control loop; cia402 tells its drives, and layouts without time stamps count with it.
     Raises LayoutError (a ValueError) where the rig cannot be carried by the layout.
     """
     match bus.protocol:
@@ -34,6 +34,10 @@ def host_protocol(
             from drivers.protocols.cia402 import Cia402Host
 
             return Cia402Host(bus, n_axes, rated_force, period_ns)
+        case name if name.startswith("dbc:"):
+            from drivers.protocols.dbc_file import DbcHost
+
+            return DbcHost(bus, n_axes, rated_force, base_dir, period_ns)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
 
 
@@ -52,4 +56,8 @@ def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], b
             raise LayoutError(
                 "bus.protocol = 'cia402': its drives are nodes (sim_plant.cia402_drive), not a DeviceProtocol"
             )
+        case name if name.startswith("dbc:"):
+            from drivers.protocols.dbc_file import DbcDevice
+
+            return DbcDevice(bus, n_axes, rated_force, base_dir)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

@@ -7,8 +7,7 @@ and statusword. Behind them goes at most one service frame, so that it delays no
 Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
 32767 thousandths that 6071h can say. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
 
-Sampling time: CANopen carries none. All drives sample when SYNC ends, and their TPDOs follow it back to back, so the
-sampling instant is the reception of the first TPDO less the time it took on the wire.
+Sampling time: CANopen carries none; sampling.py estimates it from the first TPDO behind SYNC.
 """
 
 import math
@@ -21,22 +20,21 @@ import canopen
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.cia301 import DriveState, mapping_entry
 from drivers.protocols.cia402_master import HEARTBEAT_TICKS, MASTER_ID, SERVICE_TICKS, Master
 from drivers.protocols.cia402_node import NodeMaster, Step
 from drivers.protocols.compiled import LayoutError
+from drivers.protocols.sampling import SamplingClock
 from drivers.protocols.stage import MAX_AXES, check_force, reject_id
 
 FULL_SCALE = 32767  # of 6071h
 DRIVE_HEARTBEAT_MS = 100
-EMCY_ID = 0x480  # below the cyclic traffic; the predefined 080h would let four emergencies delay every TPDO
+EMCY_ID = 0x680  # below SDO: at 080h four emergencies delay every TPDO, at 480h the host's SDO, which blocks its FIFO
 DUMMY_INT16, DUMMY_UINT16 = 0x0003, 0x0006
 TPDO_OBJECTS = (cia301.POSITION, cia301.STATUSWORD)
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE | cia301.HOMED | cia301.BRAKE  # bits of the statusword that are looked at
-_TPDO_BITS = 105  # 6 bytes, with intermission and half of the stuff bits there can be
 
 
 @cache
@@ -137,11 +135,7 @@ class Cia402Host:
         self._tick = 0
         self._rpdo_id = cia301.RPDO1_ID + bus.node_id
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,))) for count in range(1, cia301.SYNC_COUNTER_MAX + 1)]
-        self._sampled_ns = -1  # of the TPDOs that follow the last SYNC
-        self._first_axis = 0
-        self._instant_ns = -1  # of the last SYNC that was answered
-        self._period_ns = period_ns
-        self._bit_ns = 1e9 / bus.bitrate
+        self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
         self._axis = {cia301.TPDO1_ID + node.node_id: axis for axis, node in enumerate(self.nodes)}
         self._services = self._find_services()
@@ -158,8 +152,8 @@ class Cia402Host:
         }
 
     def decode(self, frame: Frame) -> Sample | Reject:
-        """Sample of a TPDO; its stamp is an estimate (see above), its sequence -1."""
-        can_id, data, flags, received = frame
+        """Sample of a TPDO; its stamp is an estimate (sampling.py), its sequence -1."""
+        can_id, data, flags, _ = frame
         axis = self._axis.get(can_id)
         if axis is None:
             return self._decode_service(can_id, data, flags)
@@ -179,23 +173,7 @@ class Cia402Host:
         if state is not node.state:
             self._master.stir()
         node.on_state(state)
-        if self._sampled_ns < 0 < received:
-            self._sampled_ns = self._sampling_instant(axis, frame)
-        return Sample(axis, position, status | node.alarms, -1, self._sampled_ns)
-
-    def _sampling_instant(self, axis: int, frame: Frame) -> int:
-        """When the SYNC ended whose first TPDO is this frame, ns.
-
-        Where another axis than before is first, the usual one may be lost: then as many TPDOs are taken to have gone
-        before as explain best that a period has passed.
-        """
-        instant = frame.timestamp_ns - round((frame_bits(frame)[0] + INTERMISSION) * self._bit_ns)
-        if axis != self._first_axis and self._instant_ns >= 0:
-            expected = self._instant_ns + self._period_ns
-            earlier = [instant - round(lost * _TPDO_BITS * self._bit_ns) for lost in range(self.n_axes)]
-            instant = min(earlier, key=lambda candidate: abs(candidate - expected))
-        self._first_axis, self._instant_ns = axis, instant
-        return instant
+        return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         service = self._services.get(can_id)
@@ -221,7 +199,7 @@ class Cia402Host:
         _, force, enable, reset = command
         check_force(force, self._rated)
         self._tick += 1
-        self._sampled_ns = -1
+        self._clock.trigger()
         raw = [
             max(-limit, min(limit, round(value * gain))) if enable >> axis & 1 else 0
             for axis, (value, gain, limit) in enumerate(zip(force, self._gains, self._limits, strict=True))
