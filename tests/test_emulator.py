@@ -1,0 +1,196 @@
+"""The emulated stage behind a frame layout: sampling, answers, watchdogs, and the process that runs it live."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from drivers.bus import open_port
+from drivers.config import BusConfig
+from drivers.frame import Frame
+from drivers.protocols import host_protocol
+from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
+from sim_plant.config import PlantConfig
+from sim_plant.drive import NEVER_NS
+from sim_plant.emulator import EmulatedStage
+from sim_plant.live import Emulator
+
+MS = 1_000_000
+AXES = ["x", "y", "z"]
+RATED = [5.0, 5.0, 10.0]
+PLANT = PlantConfig(
+    mass=[0.5, 0.3, 0.25],
+    coulomb=[0.4, 0.2, 0.2],
+    viscous=[1.0, 1.0, 1.0],
+    quadratic=[0.0, 0.0, 0.0],
+    gravity=[0.0, 0.0, -2.5],
+    encoder_resolution=1e-8,
+    brake=[False, False, True],
+    brake_force=40.0,
+)
+
+
+def make(protocol: str = "stage_fd", start_ns: int = 0) -> tuple[EmulatedStage, HostProtocol]:
+    bus = BusConfig(protocol=protocol)
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), start_ns)
+    return stage, host_protocol(bus, len(AXES), RATED, Path())
+
+
+def frame(
+    host: HostProtocol, at_ns: int, sequence: int, force: list[float], enable: int = 7, reset: bool = False
+) -> Frame:
+    return host.encode(Command(sequence, force, enable, reset))[0]._replace(timestamp_ns=at_ns)
+
+
+def samples(host: HostProtocol, answers: list[Frame], at_ns: int) -> list[Sample]:
+    decoded = [host.decode(answer._replace(timestamp_ns=at_ns)) for answer in answers]
+    assert not any(isinstance(item, Reject) for item in decoded)
+    return decoded  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("protocol", ["stage_fd", "stage_classic"])
+def test_drives_sample_at_the_command_and_apply_its_force_from_then_on(protocol: str) -> None:
+    stage, host = make(protocol)
+    stage.on_frame(frame(host, 1 * MS, 1, [2.0, 0.0, 2.5]))
+    answers = stage.on_frame(frame(host, 2 * MS, 2, [0.0, 0.0, 2.5]))
+    got = samples(host, answers, 2 * MS)
+    moved = 0.5 * (2.0 - 0.4) / 0.5 * 1e-3**2  # after 1 ms of 2 N
+    assert [sample.axis for sample in got] == [0, 1, 2]
+    assert got[0].position * 1e-8 == pytest.approx(moved, abs=1.1e-8)
+    assert (got[1].position, got[2].position) == (0, 0)
+    assert [sample.sequence for sample in got] == [2, 2, 2]
+    assert all(sample.status & DriveStatus.ENABLED for sample in got)
+    assert stage.applied_force == pytest.approx([0.0, 0.0, 2.5], abs=0.005)  # the classic layout's step
+    assert [stage.sender_of(answer) for answer in answers] == AXES
+
+
+def test_every_drive_is_at_zero_exactly_one_watchdog_after_its_last_valid_command() -> None:
+    stage, host = make()
+    stage.on_frame(frame(host, 1 * MS + 137, 1, [1.0, -1.0, 3.0]))
+    stage.on_frame(frame(host, 5 * MS, 1, [1.0, -1.0, 3.0]))  # a replay feeds nothing
+    assert stage.deadline_ns == 11 * MS + 137
+    stage.advance(11 * MS + 136)
+    assert stage.applied_force[0] == 1.0
+    stage.advance(200 * MS)
+    assert stage.applied_force == [0.0, 0.0, 0.0]
+    assert [drive.trips[0].expired_ns for drive in stage.drives] == [11 * MS + 137] * 3
+    assert stage.deadline_ns == NEVER_NS
+
+
+def test_when_the_stage_is_asked_makes_no_difference_to_what_happens() -> None:
+    (asked, host), (left_alone, _) = make(), make()
+    for k in range(1, 60):
+        command = frame(host, k * MS, k, [2.0 * (-1) ** (k // 7), 1.0, 2.7])
+        assert asked.on_frame(command) == left_alone.on_frame(command)
+        for part in range(4):
+            asked.advance(k * MS + part * 200_000)
+            assert asked.position.shape == (3,)
+    assert asked.sampled_position.tobytes() == left_alone.sampled_position.tobytes()
+    assert asked.sampled_velocity.tobytes() == left_alone.sampled_velocity.tobytes()
+
+
+def test_z_stays_up_by_its_brake_without_a_host_and_after_the_host_is_gone() -> None:
+    stage, host = make()
+    stage.advance(1000 * MS)
+    assert stage.position[2] == 0.0
+    stage.on_frame(frame(host, 1001 * MS, 1, [0.0, 0.0, 2.5]))
+    stage.advance(3000 * MS)
+    assert stage.drives[2].status & DriveStatus.BRAKE
+    assert abs(stage.position[2]) < 1e-6
+
+
+def test_frames_that_are_no_command_are_counted_and_change_nothing() -> None:
+    stage, host = make()
+    good = frame(host, 1 * MS, 1, [1.0, 0.0, 0.0])
+    bad = good._replace(data=bytes([good.data[0] ^ 1]) + good.data[1:])
+    assert stage.on_frame(bad) == []
+    assert stage.on_frame(Frame(0x7FF, b"\0" * 8, 0, 1 * MS)) == []
+    assert stage.rejected[Reject.BAD_CHECKSUM] == 1
+    assert stage.rejected[Reject.UNKNOWN_ID] == 1
+    assert stage.deadline_ns == NEVER_NS
+
+
+def test_an_intact_frame_that_asks_for_the_impossible_faults_every_drive() -> None:
+    stage, host = make()
+    stronger = host_protocol(BusConfig(), len(AXES), [50.0, 50.0, 50.0], Path())
+    stage.on_frame(frame(host, 1 * MS, 1, [1.0, 1.0, 2.5]))
+    assert stage.on_frame(frame(stronger, 2 * MS, 2, [20.0, 0.0, 0.0])) == []
+    assert all(drive.status & DriveStatus.FAULT for drive in stage.drives)
+    assert stage.applied_force == [0.0, 0.0, 0.0]
+
+
+def test_a_frame_stamped_in_the_past_counts_as_received_now() -> None:
+    stage, host = make()
+    stage.on_frame(frame(host, 5 * MS, 1, [1.0, 0.0, 0.0]))
+    stage.on_frame(frame(host, 4 * MS, 2, [1.0, 0.0, 0.0]))
+    assert stage.drives[0].last_command_ns == 5 * MS
+
+
+def test_canopen_drives_start_up_by_their_own_rules_on_the_same_physics() -> None:
+    bus = BusConfig(protocol="cia402", node_id=3)
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path())
+    assert not stage.fd
+    boot = stage.advance(MS)
+    assert [answer.can_id for answer in boot] == [0x703, 0x704, 0x705]  # boot-up messages
+    assert [stage.sender_of(answer) for answer in boot] == AXES
+
+
+def live_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Emulator, HostProtocol, BusConfig]:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    bus = BusConfig(interface="local", channel="emu0")
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), time.monotonic_ns())
+    emulator = Emulator(stage, open_port(bus, role="device", fd=True), tmp_path / "status.json")
+    return emulator, host_protocol(bus, len(AXES), RATED, Path()), bus
+
+
+def test_on_a_live_bus_a_stall_of_the_emulator_expires_no_watchdog_that_was_fed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator, host, bus = live_pair(tmp_path, monkeypatch)
+    control = open_port(bus, role="host", fd=True)
+    emulator.step(time.monotonic_ns())  # takes the newcomer in
+    start_ns = time.monotonic_ns()
+    for sequence in range(1, 9):  # the emulator does not run meanwhile; the frames wait with their stamps
+        control.send(frame(host, 0, sequence, [0.5, 0.0, 2.5]))
+    sent_ns = time.monotonic_ns()
+    emulator.step(time.monotonic_ns())
+    answers = control.drain(time.monotonic_ns())
+    assert len(answers) == 8 * len(AXES)
+    stamps = {sample.stamp_ns for sample in samples(host, answers, sent_ns)}
+    assert start_ns <= min(stamps)
+    assert max(stamps) <= sent_ns
+    last_ns = emulator.stage.drives[0].last_command_ns
+    emulator.step(last_ns + 500 * MS)  # half a second later
+    status = json.loads((tmp_path / "status.json").read_text())
+    for axis in AXES:
+        trip = status["axes"][axis]["trips"][0]
+        assert trip["zero_after_ms"] == 10.0
+        assert trip["last_command_ns"] == last_ns
+    control.close()
+    emulator.port.close()
+
+
+@pytest.mark.live
+def test_hil_emulate_ends_on_sigterm_with_its_last_word_on_disk(tmp_path: Path) -> None:
+    rig = Path(__file__).parents[1] / "deploy/rigs/microscope.toml"
+    environment = {**os.environ, "HIL_RUNTIME_DIR": str(tmp_path)}
+    status = tmp_path / "emulator.json"
+    with subprocess.Popen(
+        [sys.executable, "-m", "hil", "emulate", str(rig), "--set", "bus.interface=local", "--status", str(status)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert "hil emulate: microscope on" in process.stdout.readline()
+        deadline = time.monotonic() + 20
+        while not status.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+    assert json.loads(status.read_text())["running"] is False
