@@ -119,6 +119,18 @@ def emulator(rig: Path, overrides: Sequence[str]) -> Iterator[int]:
         _end(process)
 
 
+@contextlib.contextmanager
+def sidecar(rig: Path, overrides: Sequence[str]) -> Iterator[None]:
+    """`hil sidecar` on the first core, publishing and recording; its recording is thrown away."""
+    with tempfile.TemporaryDirectory(prefix="hil-bench-") as directory:
+        private = ("--listen", "tcp/127.0.0.1:0", "--out", directory)
+        process = _start("sidecar", rig, overrides, *private, cpu=cores()[0])
+        try:
+            yield
+        finally:
+            _end(process)
+
+
 def run_control(
     rig_path: Path, overrides: Sequence[str], ticks: int, *, cpu_clock: bool = False, strace: str | None = None
 ) -> Run:

@@ -53,7 +53,7 @@ def tick(
             program = build_reference(Path(build))
             measured, runs, calls = _measure(rig, sets, config, program, blocks, ticks)
     except BenchError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise SystemExit(f"hil bench tick: {error}") from None
     result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

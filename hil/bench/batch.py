@@ -1,0 +1,73 @@
+"""`hil bench batch`: plants times ticks per second of the batch engine, on one core and on all of them."""
+
+import dataclasses
+import multiprocessing
+import os
+import time
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from hil.batch import BatchRun
+from hil.bench.harness import Case, Figures, as_json, block_table, interleave, publish, spread, values_of
+from hil.config import load_rig
+from sim_plant.stage import Truth
+
+SPREAD = 0.2  # of mass and friction, so that no two plants are alike
+
+
+def batch(
+    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/paper.toml"),
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    law: Annotated[str, typer.Option(help="law to measure")] = "structured-kalman",
+    plants: Annotated[int, typer.Option(min=1, help="plants per core")] = 1000,
+    ticks: Annotated[int, typer.Option(min=1, help="ticks per block")] = 500,
+    blocks: Annotated[int, typer.Option(min=1)] = 5,
+    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+) -> None:
+    """Plants times ticks per second of the batch engine."""
+    sets = [f"law.name={law}", *(overrides or [])]
+    load_rig(rig, sets)
+    cores = len(os.sched_getaffinity(0))
+    with multiprocessing.get_context("spawn").Pool(cores) as pool:
+
+        def block(workers: int) -> Figures:
+            began = time.perf_counter()
+            jobs = [(rig, sets, plants, ticks, seed) for seed in range(workers)]
+            inside = pool.starmap(measure, jobs)
+            wall = time.perf_counter() - began
+            done = workers * plants * ticks
+            return {"plant_ticks_per_s": done / max(inside), "with_set_up": done / wall}
+
+        cases = [Case(f"{workers} cores", partial(block, workers)) for workers in sorted({1, cores})]
+        block(cores)  # imports and filter design
+        measured = interleave(cases, blocks)
+    rates = {case.name: spread(values_of(measured, case.name, "plant_ticks_per_s")) for case in cases}
+    result = {
+        "plant_ticks_per_s": rates[cases[-1].name].median,
+        "law": law,
+        "plants_per_core": plants,
+        "cases": {name: rate._asdict() for name, rate in rates.items()},
+        "blocks": as_json(measured),
+    }
+    table = block_table(f"batch, {law}, {plants} plants per core", measured, ["plant_ticks_per_s", "with_set_up"], 0)
+    publish(result, [table], as_json_to, [f"{name}: {rate.median:,.0f} plant-ticks/s" for name, rate in rates.items()])
+
+
+def measure(rig: Path, overrides: list[str], plants: int, ticks: int, seed: int) -> float:
+    """Seconds that `ticks` ticks of `plants` plants with seeded parameters take in this process."""
+    config = load_rig(rig, overrides)
+    nominal = Truth.from_config(config.plant, len(config.axes), config.axis_names)
+    random = np.random.default_rng(seed)
+    shape = (plants, len(config.axes))
+    arrays = {field.name: np.broadcast_to(getattr(nominal, field.name), shape) for field in dataclasses.fields(nominal)}
+    for name in ("mass", "coulomb", "viscous"):
+        arrays[name] = arrays[name] * random.uniform(1 - SPREAD, 1 + SPREAD, shape)
+    run = BatchRun(config, Truth(**{name: np.array(values) for name, values in arrays.items()}))
+    began = time.perf_counter()
+    for _ in range(ticks):
+        run.tick()
+    return time.perf_counter() - began

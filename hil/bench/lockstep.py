@@ -1,0 +1,77 @@
+"""`hil bench lockstep`: virtual seconds per second of a whole rig (protocol, wire, drives, plant, cycle) on one core."""
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.bench.harness import Case, Figures, as_json, block_table, interleave, publish, spread, values_of
+from hil.config import RigConfig, load_rig
+from hil.lockstep import LockstepRun
+from hil.tick import CycleResult
+
+WARM_UP_TICKS = 500
+
+
+def lockstep(
+    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/microscope.toml"),
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    laws: Annotated[
+        str, typer.Option(help="laws to measure, separated by commas")
+    ] = "pd-feedforward,structured-kalman",
+    blocks: Annotated[int, typer.Option(min=1)] = 5,
+    seconds: Annotated[float, typer.Option(min=0.1, help="virtual seconds per block")] = 5.0,
+    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+) -> None:
+    """How much faster than real time a whole rig runs in lockstep, on one core."""
+    names = laws.split(",")
+    rigs = {name: load_rig(rig, [f"law.name={name}", *(overrides or [])]) for name in names}
+    cases = [Case(name, partial(measure, config, rig.parent, seconds)) for name, config in rigs.items()]
+    measured = interleave(cases, blocks)
+    factors = {name: spread(values_of(measured, name, "realtime_factor")) for name in names}
+    result = {
+        "realtime_factor": factors[names[0]].median,
+        "laws": {name: factor._asdict() for name, factor in factors.items()},
+        "blocks": as_json(measured),
+    }
+    figures = ["realtime_factor", "cpu_factor", "cycle_us", "wire_and_plant_us"]
+    lines = [f"{name}: {factor.median:.1f} times real time" for name, factor in factors.items()]
+    publish(result, [block_table("lockstep", measured, figures)], as_json_to, lines)
+
+
+def measure(config: RigConfig, base_dir: Path, seconds: float) -> Figures:
+    """One block. realtime_factor: by the clock on the wall; cpu_factor: by CPU time, whatever the neighbours do."""
+    run = LockstepRun(config, base_dir)
+    for _ in range(WARM_UP_TICKS):
+        run.tick()
+    ticks = round(seconds * 1e9 / config.period_ns)
+    wall, cpu = time.perf_counter(), time.process_time()
+    for _ in range(ticks):
+        run.tick()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    cycle = _cycle_share(run, min(ticks, 1000))
+    return {
+        "realtime_factor": seconds / wall,
+        "cpu_factor": seconds / cpu,
+        "cycle_us": cycle,
+        "wire_and_plant_us": cpu / ticks * 1e6 - cycle,
+    }
+
+
+def _cycle_share(run: LockstepRun, ticks: int) -> float:
+    """CPU time of the cycle's own step in a tick, us."""
+    step, spent = run.cycle.step, 0
+
+    def timed(*arguments: object) -> CycleResult:
+        nonlocal spent
+        began = time.process_time_ns()
+        result = step(*arguments)  # type: ignore[arg-type]
+        spent += time.process_time_ns() - began
+        return result
+
+    run.cycle.step = timed  # type: ignore[method-assign, assignment]
+    for _ in range(ticks):
+        run.tick()
+    return spent / ticks / 1e3
