@@ -66,11 +66,10 @@ class Analysis:
 
     @property
     def tightest(self) -> Response:
-        """The message with the smallest margin, or one without any bound if no margin is negative."""
-        known = [response for response in self.responses if response.margin_ns is not None]
-        tightest = min(known, key=lambda response: response.margin_ns or 0, default=self.responses[0])
-        unbounded = [response for response in self.responses if response.margin_ns is None]
-        return unbounded[0] if unbounded and (tightest.margin_ns or 0) >= 0 else tightest
+        """Who to name: the message with which a tick first overruns; else one without bound; else the least margin."""
+        overrun = [response for response in self.responses if response.at_least_ns]
+        unbounded = [response for response in self.responses if response.worst_ns is None]
+        return (overrun or unbounded or sorted(self.responses, key=lambda response: response.margin_ns or 0))[0]
 
 
 def frame_bits(message: Message) -> tuple[int, int]:

@@ -74,7 +74,7 @@ def check(
     draw_tick(rig, analysis, target)
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, analysis)
-    # Further checks of a rig (hil/stability.py: is the sampled loop stable?) print, extend `document` and add to `found`.
+    # Further checks of a rig (hil/stability.py) go here: print, extend `found` and `document`.
     document = as_json(analysis) | {"faults_tolerated": tolerated, "problems": found}
     if json_path:
         write_json(document, json_path)
