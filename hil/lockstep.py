@@ -22,6 +22,8 @@ from hil.state_machine import State
 from hil.statistics import axis_statistics
 from hil.tick import CommandKind, CycleResult, OperatorCommand, Tick
 from sim_plant.emulator import EmulatedStage
+from sim_plant.faults import Injector
+from sim_plant.scenario import Scenario
 
 Observer = Callable[[Tick, Sequence[Frame], CycleResult], None]
 Operator = Callable[["LockstepRun", int], Sequence[CommandKind]]
@@ -50,6 +52,7 @@ class LockstepRun:
         operator: Operator = activate_when_ready,
         observer: Observer | None = None,
         wire_faults: Sequence[WireFault] = (),
+        scenario: Scenario | None = None,
     ) -> None:
         self.rig = rig
         self.cycle = ControlCycle(rig, base_dir)
@@ -64,6 +67,8 @@ class LockstepRun:
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives)
         self._axis_nodes = {name: self.wire.attach(name, None) for name in rig.axis_names}
+        self.injector = Injector(scenario, self.stage, self.wire, rig.period_ns) if scenario else None
+        self._active_since = -1  # tick in which the present ACTIVE began
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
         self._jitter_ns = round(rig.wire.jitter * 1e9)
         self._command_sequence = 0
@@ -102,8 +107,20 @@ class LockstepRun:
         self._hash(frames, result.frames)
         if self._observer:
             self._observer(tick, frames, result)
+        if self.injector:
+            self.injector.observe(now, self.cycle.state.name, self._phase())
         self.skip(1)
         return result
+
+    def _phase(self) -> str:
+        """Name of the task's phase; empty outside ACTIVE."""
+        trajectory = self.cycle.setpoints.trajectory
+        if self.cycle.state is not State.ACTIVE or trajectory is None:
+            self._active_since = -1
+            return ""
+        if self._active_since < 0:
+            self._active_since = self.index
+        return trajectory.phase_names[trajectory.phase_at((self.index - self._active_since) * self.rig.period_ns)]
 
     def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
         commands = []
@@ -160,9 +177,10 @@ def simulate(
     progress: Callable[[int], None] | None = None,
     observer: Observer | None = None,
     wire_faults: Sequence[WireFault] = (),
+    scenario: Scenario | None = None,
 ) -> tuple[SimReport, "Traces"]:
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at every sample."""
-    run = LockstepRun(rig, base_dir, observer=observer, wire_faults=wire_faults)
+    run = LockstepRun(rig, base_dir, observer=observer, wire_faults=wire_faults, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
     traces = Traces(ticks, len(rig.axes))
     started = time.perf_counter()

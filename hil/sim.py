@@ -73,8 +73,10 @@ def sim(
 ) -> None:
     """Run a rig in lockstep: the control cycle against the emulated stage over a simulated wire, in exact virtual time."""
     from hil.lockstep import simulate
+    from hil.scenario import load_scenario
 
     config = load_rig(rig, overrides)
+    scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
 
     recorder = _recorder(record, config, rig)
@@ -88,6 +90,7 @@ def sim(
                 seconds,
                 progress=lambda done: bar.update(job, completed=done),
                 observer=recorder.observe if recorder else None,
+                scenario=scenario,
             )
         except ValueError as error:  # a task or layout the rig cannot carry
             raise RigError([f"{rig}: {error}"]) from None
