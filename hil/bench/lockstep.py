@@ -1,4 +1,4 @@
-"""`hil bench lockstep`: virtual seconds per second of a whole rig (protocol, wire, drives, plant, cycle) on one core."""
+"""`hil bench lockstep`: virtual seconds per second of a whole rig (protocol, wire, drives, plant, cycle) on a core."""
 
 import time
 from functools import partial
