@@ -7,10 +7,10 @@ retries: a torque that could not be sent in its tick is worth nothing in the nex
 import errno
 import socket
 import struct
-import time
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from pathlib import Path
+from time import monotonic_ns, time_ns
 from typing import Literal, Protocol
 
 import can
@@ -21,7 +21,7 @@ from drivers.error_frames import decode_error
 from drivers.frame import ERROR, FD, Frame
 from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
 from drivers.local_medium import LocalMedium
-from drivers.receive_block import SLOTS, STAMPED, Packets, ReceiveBlock
+from drivers.receive_block import SLOTS, STAMPED, ReceiveBlock
 from drivers.runtime import RuntimeDirectoryError
 from drivers.socketcan import Filters, SocketCanMedium, is_can_interface
 
@@ -35,6 +35,7 @@ _UNSIGNED_32 = 0xFFFFFFFF
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _OWN_ECHO = int(socket.MSG_CONFIRM)  # a plain int: & with an enum takes a microsecond
 _new_tuple = tuple.__new__  # Frame(...) by another name, in half the time
+_HEADER = 8  # bytes of a can_frame or canfd_frame before its data
 _PACKET = struct.Struct("=IBBH64s")
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
@@ -80,9 +81,11 @@ class Port:
         fd: takes and sends FD frames (then classic ones too). receive_limit: frames one drain returns at most.
         """
         self._open_medium = open_medium
-        self._fd_size = CANFD_MTU if fd else -1  # an FD frame is an error to a classic controller
+        self._size = CANFD_MTU if fd else CAN_MTU  # an FD frame is an error to a classic controller
+        self._longest = self._size - _HEADER
+        self._flag = FD if fd else 0
         self._receive_limit = receive_limit
-        self._receive = ReceiveBlock().receive
+        self._block = ReceiveBlock()
         self._received = self._sent = self._refused = self._overflow = self._discarded = self._errors = 0
         self._no_ack = self._bus_off = self._restarted = self._down = self._echo = 0
         self._use(open_medium())
@@ -91,7 +94,7 @@ class Port:
         self._medium = medium
         self._state = medium.state()
         self._dropped = 0  # the socket's own count, from its opening on
-        self._drained_ns = time.monotonic_ns()
+        self._drained_ns = monotonic_ns()
         self._offset_ns = 0
 
     def fileno(self) -> int:
@@ -109,7 +112,7 @@ class Port:
         frames: list[Frame] = []
         sources = self._medium.ready()
         if sources:
-            self._offset_ns = _wall_offset()
+            self._offset_ns = _wall_offset(now_ns)
             for fd in sources:
                 self._read(fd, frames)
         self._drained_ns = now_ns
@@ -127,38 +130,54 @@ class Port:
         """Empty one socket into `frames`."""
         for _ in range(_READS_PER_DRAIN):
             try:
-                count, packets = self._receive(fd)
+                count = self._block.receive(fd)
             except OSError as error:
                 if self._note_receive_error(error):
                     return
                 continue
-            if count and self._sort(fd, packets, frames) and count == SLOTS:
-                continue
-            return
+            if not count:
+                return
+            if self._block.all_plain(self._size):
+                self._take_plain(count, frames)
+            elif not self._take(fd, count, frames):
+                return
+            if count < SLOTS:
+                return
 
-    def _sort(self, fd: int, packets: Packets, frames: list[Frame]) -> bool:
+    def _take_plain(self, count: int, frames: list[Frame]) -> None:
+        """The short way, for what almost every tick brings: messages of this port's own size with nothing to tell."""
+        offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, monotonic_ns()
+        longest, flag = self._longest, self._flag
+        for can_id, length, flags, data, s, ns in self._block.plain_contents(count):
+            if length > longest:
+                self._errors += 1
+            elif can_id & ERROR:
+                self._note_special(can_id, data[:length])
+            else:
+                stamp_ns = s * 1_000_000_000 + ns - offset_ns
+                if not earliest_ns <= stamp_ns <= latest_ns:
+                    stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
+                frames.append(_new_tuple(Frame, (can_id, data[:length], flags | flag if flag else 0, stamp_ns)))
+
+    def _take(self, fd: int, count: int, frames: list[Frame]) -> bool:
         """Put frames into `frames` and count everything else; False when the other end has closed."""
-        offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, time.monotonic_ns()
-        for (control, message_flags, size), (can_id, length, flags, rest, data, _, s, ns, dropped) in packets:
-            if size == self._fd_size:
-                flags |= FD
-            elif size == CAN_MTU and length <= 8:
-                flags = 0
-            elif size == 0:
+        offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, monotonic_ns()
+        messages = zip(self._block.results(), self._block.contents(count), strict=True)
+        for (control, message_flags, size), (can_id, length, flags, rest, data, _, s, ns, dropped) in messages:
+            if size == 0:
                 self._medium.lost(fd)
                 return False
-            else:
-                self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
-                continue
             if control > STAMPED:
                 self._note_dropped(dropped)
-            if can_id & ERROR or message_flags & _OWN_ECHO:
+            classic = size == CAN_MTU
+            if not (classic or size == self._size) or length > size - _HEADER:
+                self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
+            elif can_id & ERROR or message_flags & _OWN_ECHO:
                 self._note_special(can_id, data[:length])
-                continue
-            stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else latest_ns
-            if not earliest_ns <= stamp_ns <= latest_ns:
+            else:
+                stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else latest_ns
                 stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
-            frames.append(_new_tuple(Frame, (can_id, data[:length], flags, stamp_ns)))
+                frames.append(Frame(can_id, data[:length], 0 if classic else flags | FD, stamp_ns))
         return True
 
     def _note_special(self, can_id: int, data: bytes) -> None:
@@ -260,15 +279,15 @@ class Port:
         self._medium.close()
 
 
-def _wall_offset() -> int:
-    """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; read until nothing came between the readings."""
-    for _ in range(3):
-        before_ns = time.monotonic_ns()
-        wall_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
+def _wall_offset(before_ns: int) -> int:
+    """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; before_ns: a reading of the latter just made."""
+    for _ in range(3):  # until nothing has come between the readings
+        wall_ns = time_ns()
+        after_ns = monotonic_ns()
         if after_ns - before_ns < _CLOCKS_READ_NS:
             break
-    return wall_ns - (before_ns + after_ns) // 2
+        before_ns = monotonic_ns()
+    return wall_ns - after_ns
 
 
 def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:

@@ -66,7 +66,7 @@ class LocalBus(BusABC):
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
-            sources = self._medium.ready(left)
+            sources = self._medium.wait(left)
             for fd in sources:
                 message = self._read(fd)
                 if message is not None:

@@ -43,6 +43,7 @@ FIRST_DEPTH = 16  # frames that may wait on a link before its greeting has been 
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; who holds the lock for longer has been stopped
 
 _BACKLOG = 128
+_EVENTS = 64  # of one epoll_wait; the rest comes with the next
 _DEEPEST = 1 << 16
 _LOOK_ONLY = int(socket.MSG_PEEK)
 _NO_SIGNAL = int(socket.MSG_NOSIGNAL)  # a plain int is quicker to pass than an enum
@@ -141,6 +142,7 @@ class LocalMedium:
         self._change = threading.Lock()  # held while the set of links changes
         self._links: tuple[Link, ...] = ()
         self._by_fd: dict[int, Link] = {}
+        self._alone: list[int] = []  # the only link's descriptor, where there is just one
         self._poll = select.epoll()  # links and door
         self._knocks = select.epoll()  # the door alone
         self._door = _packet_socket()
@@ -189,8 +191,12 @@ class LocalMedium:
 
     def _add(self, link: Link) -> None:
         self._by_fd[link.sock.fileno()] = link
+        self._note_whether_alone()
         self._links = (*self._links, link)
         self._poll.register(link.sock, select.EPOLLIN)
+
+    def _note_whether_alone(self) -> None:
+        self._alone = list(self._by_fd) if len(self._by_fd) == 1 else []
 
     def _admit(self) -> None:
         """Take in whoever waits at the door."""
@@ -214,13 +220,22 @@ class LocalMedium:
         """A descriptor that is readable when something has arrived; stays the same while members come and go."""
         return self._poll.fileno()
 
-    def ready(self, timeout: float = 0.0) -> list[int]:
-        """Descriptors to read from, after at most `timeout` seconds (negative: no limit); admits who is at the door."""
-        found = [fd for fd, _ in self._poll.poll(timeout)]
+    def wait(self, timeout: float) -> list[int]:
+        """Descriptors with something to read, after at most `timeout` seconds (negative: no limit).
+
+        Takes in who is at the door.
+        """
+        found = [fd for fd, _ in self._poll.poll(timeout, _EVENTS)]
         if self._door_fd in found:
             self._admit()
-            return [fd for fd, _ in self._poll.poll(0) if fd != self._door_fd]
+            return [fd for fd, _ in self._poll.poll(0, _EVENTS) if fd != self._door_fd]
         return found
+
+    def ready(self) -> list[int]:
+        """Descriptors to read from now. With a single link it is quicker to try it than to ask whether to."""
+        if self._alone and not self._knocks.poll(0, 1):
+            return self._alone
+        return self.wait(0.0)
 
     def link(self, fd: int) -> Link | None:
         """The link with this descriptor; None when it has been dropped meanwhile."""
@@ -231,7 +246,7 @@ class LocalMedium:
 
         False: nobody was there to acknowledge it. Raises BlockingIOError when it fitted into nobody's queue.
         """
-        if self._knocks.poll(0):  # who has joined before this frame is sent shall receive it
+        if self._knocks.poll(0, 1):  # who has joined before this frame is sent shall receive it
             self._admit()
         delivered = False
         for link in self._links:
@@ -247,13 +262,16 @@ class LocalMedium:
         """Stop sending to a member that has left; what it sent before it left is still to be read."""
         with self._change:
             self._links = tuple(other for other in self._links if other is not link)
-        if not _waiting(link.sock, _SIOCINQ):
-            self.lost(link.sock.fileno())
+            fd = link.sock.fileno()  # -1: a reading thread has closed it already
+            read = fd < 0 or _waiting(link.sock, _SIOCINQ) == 0
+        if read:
+            self.lost(fd)
 
     def lost(self, fd: int) -> None:
         """The member behind this descriptor has left, and everything it sent has been read."""
         with self._change:
             link = self._by_fd.pop(fd, None)
+            self._note_whether_alone()
             if link is not None:
                 self._links = tuple(other for other in self._links if other is not link)
                 link.close()  # takes it out of the epoll set as well

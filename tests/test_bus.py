@@ -12,6 +12,7 @@ import struct
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -97,6 +98,15 @@ def bare(frames: list[Frame]) -> list[Frame]:
     return [frame._replace(timestamp_ns=0) for frame in frames]
 
 
+def feed(monkeypatch: pytest.MonkeyPatch, port: Port, packets: list[Any]) -> None:
+    """Let every read of the port return these (result, contents), as a ReceiveBlock gives them."""
+    block = port._block
+    monkeypatch.setattr(block, "receive", lambda fd: len(packets))
+    monkeypatch.setattr(block, "all_plain", lambda size: False)
+    monkeypatch.setattr(block, "results", lambda: [result for result, _ in packets])
+    monkeypatch.setattr(block, "contents", lambda count: (contents for _, contents in packets))
+
+
 def test_a_drain_empties_the_socket_oldest_first(port: Port, cable: Cable) -> None:
     sent = [FEEDBACK._replace(can_id=0x100 + axis) for axis in range(4)] + [Frame(0x701, b"\x05")]
     cable.arrive(*sent)
@@ -131,8 +141,7 @@ def test_setting_the_wall_clock_cannot_move_a_stamp_out_of_its_interval(
     previous = time.monotonic_ns()
     port.drain(previous)
     cable.arrive(FEEDBACK, FEEDBACK)  # stamped before the step
-    wall = time.time_ns
-    monkeypatch.setattr(bus_module.time, "time_ns", lambda: wall() + step_s * 10**9)
+    monkeypatch.setattr(bus_module, "time_ns", lambda: time.time_ns() + step_s * 10**9)
     frames = drain(port)
     assert len(frames) == 2
     assert all(previous <= frame.timestamp_ns <= time.monotonic_ns() for frame in frames)
@@ -150,7 +159,7 @@ def test_a_sender_without_end_costs_a_drain_a_bounded_number_of_reads(
 ) -> None:
     result = (STAMPED, 0, 16)
     contents = (0x200, 1, 0, 0, bytes(64), 35, 0, 0, 0)
-    monkeypatch.setattr(port, "_receive", lambda fd: (SLOTS, [(result, contents)] * SLOTS))
+    feed(monkeypatch, port, [(result, contents)] * SLOTS)
     assert len(drain(port)) == 32
     assert port.counters().received == 16 * SLOTS
 
@@ -224,10 +233,10 @@ def test_a_bus_that_comes_back_without_its_controller_is_not_called_usable(cable
 
 
 def test_going_down_shows_in_a_read_as_well(port: Port, cable: Cable, monkeypatch: pytest.MonkeyPatch) -> None:
-    def receive(fd: int) -> tuple[int, list[object]]:
+    def receive(fd: int) -> int:
         raise OSError(errno.ENETDOWN, "Network is down")
 
-    monkeypatch.setattr(port, "_receive", receive)
+    monkeypatch.setattr(port._block, "receive", receive)
     assert drain(port) == []
     assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
 
@@ -237,7 +246,7 @@ def test_an_own_echo_is_told_apart(port: Port, monkeypatch: pytest.MonkeyPatch) 
         return (STAMPED, message_flags, 16), (can_id, 1, 0, 0, bytes(64), 35, 0, 0, 0)
 
     packets = [packet(0x080, int(socket.MSG_CONFIRM)), packet(0x100, int(socket.MSG_DONTROUTE)), packet(0x101, 0)]
-    monkeypatch.setattr(port, "_receive", lambda fd: (len(packets), packets))
+    feed(monkeypatch, port, packets)
     assert [frame.can_id for frame in drain(port)] == [0x100, 0x101]
     assert port.counters() == PortCounters(received=2, echo=1)
 

@@ -442,6 +442,7 @@ def receive_all(bus: can.BusABC, total: int, heard: list[int]) -> None:
             heard.append(message.arbitration_id)
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 def test_threads_may_send_and_receive_at_once_while_members_come_and_go() -> None:
     total = 1500
     done = threading.Event()
