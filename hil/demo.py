@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import sys
 import time
 from pathlib import Path
@@ -21,7 +20,7 @@ from hil.processes import Family
 from hil.sim import write_json
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
-from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
+from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.places import DEMO_PREFIX
 from hil.telemetry.recorder import RecordingError
 from hil.tick import CommandKind
@@ -38,8 +37,13 @@ STALL_FAULTS = (
     "OVERRUN",
     "OVERRUN_BURST",
     "OVERRUN_LONG",
+    "RECEIVE_FLOOD",
+    "BAD_FRAMES",
+    "TRANSMIT_REFUSED",
+    "TRANSMIT_BLOCKED",
+    "ENABLE_TIMEOUT",
 )  # what a host that holds up the emulator or the loop for milliseconds looks like
-MAX_STALLS = 10
+MAX_STALLS = 20
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
@@ -61,7 +65,6 @@ class Scene(NamedTuple):
     overrides: tuple[str, ...]
     runtime: Path
     out: Path
-    endpoint: str
 
     @property
     def rig_runtime(self) -> Path:
@@ -70,18 +73,19 @@ class Scene(NamedTuple):
 
 
 class Signals:
-    """SIGINT and SIGTERM as an exception, once and only while asked for: nothing may cut the orderly end short."""
+    """Notes SIGINT and SIGTERM; they take effect where `check` is called, so that nothing cuts the end short."""
 
     def __init__(self) -> None:
-        self.armed = True
         self.seen = 0
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _frame: object) -> None:
         self.seen = number
-        if self.armed:
-            self.armed = False
+
+    def check(self) -> None:
+        """Raises Interrupted once a signal has come."""
+        if self.seen:
             raise Interrupted
 
 
@@ -97,41 +101,33 @@ def private_runtime() -> Path:
     return directory
 
 
-def free_endpoint() -> str:
-    """The default endpoint when nobody has it, else a free loopback port."""
-    if not listens(DEFAULT_ENDPOINT):
-        return DEFAULT_ENDPOINT
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 class Demo:
     """One demonstration from start to summary."""
 
-    def __init__(self, scene: Scene, console: Console) -> None:
+    def __init__(self, scene: Scene, console: Console, signals: Signals) -> None:
         self.scene = scene
+        self._signals = signals
         self.console = console
         self.troubles: list[str] = []
         self.status = pb.Status()
         self._family = Family()
         self._said_s = 0.0
         self.stalls = 0
+        self._refusal = ""
 
-    def run(self, seconds: float, signals: Signals) -> None:
+    def run(self, seconds: float) -> None:
         """Start, activate, watch for `seconds`, stop. What goes wrong is in `troubles` afterwards."""
-        with self._family, RigClient(self.scene.endpoint, self.scene.rig.telemetry.key, self.scene.rig.name) as client:
+        rig = self.scene.rig
+        with self._family:
             try:
                 self._start()
-                self._await_state(client, "READY", START_S)
-                self._activate(client)
-                self._await_state(client, "ACTIVE")
-                self._watch(client, seconds)
+                with RigClient(self._await_endpoint(), rig.telemetry.key, rig.name) as client:
+                    self._await_active(client)
+                    self._watch(client, seconds)
             except (DemoError, NoSidecarError) as error:
                 self.troubles.append(str(error))
             except Interrupted:
                 self.console.print("interrupted: stopping the stage")
-            signals.armed = False
             self._finish()
 
     def _start(self) -> None:
@@ -139,50 +135,82 @@ class Demo:
         environment = {**os.environ, "HIL_RUNTIME_DIR": str(scene.runtime), "PYTHONUNBUFFERED": "1"}
         overrides = [word for text in scene.overrides for word in ("--set", text)]
         rig = [str(scene.rig_file), *overrides]
-        listen = ["--listen", scene.endpoint, "--out", str(scene.out)]
+        listen = ["--listen", DEFAULT_ENDPOINT, "--or-free-port", "--out", str(scene.out)]
         start = self._family.start
         self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
         self.sidecar = start("sidecar", ["sidecar", *rig, *listen], environment, scene.out / "sidecar.log")
         self.control = start("control process", ["run", *rig], environment, scene.out / "control.log")
         pids = ", ".join(f"{child.name} {child.pid}" for child in self._family.children)
         self.console.print(f"started {pids}", soft_wrap=True)
-        name = self.scene.rig.name
-        self.console.print(f"watch it from a second terminal: hil monitor {name} (at {scene.endpoint})", soft_wrap=True)
 
-    def _await_state(self, client: RigClient, wanted: str, seconds: float = STOP_S) -> None:
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            if self._look(client) and self.status.state == wanted and self.status.recording:
-                return
+    def _await_endpoint(self) -> str:
+        """Where the sidecar listens, as soon as it does."""
+        place = self.scene.rig_runtime / "endpoint"
+        until = time.monotonic() + START_S
+        while not place.exists():
+            self._check_alive()
+            if time.monotonic() > until:
+                raise DemoError(f"the sidecar did not listen within {START_S:.0f} s")
             time.sleep(POLL_S)
-        state, fault = self.status.state or "unknown", self.status.fault or "none"
-        raise DemoError(f"the rig did not become {wanted} within {seconds:.0f} s: state {state}, fault {fault}")
+        endpoint = place.read_text(encoding="utf-8")
+        self.console.print(f"watch it from a second terminal: hil monitor {self.scene.rig.name} (it is at {endpoint})")
+        return endpoint
 
-    def _activate(self, client: RigClient) -> None:
-        reply = self._command(client, CommandKind.ACTIVATE)
-        if not reply.accepted:
-            raise DemoError(f"activate was refused: {reply.reason}")
-        self.console.print("activated through the command gateway")
-
-    def _command(self, client: RigClient, kind: CommandKind) -> pb.CommandReply:
-        return client.command(kind, (self.scene.rig_runtime / "token").read_text(encoding="utf-8"))
-
-    def _look(self, client: RigClient) -> bool:
-        """Take in the newest status; raises DemoError when a process has ended."""
-        status = client.status()
-        if status:
-            self.status = status
+    def _check_alive(self) -> None:
+        self._signals.check()
         gone = self._family.ended()
         if gone:
             raise DemoError(gone.fate())
-        return status is not None
+
+    def _await_active(self, client: RigClient) -> None:
+        until = time.monotonic() + START_S
+        while self.status.state != "ACTIVE":
+            self._look(client)
+            if time.monotonic() > until:
+                raise DemoError(f"the rig did not become ACTIVE within {START_S:.0f} s: {self._where()}")
+            time.sleep(POLL_S)
+        self.console.print("activated through the command gateway")
+
+    def _where(self) -> str:
+        status = self.status
+        return f"state {status.state or 'unknown'}, fault {status.fault or 'unknown'}{self._refusal}"
+
+    def _operate(self, client: RigClient) -> None:
+        """What an operator does: activate what is READY; reset what stopped because this machine held a process up."""
+        status = self.status
+        if status.state in ("FAULT", "ESTOP"):
+            if status.fault not in STALL_FAULTS or self.stalls >= MAX_STALLS:
+                raise DemoError(f"the rig stopped: {self._where()}")
+            self._command(client, CommandKind.RESET)
+        elif status.state == "READY" and status.recording:
+            self._command(client, CommandKind.ACTIVATE)
+
+    def _note_stall(self, before: str) -> None:
+        status = self.status
+        if status.state == "FAULT" != before and status.fault in STALL_FAULTS:
+            self.stalls += 1
+            self.console.print(f"{status.fault} at tick {status.index}: this machine held a process up; resetting")
+
+    def _command(self, client: RigClient, kind: CommandKind) -> None:
+        reply = client.command(kind, (self.scene.rig_runtime / "token").read_text(encoding="utf-8"))
+        self._refusal = "" if reply.accepted else f"; {kind.name} was refused: {reply.reason}"
+
+    def _look(self, client: RigClient) -> bool:
+        """Take in the newest status and act on it. Raises DemoError when a process ended, Interrupted on a signal."""
+        self._check_alive()
+        status = client.status()
+        if status is None:
+            return False
+        before, self.status = self.status.state, status
+        self._note_stall(before)
+        self._operate(client)
+        return True
 
     def _watch(self, client: RigClient, seconds: float) -> None:
         until = time.monotonic() + seconds
         if not self.console.is_terminal:
             while time.monotonic() < until:
                 self._look(client)
-                self._check_state(client)
                 self._say_line(until - time.monotonic())
                 time.sleep(POLL_S)
             return
@@ -190,27 +218,7 @@ class Demo:
             while time.monotonic() < until:
                 if self._look(client):
                     live.update(view(self.status), refresh=True)
-                self._check_state(client)
                 time.sleep(POLL_S)
-
-    def _check_state(self, client: RigClient) -> None:
-        """Faults of a host that held up the emulated drives or the loop are shown, reset and the run goes on."""
-        status = self.status
-        if status.state not in ("FAULT", "ESTOP"):
-            return
-        self.stalls += 1
-        if status.fault not in STALL_FAULTS or self.stalls > MAX_STALLS:
-            raise DemoError(f"the rig stopped: {status.state}, fault {status.fault}")
-        self.console.print(f"{status.fault} at tick {status.index}: this machine held a process up; resetting")
-        until = time.monotonic() + STOP_S
-        while not (reply := self._command(client, CommandKind.RESET)).accepted:
-            self._look(client)
-            if time.monotonic() > until:
-                raise DemoError(f"reset was refused: {reply.reason}")
-            time.sleep(POLL_S)
-        self._await_state(client, "READY")
-        self._activate(client)
-        self._await_state(client, "ACTIVE")
 
     def _say_line(self, left: float) -> None:
         now = time.monotonic()
@@ -299,19 +307,17 @@ def demo(
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = LOG_WIDTH
-    scene = Scene(config, rig, chosen, private_runtime(), out or run_directory(), free_endpoint())
+    scene = Scene(config, rig, chosen, private_runtime(), out or run_directory())
     scene.out.mkdir(parents=True, exist_ok=True)
     console.print(f"demo of {config.name}: {config.description}", soft_wrap=True)
     console.print(
         "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,
     )
-    stage = Demo(scene, console)
+    stage = Demo(scene, console, signals)
     try:
-        stage.run(seconds, signals)
+        stage.run(seconds)
         summary = summed_up(scene, console)
-    except Interrupted:  # before anything was started
-        summary = None
     finally:
         shutil.rmtree(scene.runtime, ignore_errors=True)
     if stage.stalls:

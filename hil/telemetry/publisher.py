@@ -20,6 +20,7 @@ class Publisher:
 
     def __init__(self, key: str, rig: str, listen: list[str]) -> None:
         self.key = f"{key}/{rig}"
+        self.listen = listen
         self.failed = 0
         with ExitStack() as stack:
             self._session = stack.enter_context(_open(listen))

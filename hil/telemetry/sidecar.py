@@ -6,6 +6,7 @@ process, and outlives any number of them: each gets a recording of its own.
 
 import json
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -218,18 +219,30 @@ class _StopFlag:
         self.set = True
 
 
-def serve(rig: RigConfig, out: Path | None, endpoint: str | None = None) -> None:
+def _listening(rig: RigConfig, listen: list[str], or_free_port: bool) -> Publisher:
+    """A publisher on the endpoints wanted, or else on a free port where that is allowed. Raises ListenError."""
+    try:
+        return Publisher(rig.telemetry.key, rig.name, listen)
+    except ListenError:
+        if not or_free_port:
+            raise
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    return Publisher(rig.telemetry.key, rig.name, [f"tcp/127.0.0.1:{port}"])
+
+
+def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: bool = False) -> None:
     """Run until SIGTERM or SIGINT. Raises ListenError."""
     stop = _StopFlag()
     rig_places = places(rig.name)
-    listen = [endpoint] if endpoint else list(rig.telemetry.listen)
     token = renew_token(rig_places.token)
     period = min(1.0 / rig.telemetry.publish_hz, MAX_PERIOD)
-    with Publisher(rig.telemetry.key, rig.name, listen) as publisher:
-        write_private(rig_places.endpoint, listen[0])
+    with _listening(rig, listen, or_free_port) as publisher:
+        write_private(rig_places.endpoint, publisher.listen[0])
         gateway = Gateway(publisher.key, token, rig.safety.command_expiry_s)
         sidecar = Sidecar(rig, rig_places, publisher, gateway, out)
-        print(f"sidecar of {rig.name}: listening on {', '.join(listen)}", flush=True)
+        print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
             while not stop.set:
                 sidecar.step(time.monotonic_ns())
@@ -243,6 +256,7 @@ def sidecar(
     rig: Annotated[Path, typer.Argument(help="rig file")],
     out: Annotated[Path | None, typer.Option(help="directory for recordings [runs/<time>]")] = None,
     listen: Annotated[str | None, typer.Option(help="Zenoh endpoint instead of the rig file's")] = None,
+    or_free_port: Annotated[bool, typer.Option("--or-free-port", help="else on any free port of loopback")] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value over the rig file")] = None,
 ) -> None:
     """Publish, record and take commands for a control process. Ends on SIGTERM or SIGINT."""
@@ -251,7 +265,7 @@ def sidecar(
     for saved in save_black_boxes(places(config.name), directory or run_directory()):
         print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
     try:
-        serve(config, directory, listen)
+        serve(config, directory, [listen] if listen else list(config.telemetry.listen), or_free_port=or_free_port)
     except ListenError as error:
         print(f"hil sidecar: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
