@@ -53,9 +53,9 @@ def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], b
 
             return StageClassicDevice(bus, n_axes, rated_force)
         case "cia402":
-            raise LayoutError(
-                "bus.protocol = 'cia402': its drives are nodes (sim_plant.cia402_drive), not a DeviceProtocol"
-            )
+            from drivers.protocols.cia402_listener import Cia402Listener
+
+            return Cia402Listener(bus, n_axes, rated_force)
         case name if name.startswith("dbc:"):
             from drivers.protocols.dbc_file import DbcDevice
 
