@@ -4,9 +4,10 @@ A channel is a directory in the runtime directory. Every member has a listening 
 one SOCK_SEQPACKET connection, a link, to every other member; a link carries exactly the bytes that a SocketCAN
 socket would: `struct can_frame` or `struct canfd_frame`, one frame per packet, time-stamped by the kernel.
 
-- Joining: under the channel's lock, connect to every door found, then open one's own. So there is exactly one link
-  per pair, and a new member hears everything that is sent after it has joined. (What it sends itself before the
-  others have taken it in is stamped when they do, at their next read or write.)
+- Joining: under the channel's lock, connect to every door found, open one's own, then count up in the lock file,
+  which every member has mapped: a look at that number, no system call, tells a member that somebody is at its door.
+  So there is exactly one link per pair, and a new member hears everything that is sent after it has joined. (What it
+  sends itself before the others have taken it in is stamped when they do, at their next read or write.)
 - Leaving: the kernel closes a member's links however it ends, SIGKILL included; the others see it at once.
 - A member that stops reading fills its own links only. A frame that does not fit is lost for that member alone, as
   it would be in a node whose receive buffer is full, and the member is told with the error frame that a
@@ -23,6 +24,7 @@ import contextlib
 import errno
 import fcntl
 import itertools
+import mmap
 import os
 import select
 import socket
@@ -43,6 +45,7 @@ FIRST_DEPTH = 16  # frames that may wait on a link before its greeting has been 
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; who holds the lock for longer has been stopped
 
 _BACKLOG = 128
+_COUNT_BYTES = 8
 _EVENTS = 64  # of one epoll_wait; the rest comes with the next
 _DEEPEST = 1 << 16
 _LOOK_ONLY = int(socket.MSG_PEEK)
@@ -144,7 +147,8 @@ class LocalMedium:
         self._by_fd: dict[int, Link] = {}
         self._alone: list[int] = []  # the only link's descriptor, where there is just one
         self._poll = select.epoll()  # links and door
-        self._knocks = select.epoll()  # the door alone
+        self._joined = memoryview(bytes(_COUNT_BYTES)).cast("Q")  # [0]: how many have ever joined; all members share it
+        self._seen = 0  # of them
         self._door = _packet_socket()
         self._door_fd = self._door.fileno()
         self._door_path: Path | None = None
@@ -158,10 +162,13 @@ class LocalMedium:
             raise
 
     def _join(self, directory: Path) -> None:
-        with _locked(directory):
+        with _locked(directory) as lock:
+            self._joined = _shared_count(lock)
             for path in sorted(directory.glob(_DOORS)):
                 self._connect(path)
             self._open_door(directory)
+            self._joined[0] += 1
+            self._seen = self._joined[0]
 
     def _connect(self, path: Path) -> None:
         sock = _packet_socket()
@@ -187,7 +194,6 @@ class LocalMedium:
         path.chmod(0o666)  # who may come in is the directory's business
         self._door.listen(_BACKLOG)
         self._poll.register(self._door, select.EPOLLIN)
-        self._knocks.register(self._door, select.EPOLLIN)
 
     def _add(self, link: Link) -> None:
         self._by_fd[link.sock.fileno()] = link
@@ -201,6 +207,7 @@ class LocalMedium:
     def _admit(self) -> None:
         """Take in whoever waits at the door."""
         with self._change:
+            self._seen = self._joined[0]
             while True:
                 try:
                     sock, _ = self._door.accept()
@@ -233,7 +240,7 @@ class LocalMedium:
 
     def ready(self) -> list[int]:
         """Descriptors to read from now. With a single link it is quicker to try it than to ask whether to."""
-        if self._alone and not self._knocks.poll(0, 1):
+        if self._alone and self._joined[0] == self._seen:
             return self._alone
         return self.wait(0.0)
 
@@ -246,7 +253,7 @@ class LocalMedium:
 
         False: nobody was there to acknowledge it. Raises BlockingIOError when it fitted into nobody's queue.
         """
-        if self._knocks.poll(0, 1):  # who has joined before this frame is sent shall receive it
+        if self._joined[0] != self._seen:  # who has joined before this frame is sent shall receive it
             self._admit()
         delivered = False
         for link in self._links:
@@ -301,7 +308,6 @@ class LocalMedium:
             link.close()
         self._door.close()
         self._poll.close()
-        self._knocks.close()
 
 
 def channel_dir(channel: str) -> Path:
@@ -325,7 +331,7 @@ def _packet_socket() -> socket.socket:
 
 
 @contextlib.contextmanager
-def _locked(directory: Path) -> Iterator[None]:
+def _locked(directory: Path) -> Iterator[int]:
     """Hold the channel's lock; raises TimeoutError when another process keeps it. It ends with its holder."""
     deadline = time.monotonic() + JOIN_TIMEOUT_S
     fd = os.open(directory / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -342,8 +348,9 @@ def _locked(directory: Path) -> Iterator[None]:
                         str(directory),
                     ) from None
                 time.sleep(_LOCK_POLL_S)
-        yield
+        yield fd
     finally:
+        fcntl.flock(fd, fcntl.LOCK_UN)  # closing alone would not do: a mapping holds a duplicate of the descriptor
         os.close(fd)
 
 
@@ -358,6 +365,12 @@ def _address(path: Path) -> Iterator[str]:
         yield f"/proc/self/fd/{fd}/{path.name}"
     finally:
         os.close(fd)
+
+
+def _shared_count(lock: int) -> memoryview:
+    """The number in the channel's lock file, shared with every other member; lives as long as it is referred to."""
+    os.ftruncate(lock, _COUNT_BYTES)
+    return memoryview(mmap.mmap(lock, _COUNT_BYTES)).cast("Q")
 
 
 def _waiting(sock: socket.socket, which: int = _SIOCOUTQ) -> int:

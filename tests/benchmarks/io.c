@@ -1,8 +1,8 @@
 /* One tick's I/O of the bus layer in C: the yardstick of `hil bench io`.
  *
- * The same system calls on the same kind of socket as drivers/bus.py makes them on the local bus: epoll_wait on link
- * and door, one recvmmsg that takes the four feedback frames with their time stamps, three clock readings to bring the
- * stamps to CLOCK_MONOTONIC, epoll_wait on the door, one send. The frames are copied out, as a caller would need them.
+ * The same system calls on the same kind of socket as drivers/bus.py makes them on the local bus: one recvmmsg that
+ * takes the four feedback frames with their time stamps, clock readings to bring the stamps to CLOCK_MONOTONIC, one
+ * send. The frames are copied out, as a caller would need them.
  *
  * io TICKS
  * Output: CPU time per tick (ns) as min, median and max over the ticks, the cost of reading the CPU clock taken off.
@@ -12,7 +12,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/epoll.h>
 #include <sys/socket.h>
 #include <time.h>
 
@@ -63,13 +62,9 @@ static int64_t stamp_of(struct msghdr *header)
     return t.tv_sec * SECOND + t.tv_nsec;
 }
 
-static int drain(int links, int link, int64_t previous_ns, struct received *out)
+static int drain(int link, int64_t previous_ns, struct received *out)
 {
-    struct epoll_event events[8];
-    if (epoll_wait(links, events, 8, 0) < 1)
-        return 0;
-    int64_t before = read_clock(CLOCK_MONOTONIC), wall = read_clock(CLOCK_REALTIME), now = read_clock(CLOCK_MONOTONIC);
-    int64_t offset = wall - (before + now) / 2;
+    int64_t wall = read_clock(CLOCK_REALTIME), now = read_clock(CLOCK_MONOTONIC), offset = wall - now;
     int count = recvmmsg(link, headers, SLOTS, MSG_DONTWAIT, NULL);
     now = read_clock(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
@@ -89,19 +84,13 @@ static int by_value(const void *a, const void *b)
 
 int main(int argc, char **argv)
 {
-    int ticks = argc > 1 ? atoi(argv[1]) : 1000, on = 1, pair[2], door[2];
+    int ticks = argc > 1 ? atoi(argv[1]) : 1000, on = 1, pair[2];
     int64_t *cost = calloc(ticks, sizeof *cost), previous = 0, clock_cost = INT64_MAX;
     struct received frames[SLOTS];
     struct frame command = {.can_id = 0x080, .length = 24, .flags = 5}, feedback = {.length = 16, .flags = 5}, sent;
 
     check(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, pair), "socketpair");
-    check(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, door), "socketpair");
     check(setsockopt(pair[0], SOL_SOCKET, SO_TIMESTAMPNS, &on, sizeof on), "SO_TIMESTAMPNS");
-    int links = epoll_create1(0), knocks = epoll_create1(0);
-    struct epoll_event interest = {.events = EPOLLIN}, event;
-    check(epoll_ctl(links, EPOLL_CTL_ADD, pair[0], &interest), "epoll_ctl");
-    check(epoll_ctl(links, EPOLL_CTL_ADD, door[0], &interest), "epoll_ctl");
-    check(epoll_ctl(knocks, EPOLL_CTL_ADD, door[0], &interest), "epoll_ctl");
     for (int i = 0; i < SLOTS; i++) {
         vectors[i] = (struct iovec){&slots[i], FRAME_BYTES};
         headers[i].msg_hdr.msg_iov = &vectors[i];
@@ -119,10 +108,9 @@ int main(int argc, char **argv)
             check(send(pair[1], &feedback, FRAME_BYTES, 0), "feedback");
         }
         int64_t start = read_clock(CLOCK_THREAD_CPUTIME_ID);
-        int count = drain(links, pair[0], previous, frames);
+        int count = drain(pair[0], previous, frames);
         previous = read_clock(CLOCK_MONOTONIC);
         memcpy(command.data, &tick, sizeof tick);
-        epoll_wait(knocks, &event, 1, 0);
         ssize_t written = send(pair[0], &command, FRAME_BYTES, MSG_NOSIGNAL);
         cost[tick] = read_clock(CLOCK_THREAD_CPUTIME_ID) - start - clock_cost;
         if (count != FEEDBACK_FRAMES || written != FRAME_BYTES || frames[3].frame.can_id != 0x103) {
