@@ -11,7 +11,9 @@ from hil.config import EXIT_CONFIG, RigError
 
 
 class Entry(NamedTuple):
-    """Where a command lives, and its line in `hil --help`. `target` names a function, or a typer.Typer with sub-commands."""
+    """Where a command lives, and its line in `hil --help`. `target` names a function, or a typer.Typer with sub-
+    commands.
+    """
 
     target: str
     help: str

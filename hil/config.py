@@ -292,7 +292,7 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
 
 
 def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigConfig:
-    """Validate a parsed rig document with `key=value` overrides applied in order. Raises RigError with every problem."""
+    """Validate a parsed rig document with `key=value` overrides applied. Raises RigError with every problem."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
     for path, value in parsed:
         _apply_override(document, path, value)

@@ -1,4 +1,5 @@
-"""One control cycle, without I/O: decode, estimate, detect faults, advance the state machine, sample the trajectory, control law, gate, encode.
+"""One control cycle, without I/O: decode, estimate, detect faults, advance the state machine, sample the trajectory,
+control law, gate, encode.
 
 Output depends on the rig, the inputs and this object's own state alone; time comes in as integer ns.
 """
@@ -33,7 +34,9 @@ ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStat
 
 
 def rig_model(rig: RigConfig) -> Model:
-    """The rig file's nominal belief as arrays (n_axes,). The file's gravity acts on the axis; the model's holds against it."""
+    """The rig file's nominal belief as arrays (n_axes,). The file's gravity acts on the axis; the model's holds against
+    it.
+    """
     axes = [axis.model for axis in rig.axes.values()]
     return Model(
         mass=np.array([a.mass for a in axes]),
@@ -54,9 +57,9 @@ def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
         return Reference(zeros(), zeros(), zeros())
 
     return LawInputs(
-        position=zeros(), fresh=zeros(), sample=rest(), sample_interval=zeros(), ahead=zeros(), position_estimate=zeros(),
-        velocity_estimate=zeros(), disturbance_estimate=zeros(), start=rest(), end=rest(), mean_velocity=zeros(),
-        mean_acceleration=zeros(), mean_sign=zeros(), force_last=zeros(), force_before=zeros(),
+        position=zeros(), fresh=zeros(), sample=rest(), sample_interval=zeros(), ahead=zeros(),
+        position_estimate=zeros(), velocity_estimate=zeros(), disturbance_estimate=zeros(), start=rest(), end=rest(),
+        mean_velocity=zeros(), mean_acceleration=zeros(), mean_sign=zeros(), force_last=zeros(), force_before=zeros(),
     )  # fmt: skip
 
 
@@ -90,7 +93,9 @@ def _axis_limits(rig: RigConfig) -> list[AxisLimits]:
 
 
 class ControlCycle:
-    """The control service's one step. Construct once per process from a validated rig; `base_dir` is the rig file's folder (DBC files)."""
+    """The control service's one step. Construct once per process from a validated rig; `base_dir` is the rig file's
+    folder (DBC files).
+    """
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
@@ -185,7 +190,9 @@ class ControlCycle:
         self.setpoints.update(self._filter_ns, self._start_ns)
 
     def _take_stamps(self, tick: Tick) -> list[float]:
-        """Sample instants from the drives' stamps, per axis; fills the inputs' intervals (s). Returns 1.0 where a sample came."""
+        """Sample instants from the drives' stamps, per axis; fills the inputs' intervals (s). Returns 1.0 where a
+        sample came.
+        """
         period, intervals, ahead, fresh = self._period_ns, [], [], []
         latency, filter_ns, sent_ns = self._latency_ns, self._filter_ns, self._sent_now_ns
         for axis, sample in enumerate(self.inbox.samples):

@@ -1,11 +1,15 @@
-"""Pages of docs/ that are made from the tables in code: `python -m hil.docs` writes them, a test holds them up to date."""
+"""Pages of docs/ made from the tables in code: `python -m hil.docs` writes them, a test holds them up to date."""
 
 import sys
 from collections import defaultdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hil.faults import RULES, Reaction
 from hil.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FOLDER = Path(__file__).parent.parent / "docs"
 REACTION_TEXT = {
@@ -28,7 +32,8 @@ EVERYWHERE = {
     (Event.EXIT, State.SHUTDOWN),
 }
 CAPTION = """orange: torque permitted; grey: nothing is sent
-not drawn, from every state: estop to ESTOP, a fault to FAULT (fault_stop by way of STOPPING where torque flows), exit to SHUTDOWN likewise"""
+not drawn, from every state: estop to ESTOP, a fault to FAULT (fault_stop by way of STOPPING where torque flows), exit
+to SHUTDOWN likewise"""
 
 
 def arrows() -> dict[tuple[State, State], list[Event]]:
@@ -66,7 +71,8 @@ def faults_page() -> str:
     for fault, rule in RULES.items():
         armed = ", ".join(state.name for state in State if state in rule.states)
         lines.append(
-            f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} | {REACTION_TEXT[rule.reaction]} | {armed} |"
+            f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
+            f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -94,7 +100,7 @@ def states_picture(path: Path) -> None:
     pyplot.close(figure)
 
 
-def _arrow(axes, start, end, label):  # type: ignore[no-untyped-def]
+def _arrow(axes: "Axes", start: tuple[float, float], end: tuple[float, float], label: str) -> None:
     style = {"arrowstyle": "-|>", "color": "#777777", "shrinkA": 32, "shrinkB": 32, "connectionstyle": "arc3,rad=0.12"}
     axes.annotate("", xy=end, xytext=start, arrowprops=style)
     (x0, y0), (x1, y1) = start, end

@@ -1,8 +1,9 @@
 """The rig's Kalman filter: position, velocity and disturbance force of every axis, from one sample per period.
 
-Model per axis: mass * acceleration = input - disturbance, where the input is the force let out less the nominal friction at the setpoint's
-velocity. The gains are filterpy's (hil/estimation_design.py), constant; a test holds the two filters equal. Arrays have shape
-(..., n_axes); only exact element-wise operations, so a batch gives the same bits as its members one by one.
+Model per axis: mass * acceleration = input - disturbance, where the input is the force let out less the nominal
+friction at the setpoint's velocity. The gains are filterpy's (hil/estimation_design.py), constant; a test holds the two
+filters equal. Arrays have shape (..., n_axes); only exact element-wise operations, so a batch gives the same bits as
+its members one by one.
 """
 
 import json
@@ -65,7 +66,8 @@ def design_gains(rig: RigConfig) -> tuple[Array, Array]:
 class MotionFilter:
     """Constant-gain Kalman filter; `position`, `velocity`, `disturbance` are its state at the latest sample's time.
 
-    `ahead_position` and `ahead_velocity` are the same predicted to the start of the interval in which the next force will act.
+    `ahead_position` and `ahead_velocity` are the same predicted to the start of the interval in which the next force
+    will act.
     """
 
     def __init__(self, gains: Array, innovation_variance: Array, mass: Array, shape: tuple[int, ...]) -> None:

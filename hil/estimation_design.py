@@ -1,7 +1,7 @@
 """Design of the rig's Kalman filter with filterpy: constant gains of the filter that hil/estimation.py applies.
 
-filterpy brings scipy and matplotlib (2 s, 100 MB). The control process must not carry that, so `python -m hil.estimation_design` does the design
-in a short-lived child: JSON in, JSON out.
+filterpy brings scipy and matplotlib (2 s, 100 MB). The control process must not carry that, so `python -m
+hil.estimation_design` does the design in a short-lived child: JSON in, JSON out.
 """
 
 import json
@@ -39,7 +39,9 @@ def make_filter(mass: float, period: float, disturbance_noise: float, accelerati
 
 
 def steady_gains(kf: Any, tolerance: float = 1e-12, limit: int = 100_000) -> tuple[list[float], float]:
-    """Kalman gain [q, v, d] and innovation variance (m^2) after the covariance has settled. Raises ArithmeticError if it does not."""
+    """Kalman gain [q, v, d] and innovation variance (m^2) after the covariance has settled. Raises ArithmeticError if
+    it does not.
+    """
     previous = np.zeros((3, 1))
     for _ in range(limit):
         kf.predict(u=np.zeros((1, 1)))

@@ -1,9 +1,10 @@
-"""What can go wrong, how it is seen, after how long, and what is done about it: one table, and the detectors that fill it.
+"""What can go wrong, how it is seen, after how long, and what is done about it: one table, and the detectors that fill
+it.
 
-Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks the law runs on the filter's prediction (holding the last torque instead would
-throw away what the model knows, and decaying it would drop the friction compensation: 13 um in one tick on the paper's X axis); R2 STOP:
-damped stop, zero within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT: R3, and nothing more is sent until an explicit
-reset, so that the drives' own watchdogs act.
+Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks the law runs on the filter's prediction (holding the last torque
+instead would throw away what the model knows, and decaying it would drop the friction compensation: 13 um in one tick
+on the paper's X axis); R2 STOP: damped stop, zero within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT:
+R3, and nothing more is sent until an explicit reset, so that the drives' own watchdogs act.
 """
 
 from collections.abc import Sequence
@@ -72,7 +73,9 @@ ALWAYS = frozenset(State) - {State.BOOT, State.SHUTDOWN}
 
 
 class Rule(NamedTuple):
-    """seen_by, after: for people. states: where the detector is armed. drive_latched: the drive holds it, so it does not keep RESET from clearing it."""
+    """seen_by, after: for people. states: where the detector is armed. drive_latched: the drive holds it, so it does
+    not keep RESET from clearing it.
+    """
 
     seen_by: str
     after: str
@@ -348,7 +351,9 @@ class FaultMonitor:
             self.see(Fault.ENCODER_STUCK)
 
     def judge(self, state: State) -> tuple[Fault, Reaction]:
-        """The gravest fault armed in `state` (lowest number first among equals), counted; (NONE, COUNT) when there is none."""
+        """The gravest fault armed in `state` (lowest number first among equals), counted; (NONE, COUNT) when there is
+        none.
+        """
         armed = self.active & _ARMED[state]
         self.active = armed
         worst, reaction = Fault.NONE, Reaction.COUNT

@@ -1,7 +1,8 @@
 """The torque gate: the only way force leaves this process, and the only code that builds a command frame.
 
-In this order: finite? does the state permit it? position-dependent limits, clamp, rate limit, encode. It knows nothing of laws and
-trajectories and trusts neither. Anything not finite, or not permitted, becomes zero at once: the rate limit never delays zero.
+In this order: finite? does the state permit it? position-dependent limits, clamp, rate limit, encode. It knows nothing
+of laws and trajectories and trusts neither. Anything not finite, or not permitted, becomes zero at once: the rate limit
+never delays zero.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,8 @@ Array = NDArray[np.float64]
 def limit_force(
     request: Array, previous: Array, position: Array, limits: "ForceLimits", out: Array, scratch: Array
 ) -> None:
-    """Bound `request` by position, magnitude and rate of change; arrays (..., n_axes), N. Exact element-wise operations.
+    """Bound `request` by position, magnitude and rate of change; arrays (..., n_axes), N. Exact element-wise
+    operations.
 
     Beyond a travel limit only force that points back inside is let through. The rate limit gives way to the bounds: at
     a travel limit the outward force is zero in the same tick. Neither input array is changed.
@@ -67,8 +69,8 @@ class TorqueGate:
     ) -> list[Frame]:
         """Command frames of one tick.
 
-        request: force asked for (n_axes,), N. position: newest trusted position (n_axes,), m. permitted: the state allows torque;
-        if not, or if anything is not finite, the force is zero and every drive is disabled.
+        request: force asked for (n_axes,), N. position: newest trusted position (n_axes,), m. permitted: the state
+        allows torque; if not, or if anything is not finite, the force is zero and every drive is disabled.
         """
         if not permitted or not self.finite(request) or not self.finite(position):
             return self.zero(sequence, reset)
@@ -89,7 +91,7 @@ class TorqueGate:
 
     @staticmethod
     def finite(values: Array) -> bool:
-        """True where no value is NaN or infinite: the difference of a finite number with itself is zero, of others NaN."""
+        """True where no value is NaN or infinite: a finite number less itself is zero, any other is NaN."""
         total = 0.0
         for value in values.tolist():
             total += value - value

@@ -1,4 +1,6 @@
-"""What must hold in every tick of every run, checked on the frames themselves: through the drives' own decoder, not the gate's variables."""
+"""What must hold in every tick of every run, checked on the frames themselves: through the drives' own decoder, not the
+gate's variables.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -71,7 +73,7 @@ class Invariants:
             if force - force != 0.0:
                 self._fail(tick, f"axis {axis}: force {force} is not finite")
             if not permitted and (force != 0.0 or command.enable):
-                self._fail(tick, f"axis {axis}: force {force}, enable {command.enable:04b} in {state.name}")
+                self._fail(tick, f"axis {axis}: force {force}, enable {command.enable} in {state.name}")
             if abs(force) > self._limit[axis]:
                 self._fail(tick, f"axis {axis}: force {force} beyond the limit {self._limit[axis]}")
             change = abs(force - self._force[axis])

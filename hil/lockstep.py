@@ -1,4 +1,5 @@
-"""The cycle against the emulated stage over the simulated wire, in exact virtual time: the tick alone advances the clock.
+"""The cycle against the emulated stage over the simulated wire, in exact virtual time: the tick alone advances the
+clock.
 
 Same protocol, wire, drives, plant and cycle as a live run; same bytes every time, on any machine.
 """
@@ -41,7 +42,8 @@ def activate_when_ready(run: "LockstepRun", index: int) -> Sequence[CommandKind]
 class LockstepRun:
     """One run. Advance it tick by tick with `tick`, or whole with `run`.
 
-    operator: says which commands arrive in a tick. observer: called with every tick's inputs and result, before the wire moves on.
+    operator: says which commands arrive in a tick. observer: called with every tick's inputs and result, before the
+    wire moves on.
     """
 
     def __init__(
@@ -179,7 +181,9 @@ def simulate(
     wire_faults: Sequence[WireFault] = (),
     scenario: Scenario | None = None,
 ) -> tuple[SimReport, "Traces"]:
-    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at every sample."""
+    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
+    every sample.
+    """
     run = LockstepRun(rig, base_dir, observer=observer, wire_faults=wire_faults, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
     traces = Traces(ticks, len(rig.axes))
@@ -210,7 +214,9 @@ def simulate(
 
 
 def steady_from(run: LockstepRun, ticks: int) -> int:
-    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for that."""
+    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for
+    that.
+    """
     trajectory = run.cycle.setpoints.trajectory
     if run.activated_at < 0 or trajectory is None:
         return 0
@@ -219,7 +225,9 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
 
 
 class Traces:
-    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none), and force let out."""
+    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
+    and force let out.
+    """
 
     def __init__(self, ticks: int, n_axes: int) -> None:
         shape = (ticks, n_axes)

@@ -13,8 +13,8 @@ def average_reference(
 ) -> None:
     """Means over [start, end] of velocity, acceleration and sgn(velocity), into the last three arrays before scratch.
 
-    The sign's mean takes the velocity as linear in the interval: (v0 + v1) / (|v0| + |v1|), 0 at rest. Evaluating the feedforward at the
-    sample's instant instead costs 45-55 um on the paper's task (PAPER.md, Pitfalls).
+    The sign's mean takes the velocity as linear in the interval: (v0 + v1) / (|v0| + |v1|), 0 at rest. Evaluating the
+    feedforward at the sample's instant instead costs 45-55 um on the paper's task (PAPER.md, Pitfalls).
     """
     np.subtract(end.position, start.position, out=velocity)
     np.divide(velocity, period, out=velocity)
@@ -31,7 +31,9 @@ def average_reference(
 def nominal_net_force(
     force: Array, model: Model, mean_velocity: Array, mean_sign: Array, out: Array, scratch: Array
 ) -> None:
-    """Force let out, less gravity hold and the nominal friction at the setpoint's mean velocity: the filter's known input, N."""
+    """Force let out, less gravity hold and the nominal friction at the setpoint's mean velocity: the filter's known
+    input, N.
+    """
     np.multiply(model.coulomb, mean_sign, out=scratch)
     np.subtract(force, scratch, out=out)
     np.abs(mean_velocity, out=scratch)

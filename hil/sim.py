@@ -71,7 +71,7 @@ def sim(
     record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
     picture: Annotated[Path | None, typer.Option(help="write a picture of the tracking (PNG)")] = None,
 ) -> None:
-    """Run a rig in lockstep: the control cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
     from hil.lockstep import simulate
     from hil.scenario import load_scenario
 
@@ -115,7 +115,8 @@ def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
 
 
 def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:
-    title = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks, steady from {report.steady_from_s:.3f} s"
+    run = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks"
+    title = f"{run}, steady from {report.steady_from_s:.3f} s"
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")

@@ -1,8 +1,8 @@
 """The states of the control process as one table.
 
-Rules: every (state, event) pair that is not in TABLE is illegal: refused, counted, and without effect. FAULT and ESTOP are
-left by RESET alone, and lead to CONNECTED, never to ACTIVE. SHUTDOWN is the end. Torque is permitted in TORQUE_STATES only;
-in BOOT and SHUTDOWN nothing is sent at all.
+Rules: every (state, event) pair that is not in TABLE is illegal: refused, counted, and without effect. FAULT and ESTOP
+are left by RESET alone, and lead to CONNECTED, never to ACTIVE. SHUTDOWN is the end. Torque is permitted in
+TORQUE_STATES only; in BOOT and SHUTDOWN nothing is sent at all.
 """
 
 from enum import IntEnum

@@ -9,10 +9,11 @@ Array = NDArray[np.float64]
 
 
 def axis_statistics(names: Sequence[str], error: Array, force: Array) -> dict[str, dict[str, float]]:
-    """Per axis, SI: max_error and rms_error; plateau_error (median of |error|, what a constant disturbance leaves); peak_force; chatter (RMS of the
-    force's change from tick to tick).
+    """Per axis, SI: max_error and rms_error; plateau_error (median of |error|, what a constant disturbance leaves);
+    peak_force; chatter (RMS of the force's change from tick to tick).
 
-    error, force: (ticks, n_axes); NaN errors (ticks without a sample) do not count. Without any sample all errors are NaN.
+    error, force: (ticks, n_axes); NaN errors (ticks without a sample) do not count. Without any sample all errors are
+    NaN.
     """
     result = {}
     for axis, name in enumerate(names):

@@ -52,7 +52,9 @@ class Tick(NamedTuple):
 
 
 class CycleResult(NamedTuple):
-    """frames: to send now, in order; empty where nothing may be sent. record: this tick's telemetry (hil.telemetry.record)."""
+    """frames: to send now, in order; empty where nothing may be sent. record: this tick's telemetry
+    (hil.telemetry.record).
+    """
 
     frames: list[Frame]
     record: np.void

@@ -32,7 +32,7 @@ def test_the_hot_path_equals_filterpy_once_the_covariance_has_settled(paper: Rig
         ours.innovate(np.full(2, measured))
         ours.update(None)
         state = [ours.position[axis], ours.velocity[axis], ours.disturbance[axis]]
-        scale = np.abs(reference.x[:, 0]) + [1e-4, 1e-1, 1.0]
+        scale = np.abs(reference.x[:, 0]) + np.array([1e-4, 1e-1, 1.0])
         assert np.all(np.abs(state - reference.x[:, 0]) <= 1e-6 * scale)
 
 

@@ -139,7 +139,9 @@ def test_the_gate_knows_neither_laws_nor_trajectories() -> None:
 
 
 def test_nothing_else_in_hil_builds_a_command_frame() -> None:
-    """By search: a Command is constructed, and a host protocol's encode called, in gate.py alone (benchmarks measure, they do not run rigs)."""
+    """By search: a Command is constructed, and a host protocol's encode called, in gate.py alone (benchmarks measure,
+    they do not run rigs).
+    """
     offenders = []
     for path, tree in _sources("hil").items():
         if path == "hil/gate.py" or path.startswith("hil/bench/"):

@@ -54,8 +54,8 @@ class Command(NamedTuple):
     """What the host tells all drives in one tick.
 
     sequence: tick's sequence number, >= 0 (the layout takes it modulo `sequence_modulus`).
-    force: N or N m per axis, within the rated force. enable: bit i set = axis i applies its torque; clear = zero torque,
-    brake engaged. reset: clear latched drive faults (acts on its rising edge).
+    force: N or N m per axis, within the rated force. enable: bit i set = axis i applies its torque; clear = zero
+    torque, brake engaged. reset: clear latched drive faults (acts on its rising edge).
     """
 
     sequence: int
@@ -67,10 +67,10 @@ class Command(NamedTuple):
 class Message(NamedTuple):
     """One periodic message for the schedulability analysis.
 
-    name: as shown to people. can_id: identifier (with EXTENDED where it is). length: payload bytes. fd: CAN FD with bit-rate
-    switch. period_ns; deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest queueing
-    after the tick's start). sender: node name ("host", "x", ...).
-    after: name of the message whose reception triggers this one (feedback after the command), or None.
+    name: as shown to people. can_id: identifier (with EXTENDED where it is). length: payload bytes. fd: CAN FD with
+    bit-rate switch. period_ns; deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest
+    queueing after the tick's start). sender: node name ("host", "x", ...). after: name of the message whose reception
+    triggers this one (feedback after the command), or None.
     """
 
     name: str

@@ -22,7 +22,9 @@ SHIPPED = Path(__file__).parent.parent.parent / "deploy" / "rigs"
 
 
 def campaign(rigs: Sequence[Path], stride: int, jobs: int, done: Callable[[int, int], None]) -> list[Cell]:
-    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells in all."""
+    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
+    in all.
+    """
     work: list[Leg] = []
     for path in rigs:
         work += legs(displaced(load_rig(path)), path.parent, stride=stride)
@@ -43,7 +45,8 @@ def faults(
     json_target: Annotated[str, typer.Option("--json", help="write all cells there; - for standard output")] = "",
     page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
 ) -> None:
-    """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of faults.
+    """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of
+    faults.
 
     Exit status 1 when a cell fails.
     """

@@ -66,7 +66,8 @@ def terminal_table(cells: Sequence[Cell]) -> Table:
     return table
 
 
-_STYLE = """body{font:14px sans-serif}table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:2px 5px;font-size:12px}
+_STYLE = """body{font:14px sans-serif}table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:2px
+5px;font-size:12px}
 th.p{writing-mode:vertical-rl;transform:rotate(180deg);text-align:left}td.ok{background:#cfeecf}td.bad{background:#f5a3a3}td.quiet{background:#eef3ee}"""
 
 

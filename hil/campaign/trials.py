@@ -1,7 +1,8 @@
 """What the campaign injects, and what hil/faults.py's table says must follow.
 
-A trial is begun on a run that has been brought to a checkpoint, may act before every later tick, and names the faults that may be
-detected. What follows from those is read from RULES, never written down a second time.
+A trial is begun on a run that has been brought to a checkpoint, may act before every later tick, and names the faults
+that may be detected. Where it must be detected, and how hard the reaction must be at least, is written down here
+independently of that table: a row changed by mistake must make the campaign fail.
 """
 
 from collections.abc import Callable
@@ -12,10 +13,15 @@ import numpy as np
 from drivers.frame import FD, Frame
 from drivers.protocols.base import DriveStatus, Sample
 from drivers.wire_faults import FaultKind, WireFault
-from hil.faults import Fault
+from hil.faults import Fault, Reaction
 from hil.laws.base import LawInputs, Reference
 from hil.lockstep import LockstepRun
+from hil.state_machine import State
 from hil.tick import CommandKind
+
+MOVING = frozenset({State.HOMING, State.ACTIVE, State.STOPPING})
+WATCHING = MOVING | {State.READY}
+ALWAYS = WATCHING | {State.CONNECTED}
 
 Step = Callable[[LockstepRun, int, int], None]  # run, axis, ticks since the injection
 
@@ -25,9 +31,10 @@ class Trial:
     """One kind of fault.
 
     step: called before every tick from the injection on (third argument 0). faults: what the detectors may see, any of
-    them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for every axis.
-    moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet). benign: must not
-    change the state at all. certain: False where feedback may well master it. command: an operator's command the trial sends itself.
+    them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for
+    every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
+    benign: must not change the state at all. certain: False where feedback may well master it. command: an operator's
+    command the trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do.
     """
 
     name: str
@@ -38,6 +45,8 @@ class Trial:
     moving_only: bool = False
     benign: bool = False
     certain: bool = True
+    armed: frozenset[State] = MOVING
+    demand: Reaction = Reaction.STOP
     command: CommandKind | None = None
 
 
@@ -53,14 +62,14 @@ def _axis_name(run: LockstepRun, axis: int) -> str:
     return run.rig.axis_names[axis]
 
 
-def _wire(kind: FaultKind, ticks: int = 0, *, node: bool = True, count: int = 0, **more: int) -> Step:
+def _wire(kind: FaultKind, ticks: int = 0, *, node: bool = True, count: int = 0, delay_ns: int = 1_000_000) -> Step:
     """A wire fault on the frames an axis sends, for `ticks` (0: for good)."""
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
         until = now + ticks * run.rig.period_ns if ticks else 2**61
         sender = _axis_name(run, axis) if node else None
-        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node=sender, count=count, **more))
+        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node=sender, count=count, delay_ns=delay_ns))
 
     return _once(act)
 
@@ -224,46 +233,125 @@ _HELD_UP = (Fault.OVERRUN_LONG, Fault.OVERRUN_BURST, Fault.DRIVE_WATCHDOG, Fault
 TRIALS: tuple[Trial, ...] = (
     Trial("encoder silent, 1 tick", _wire(FaultKind.DROP, count=1), benign=True),
     Trial("encoder silent, 2 ticks", _wire(FaultKind.DROP, count=2), benign=True),
-    Trial("encoder silent", _wire(FaultKind.DROP), _GONE, within=11),
-    Trial("all encoders silent", _wire(FaultKind.DROP, node=False), _GONE, within=11, per_axis=False),
-    Trial("answers late by 2 ms", _wire(FaultKind.DELAY, delay_ns=2_000_000), _GONE, within=12),
+    Trial("encoder silent", _wire(FaultKind.DROP), _GONE, within=11, armed=WATCHING),
+    Trial("all encoders silent", _wire(FaultKind.DROP, node=False), _GONE, within=11, per_axis=False, armed=WATCHING),
+    Trial("answers late by 2 ms", _wire(FaultKind.DELAY, delay_ns=2_000_000), _GONE, within=12, armed=WATCHING),
     Trial("one bad checksum", _wire(FaultKind.ALTER, count=1), benign=True),
-    Trial("bad checksums", _wire(FaultKind.ALTER), (Fault.BAD_FRAMES, *_GONE), within=11),
-    Trial("duplicates", _forge(lambda frame: frame), (Fault.BAD_FRAMES,), within=7),
+    Trial("bad checksums", _wire(FaultKind.ALTER), (Fault.BAD_FRAMES, *_GONE), within=11, armed=WATCHING),
+    Trial(
+        "duplicates", _forge(lambda frame: frame), (Fault.BAD_FRAMES,), within=7, armed=WATCHING, demand=Reaction.ZERO
+    ),
     Trial("one duplicate", _forge(lambda frame: frame, ticks=1), benign=True),
-    Trial("wrong length", _forge(lambda f: f._replace(data=f.data[:8])), (Fault.BAD_FRAMES,), within=7),
+    Trial(
+        "wrong length",
+        _forge(lambda f: f._replace(data=f.data[:8])),
+        (Fault.BAD_FRAMES,),
+        within=7,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
     Trial(
         "remote or classic instead of FD",
         _forge(lambda f: f._replace(flags=f.flags & ~FD)),
         (Fault.BAD_FRAMES,),
         within=7,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
     ),
     Trial("foreign traffic on other identifiers", _forge(lambda f: f._replace(can_id=0x321)), benign=True),
     Trial("answers overtaken by others", _wire(FaultKind.REORDER, delay_ns=900_000), _GONE, certain=False),
     Trial("bit errors on the wire", _wire(FaultKind.CORRUPT, count=1), benign=True),
     Trial("encoder glitch", _Encoder(lambda count, held, k: count + (10**7 if k == 0 else 0)), benign=True),
-    Trial("encoder jump", _Encoder(lambda count, held, k: count + 10**7), (Fault.ENCODER_JUMP,), within=4),
-    Trial("encoder noise", _Encoder(lambda count, held, k: count + (-1) ** k * 10**7), (Fault.ENCODER_JUMP,), within=4),
+    Trial(
+        "encoder jump",
+        _Encoder(lambda count, held, k: count + 10**7),
+        (Fault.ENCODER_JUMP,),
+        within=4,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial(
+        "encoder noise",
+        _Encoder(lambda count, held, k: count + (-1) ** k * 10**7),
+        (Fault.ENCODER_JUMP,),
+        within=4,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
     Trial("encoder stuck", _Encoder(lambda count, held, k: held), _STUCK, within=600, moving_only=True),
     Trial("encoder reversed", _Encoder(lambda count, held, k: 2 * held - count), _STUCK, within=600, moving_only=True),
-    Trial("drive fault bit", _status(DriveStatus.FAULT), (Fault.DRIVE_FAULT,)),
-    Trial("drive encoder fault bit", _status(DriveStatus.ENCODER_FAULT), (Fault.ENCODER_FAULT,)),
-    Trial("drive fails", _once(_fail), (Fault.DRIVE_FAULT,)),
-    Trial("drive watchdog trips", _once(_trip), (Fault.DRIVE_WATCHDOG,)),
+    Trial("drive fault bit", _status(DriveStatus.FAULT), (Fault.DRIVE_FAULT,), armed=WATCHING, demand=Reaction.ZERO),
+    Trial(
+        "drive encoder fault bit",
+        _status(DriveStatus.ENCODER_FAULT),
+        (Fault.ENCODER_FAULT,),
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial("drive fails", _once(_fail), (Fault.DRIVE_FAULT,), armed=WATCHING, demand=Reaction.ZERO),
+    Trial("drive watchdog trips", _once(_trip), (Fault.DRIVE_WATCHDOG,), armed=WATCHING, demand=Reaction.ZERO),
     Trial("axis jammed", _once(_jam), _STUCK, within=600, moving_only=True),
     Trial("torque constant 30 % high", _once(_torque_constant), _STUCK, certain=False),
-    Trial("law asks for NaN", _law_asks(_set(np.nan)), (Fault.NOT_FINITE,), within=1),
-    Trial("law asks for infinity", _law_asks(_set(np.inf)), (Fault.NOT_FINITE,), within=1),
+    Trial(
+        "law asks for NaN",
+        _law_asks(_set(np.nan)),
+        (Fault.NOT_FINITE,),
+        within=1,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
+        demand=Reaction.ZERO,
+    ),
+    Trial(
+        "law asks for infinity",
+        _law_asks(_set(np.inf)),
+        (Fault.NOT_FINITE,),
+        within=1,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
+        demand=Reaction.ZERO,
+    ),
     Trial("law asks for 1e9", _law_asks(_set(1e9)), (*_STUCK, Fault.TRAVEL), within=600, moving_only=True),
-    Trial("filter turns NaN", _once(_filter_nan), (Fault.NOT_FINITE, Fault.SPEED), within=2),
-    Trial("setpoint leaves the travel", _bend(2.0, 0.0), (Fault.TRAVEL_PLANNED, Fault.FOLLOWING_ERROR), within=2),
-    Trial("setpoint too fast", _bend(0.0, 3.0), (Fault.SPEED_PLANNED,), within=2),
-    Trial("setpoint jumps", _bend(0.2, 0.0), (Fault.FOLLOWING_ERROR, Fault.TRAVEL_PLANNED), within=2),
-    Trial("bus-off", _host(FaultKind.BUS_OFF), (Fault.BUS_OFF,), per_axis=False),
-    Trial("no acknowledgement", _host(FaultKind.NO_ACK), (Fault.NO_ACK, *_GONE), within=4, per_axis=False),
-    Trial("interface down", _host(FaultKind.DOWN), (Fault.INTERFACE_DOWN,), per_axis=False),
-    Trial("transmit queue full", _once(_queue_full), (Fault.TRANSMIT_BLOCKED, *_GONE), within=5, per_axis=False),
-    Trial("babbling node", _once(_babble), (Fault.RECEIVE_FLOOD,), within=3, per_axis=False),
+    Trial("filter turns NaN", _once(_filter_nan), (Fault.NOT_FINITE, Fault.SPEED), within=2, demand=Reaction.ZERO),
+    Trial(
+        "setpoint leaves the travel",
+        _bend(2.0, 0.0),
+        (Fault.TRAVEL_PLANNED, Fault.FOLLOWING_ERROR),
+        within=2,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
+    ),
+    Trial(
+        "setpoint too fast",
+        _bend(0.0, 3.0),
+        (Fault.SPEED_PLANNED,),
+        within=2,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
+    ),
+    Trial(
+        "setpoint jumps",
+        _bend(0.2, 0.0),
+        (Fault.FOLLOWING_ERROR, Fault.TRAVEL_PLANNED),
+        within=2,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
+    ),
+    Trial("bus-off", _host(FaultKind.BUS_OFF), (Fault.BUS_OFF,), per_axis=False, armed=ALWAYS, demand=Reaction.SILENT),
+    Trial(
+        "no acknowledgement", _host(FaultKind.NO_ACK), (Fault.NO_ACK, *_GONE), within=4, per_axis=False, armed=WATCHING
+    ),
+    Trial(
+        "interface down",
+        _host(FaultKind.DOWN),
+        (Fault.INTERFACE_DOWN,),
+        per_axis=False,
+        armed=ALWAYS,
+        demand=Reaction.SILENT,
+    ),
+    Trial(
+        "transmit queue full",
+        _once(_queue_full),
+        (Fault.TRANSMIT_BLOCKED, *_GONE),
+        within=5,
+        per_axis=False,
+        armed=WATCHING,
+    ),
+    Trial("babbling node", _once(_babble), (Fault.RECEIVE_FLOOD,), within=3, per_axis=False, armed=ALWAYS),
     Trial("one overrun", _overruns(1, last=0), benign=True, per_axis=False),
     Trial("every other slot missed", _overruns(1), (Fault.OVERRUN_BURST,), within=6, per_axis=False),
     Trial("held up for 25 ms", _overruns(25, last=0), _HELD_UP, within=2, per_axis=False),

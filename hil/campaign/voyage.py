@@ -1,4 +1,6 @@
-"""Checkpoints of a run, and the trials tried from each: every cell starts from an exact copy of the run, made by fork()."""
+"""Checkpoints of a run, and the trials tried from each: every cell starts from an exact copy of the run, made by
+fork().
+"""
 
 import functools
 import itertools
@@ -15,10 +17,10 @@ import numpy as np
 from hil.campaign.trials import TRIALS, Trial
 from hil.config import RigConfig, build_rig
 from hil.estimation import per_axis
-from hil.faults import REACTIONS, RULES, Fault, Reaction
+from hil.faults import REACTIONS, Fault, Reaction
 from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
-from hil.state_machine import TABLE, TORQUE_STATES, Event, State
+from hil.state_machine import TABLE, Event, State
 from hil.tick import CommandKind
 from hil.trajectories import make_trajectory
 
@@ -28,7 +30,9 @@ DRIVES_REACT = 3  # ticks from the gate's zero to zero in every drive, two lost 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A moment of a run: `ticks` after the operator's `commands` (tick -> command) began, in `state`; phase names the task's phase."""
+    """A moment of a run: `ticks` after the operator's `commands` (tick -> command) began, in `state`; phase names the
+    task's phase.
+    """
 
     name: str
     state: State
@@ -109,7 +113,9 @@ def checkpoints(rig: RigConfig) -> list[Checkpoint]:
 
 
 def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> LockstepRun:
-    """A run, checked by the invariants on every tick, brought to the checkpoint. Raises RuntimeError where it does not get there."""
+    """A run, checked by the invariants on every tick, brought to the checkpoint. Raises RuntimeError where it does not
+    get there.
+    """
     plan = dict(point.commands)
     run = LockstepRun(
         rig,
@@ -125,7 +131,7 @@ def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> LockstepRun:
 
 
 def will_move(run: LockstepRun, axis: int, ticks: int) -> bool:
-    """Whether the task takes the axis so far within `ticks` that standing still must break the following-error limit."""
+    """Whether the task takes the axis so far within `ticks` that standing still must break its following limit."""
     setpoints, limits = run.cycle.setpoints, list(run.rig.axes.values())[axis].limits
     if setpoints.trajectory is None or run.cycle.state is not State.ACTIVE:
         return False
@@ -137,11 +143,11 @@ def will_move(run: LockstepRun, axis: int, ticks: int) -> bool:
     return bool((travelled > 1.5 * allowed).any())
 
 
-def expected_faults(trial: Trial, point: Checkpoint, moves: bool) -> tuple[Fault, ...]:
-    """Those of the trial's faults that the table arms at this checkpoint with a reaction that latches."""
+def due_faults(trial: Trial, point: Checkpoint, moves: bool) -> tuple[Fault, ...]:
+    """The trial's faults, where one of them must be detected at this checkpoint; none where it need not."""
     if trial.benign or not trial.certain or (trial.moving_only and not moves):
         return ()
-    return tuple(f for f in trial.faults if point.state in RULES[f].states and REACTIONS[f] >= Reaction.STOP)
+    return trial.faults if point.state in trial.armed else ()
 
 
 def possible_faults(trial: Trial) -> frozenset[Fault]:
@@ -161,7 +167,8 @@ def expected_end(trial: Trial, point: Checkpoint) -> set[State]:
         event = event or {CommandKind.RESET: Event.RESET, CommandKind.STOP: Event.STOP}[trial.command]
         target = TABLE.get((point.state, event))
         if target is not None:
-            ends = {target, State.READY} if target in (State.STOPPING, State.CONNECTED) else {target}
+            over = {State.STOPPING: {State.READY}, State.CONNECTED: {State.CONNECTED, State.READY}}
+            ends = over.get(target, {target})
     return ends
 
 
@@ -181,6 +188,8 @@ def judge(
         return f"latched {fault.name}, which this trial must not cause"
     if due and detected_at > trial.within:
         return f"{fault.name} detected after {detected_at} ticks, allowed {trial.within}"
+    if due and REACTIONS[fault] < trial.demand:
+        return f"{fault.name} reacts with {REACTIONS[fault].name}, at least {trial.demand.name} is demanded"
     latched = State.ESTOP if point.state is State.ESTOP else State.FAULT
     if state is not latched:
         return f"{fault.name} latched, yet the run ended {state.name}"
@@ -206,7 +215,7 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: LockstepRun, rig_n
     peak = 0.0
     why = ""
     before = run.cycle.fault
-    due = expected_faults(trial, point, will_move(run, axis, trial.within))
+    due = due_faults(trial, point, will_move(run, axis, trial.within))
     ticks = (trial.within if due else 0) + HORIZON
     command = trial.command
     run._operator = lambda run, index: (command,) if command is not None and index == start else ()
@@ -263,7 +272,9 @@ def in_fork(work: Callable[[], Cell]) -> Cell:
 
 @dataclass(frozen=True)
 class Leg:
-    """Work for one process: a rig (as a document, so that it travels), a checkpoint, and which cells (trial, axis) to try there."""
+    """Work for one process: a rig (as a document, so that it travels), a checkpoint, and which cells (trial, axis) to
+    try there.
+    """
 
     document: dict[str, Any]
     base_dir: str
@@ -285,7 +296,7 @@ def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
 
 
 def displaced(rig: RigConfig) -> RigConfig:
-    """The rig with its axes a tenth of the travel from zero, so that there is a way home and an approach on every axis."""
+    """The rig with its axes a tenth of the travel off zero: every axis then has a way home and an approach."""
     document = rig.model_dump(mode="json")
     document["plant"]["initial_position"] = [
         0.05 * (high - low) for low, high in (a.limits.position for a in rig.axes.values())
