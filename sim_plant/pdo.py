@@ -8,6 +8,7 @@ from drivers.protocols.cia301 import BASIC_TYPES, PDO_INVALID, Abort
 from sim_plant.object_dictionary import ObjectDictionary, SdoAbort, key_of
 
 COB_ID, TRANSMISSION_TYPE = 1, 2
+FIRST_TPDO = 0x1800  # below: RPDOs
 MAX_BYTES = 8
 LAST_DUMMY = 0x0007  # indexes up to it stand for data types: bytes of a PDO that are not for this node
 
@@ -26,6 +27,7 @@ class Pdo:
         self._communication = communication
         self._mapping = mapping
         self._changed = changed
+        self._receives = communication < FIRST_TPDO
         dictionary.setters[key_of(communication, COB_ID)] = self._set_can_id
         dictionary.setters[key_of(communication, TRANSMISSION_TYPE)] = self._set_type
         dictionary.setters[key_of(mapping, 0)] = self._set_count
@@ -64,7 +66,8 @@ class Pdo:
             key, code = -1, BASIC_TYPES[index]
         else:
             entry = self._dictionary.entry(index, subindex)
-            if not entry.mappable or entry.layout is None:
+            allowed = entry.writable if self._receives else entry.readable
+            if not (entry.mappable and allowed) or entry.layout is None:
                 raise SdoAbort(Abort.NOT_MAPPABLE)
             key, code = key_of(index, subindex), entry.layout.format[1:]
         if Struct("<" + code).size * 8 != bits:
