@@ -1,5 +1,6 @@
-"""`hil check`: does the rig's traffic fit its bus, frame by frame, before anything moves."""
+"""`hil check`: does the rig's traffic fit its bus, and is its sampled loop stable, before anything moves."""
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +15,7 @@ from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
 from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.sim import write_json
+from hil.stability import StabilityReport
 
 
 def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
@@ -61,7 +63,7 @@ def check(
         Path | None, typer.Option(help="the tick's timeline as PNG [default: runs/RIG-tick.png]")
     ] = None,
 ) -> None:
-    """Worst-case response time of every frame and bus load. Exit status 78 when the traffic does not fit."""
+    """Worst-case response time of every frame, bus load, stability. Exit status 78 where one of them fails."""
     rig = load_rig(rig_file, overrides or ())
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
@@ -139,6 +141,29 @@ def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
             "no bound" if margin_ns is None else f"{(message.deadline_ns - margin_ns) / 1000:.1f}",
             f"{message.deadline_ns / 1000:.0f}",
             "-" if margin_ns is None else f"{'' if response.fits else '[red]'}{margin_ns / 1000:.1f}",
+        )
+    return table
+
+
+def stability_table(report: StabilityReport) -> Table:
+    """Per axis: slowest pole, margins, and the rates from which the loop is stable."""
+    title = f"{report.law} at {report.rate_hz:g} Hz, one period of delay: " + (
+        "stable" if report.stable else "[red]unstable[/red]"
+    )
+    table = Table(
+        "axis", "largest pole", "gain margin", "phase margin", "stable from", "from, finite difference", title=title
+    )
+    for name, axis in report.axes.items():
+        gain, phase = axis.gain_margin, axis.phase_margin_deg
+        table.add_row(
+            name,
+            f"{'' if axis.stable else '[red]'}{axis.radius:.4f}",
+            "-" if gain is None else f"{20.0 * math.log10(gain):.1f} dB",
+            "-" if phase is None else f"{phase:.0f} deg",
+            *(
+                "-" if rate is None else f"{rate:.0f} Hz"
+                for rate in (axis.lowest_stable_rate_hz, axis.finite_difference_rate_hz)
+            ),
         )
     return table
 

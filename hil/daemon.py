@@ -23,6 +23,7 @@ from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.loop import ControlLoop, Parts
 from hil.notify import Notifier
 from hil.realtime import EXIT_REALTIME, claim
+from hil.stability import refuse_unstable
 from hil.stage_clock import TimedCycle
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
@@ -80,6 +81,10 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
         host_protocol(config.bus, len(config.axes), rated, path.parent)
     except (ValueError, OSError) as error:
         raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
+    try:
+        refuse_unstable(config)
+    except ValueError as error:
+        raise RigError([f"{path}: {error}"]) from None
     return config
 
 

@@ -34,10 +34,10 @@ class PdFeedforward(Law):
     def force(self, inputs: LawInputs) -> Array:
         """Eq. (15)."""
         out, scratch = self._force, self._scratch
-        np.subtract(inputs.start.position, inputs.position_estimate, out=out)
-        np.multiply(out, self._kp, out=out)
-        np.subtract(inputs.start.velocity, inputs.velocity_estimate, out=scratch)
-        np.multiply(scratch, self._kd, out=scratch)
-        np.add(out, scratch, out=out)
+        np.subtract(inputs.start.position, inputs.position_estimate, out)
+        np.multiply(out, self._kp, out)
+        np.subtract(inputs.start.velocity, inputs.velocity_estimate, scratch)
+        np.multiply(scratch, self._kd, scratch)
+        np.add(out, scratch, out)
         np.add(out, self._feedforward(inputs), out=out)
         return out

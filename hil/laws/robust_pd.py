@@ -85,7 +85,8 @@ class RobustPd(Law):
         if low.any():
             self.denominator_floors += int(np.count_nonzero(low))
         nu = s * self._rho2 / np.where(low, self._floor, denominator)
-        return self._feedforward(inputs) - self._damping * rate - self._stiffness * e - nu
+        asked: Array = self._feedforward(inputs) - self._damping * rate - self._stiffness * e - nu
+        return asked
 
     def _squared(self, value: Array) -> Array:
         """|value|^2; over the axes in their order, so that a batch adds up as one plant does."""

@@ -89,7 +89,7 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
 
     noise: variances per second of ė; of ė at a reversal, over the square of the speed gained there; per second of d0,
     theta1, theta2 and theta3. The thetas drift only in motion. Where the reference reverses, the plant stops a little
-    early or late and friction holds it meanwhile: its speed is uncertain there, which is not to be blamed on the thetas.
+    early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
     """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
     time, _, gained, before, s, v, a = over
