@@ -18,7 +18,10 @@ from sim_plant.object_dictionary import ObjectDictionary, SdoAbort, key_of
 from sim_plant.pdo import Pdo
 from sim_plant.sdo_server import SdoServer
 
-_DEFECTS = int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
+# As plain integers: arithmetic on an enumeration costs a microsecond.
+_WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
+_DEFECTS = int(DriveStatus.FAULT) | _WATCHDOG | _ENCODER_FAULT
+_LIMITED, _HOMED, _BRAKE = int(DriveStatus.TORQUE_LIMITED), int(DriveStatus.HOMED), int(DriveStatus.BRAKE)
 _GENERIC, _COMMUNICATION = 0x01, 0x10  # bits of the error register, 1001h
 _HISTORY = 4  # entries of 1003h
 
@@ -113,9 +116,9 @@ class Cia402Drive:
 
     def _diagnosis(self) -> Emergency:
         defects = self._defects()
-        if defects & DriveStatus.WATCHDOG:
+        if defects & _WATCHDOG:
             return Emergency.RPDO_TIMEOUT
-        return Emergency.SENSOR if defects & DriveStatus.ENCODER_FAULT else Emergency.INTERNAL
+        return Emergency.SENSOR if defects & _ENCODER_FAULT else Emergency.INTERNAL
 
     # network management -----------------------------------------------------------------------------------------------
 
@@ -289,16 +292,16 @@ class Cia402Drive:
         return (count + (1 << 31)) % (1 << 32) - (1 << 31)
 
     def _statusword(self) -> int:
-        status = int(self.servo.status | self.servo.extra_status)
+        status = self.servo.status | self.servo.extra_status
         word: int = self.state.value[1] | cia301.REMOTE
         if self.state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED):
             word |= cia301.VOLTAGE_ENABLED
         if self.state is DriveState.OPERATION_ENABLED:
             word |= cia301.FOLLOWS_COMMAND
-        if self._limited or status & DriveStatus.TORQUE_LIMITED:
+        if self._limited or status & _LIMITED:
             word |= cia301.LIMIT_ACTIVE
-        word |= cia301.HOMED if status & DriveStatus.HOMED else 0
-        word |= cia301.BRAKE if status & DriveStatus.BRAKE else 0
+        word |= cia301.HOMED if status & _HOMED else 0
+        word |= cia301.BRAKE if status & _BRAKE else 0
         return word
 
     def _torque_actual(self) -> int:

@@ -16,6 +16,7 @@ SDO_TIMEOUT_TICKS = 100
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
 LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
 
+_WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
 _UPLOAD, _DOWNLOAD = 0x40, 0x23
 _UPLOAD_ANSWER, _DOWNLOAD_ANSWER, _ABORT = 0x43, 0x60, 0x80
 
@@ -87,9 +88,9 @@ class NodeMaster:
         if code == Emergency.NONE:
             self.alarms = 0
         elif code in (Emergency.HEARTBEAT, Emergency.RPDO_TIMEOUT):
-            self.alarms |= DriveStatus.WATCHDOG
+            self.alarms |= _WATCHDOG
         elif code & 0xFF00 == Emergency.SENSOR:
-            self.alarms |= DriveStatus.ENCODER_FAULT
+            self.alarms |= _ENCODER_FAULT
 
     def on_sdo(self, data: bytes) -> bool:
         """An SDO answer of 8 bytes; False where it is not one to the request that is open."""
