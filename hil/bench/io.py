@@ -1,9 +1,9 @@
 """`hil bench io`: one tick's I/O (four frames received, one sent) on the local bus, three ways in one run.
 
 ours: drivers.bus.Port. python-can: send and recv of its plug-in for the same bus, with its Message objects, as most
-people would write it. All three take everything that has come, so that nothing old is left for the next tick. C: tests/benchmarks/io.c, the system calls of `ours` and nothing else. The frames to receive are
-sent beforehand, outside the measured part, so that one side alone is measured; in all three the cost of reading the
-CPU clock is taken off.
+people would write it. C: tests/benchmarks/io.c, the system calls of `ours` and nothing else. All three take everything
+that has come, so that nothing old is left for the next tick. The frames to receive are sent beforehand, outside the
+measured part, so that one side alone is measured; the cost of reading the CPU clock is taken off in all three.
 """
 
 import shutil
