@@ -15,7 +15,7 @@ from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
 from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.sim import write_json
-from hil.stability import StabilityReport
+from hil.stability import StabilityReport, check_stability
 
 
 def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
@@ -76,8 +76,13 @@ def check(
     draw_tick(rig, analysis, target)
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, analysis)
-    # Further checks of a rig (hil/stability.py) go here: print, extend `found` and `document`.
-    document = as_json(analysis) | {"faults_tolerated": tolerated, "problems": found}
+    try:
+        stability = check_stability(rig, lowest_rate=True)
+    except ValueError as error:
+        raise RigError([f"{rig_file}: {error}"]) from None
+    console.print(stability_table(stability))
+    found = [*found, *stability.problems()]
+    document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     if json_path:
         write_json(document, json_path)
     for line in found:
@@ -155,6 +160,7 @@ def stability_table(report: StabilityReport) -> Table:
     )
     for name, axis in report.axes.items():
         gain, phase = axis.gain_margin, axis.phase_margin_deg
+        rates = (axis.lowest_stable_rate_hz, axis.finite_difference_rate_hz)
         table.add_row(
             name,
             f"{'' if axis.stable else '[red]'}{axis.radius:.4f}",
