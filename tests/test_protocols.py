@@ -20,7 +20,9 @@ from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
+from drivers.protocols.cia402 import separate_rpdo_messages
 from drivers.protocols.compiled import compile_codec, load_dbc
+from drivers.schedulability import analyse
 
 ROOT = Path(__file__).parent.parent
 RIGS = ROOT / "deploy" / "rigs"
@@ -273,6 +275,35 @@ def test_identifiers_that_collide_and_forces_without_sense_are_refused_at_once()
         host_protocol(BusConfig(), 2, [1.0, 0.0], ROOT)
     with pytest.raises(LayoutError, match="5 axes"):
         host_protocol(BusConfig(), 5, [1.0] * 5, ROOT)
+
+
+# on the wire ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("protocol", "tick_us"), [("stage_fd", 380), ("stage_classic", 675), ("cia402", 660)])
+def test_every_layout_fits_its_tick_as_designed(protocol: str, tick_us: int) -> None:
+    messages = host_protocol(BusConfig(protocol=protocol), 4, RATED, ROOT).messages(1_000_000)
+    analysis = analyse(messages, 1_000_000, 5_000_000)
+    assert analysis.schedulable
+    assert analysis.tick_ns == tick_us * 1000
+
+
+def test_four_separate_rpdos_fill_the_bus_and_leave_no_room_for_services() -> None:
+    messages = separate_rpdo_messages(1, 4, 1_000_000)
+    assert analyse(messages[:9], 1_000_000, 1_000_000).bus_load == pytest.approx(0.985)
+    assert not analyse(messages, 1_000_000, 1_000_000).schedulable
+
+
+@pytest.mark.parametrize("protocol", [*STAGES, "cia402"])
+def test_the_messages_announced_are_the_frames_sent(protocol: str) -> None:
+    host, device = ends(protocol)
+    announced = {message.can_id: message for message in host.messages(1_000_000)}
+    frames = host.encode(Command(0, [0.0] * 4, 0, False))
+    cyclic = [frame for frame in frames if frame.can_id in announced]
+    assert len(cyclic) == (2 if protocol == "cia402" else 1)
+    for frame in [*cyclic, *(device.encode_feedback(Sample(axis, 0, 0, 0, 0)) for axis in range(4))]:
+        message = announced[frame.can_id]
+        assert (message.length, message.fd) == (len(frame.data), bool(frame.flags & FD))
 
 
 # any DBC --------------------------------------------------------------------------------------------------------------

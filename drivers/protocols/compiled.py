@@ -1,7 +1,7 @@
 """Turns a DBC message into a codec fast enough for the loop.
 
 cantools interprets its description of a message at every call (1 to 4 us). Here the description is read once: a message
-of whole bytes becomes a `struct.Struct`, any other a list of shifts and masks. Both work on raw values, before the
+of whole bytes becomes a `struct.Struct`, any other a few shifts and masks. Both work on raw values, before the
 DBC's factor and offset. tests/test_protocols.py holds them equal to cantools' own encode and decode.
 """
 
@@ -57,8 +57,8 @@ def compile_codec(message: Message, expected: Sequence[str] | None = None) -> Co
     layout = _struct_format(signals, message.length)
     if layout is not None:
         return Codec(names, message.length, layout.unpack, layout.pack)
-    plan = BitPlan(signals, message.length)
-    return Codec(names, message.length, plan.unpack, plan.pack)
+    unpack, pack = _compile_bits(signals, message.length)
+    return Codec(names, message.length, unpack, pack)
 
 
 def _is_little(signal: Signal) -> bool:
@@ -119,23 +119,58 @@ def _field(signal: Signal, length: int) -> _Field:
     return _Field(big, shift, (1 << signal.length) - 1, sign, to_float, from_float)
 
 
-class BitPlan:
-    """Codec of a message whose signals are not whole bytes: shifts and masks on the payload as one integer."""
+_SOURCE = """
+def unpack(data):
+    word = int.from_bytes(data, {order!r})
+    return ({reads},)
 
-    def __init__(self, signals: Sequence[Signal], length: int) -> None:
+def pack({names}):
+    if not ({checks}):
+        raise OverflowError(f"raw values {{({names},)}} do not fit {ranges}")
+    return ({writes}).to_bytes({length}, {order!r})
+"""
+
+
+def _compile_bits(signals: Sequence[Signal], length: int) -> tuple[Callable[..., Any], Callable[..., bytes]]:
+    """unpack and pack of a message whose signals are not whole bytes: shifts and masks on the payload as one integer.
+
+    Integers of one byte order are written out as Python source (made of numbers only) and compiled, which halves the
+    time of a loop over them; other messages are rare and take the loop.
+    """
+    fields = [_field(signal, length) for signal in signals]
+    if len({field.big for field in fields}) > 1 or any(field.to_float for field in fields):
+        plan = MixedPlan(fields, length)
+        return plan.unpack, plan.pack
+    reads, checks, writes, ranges = [], [], [], []
+    for place, field in enumerate(fields):
+        read = f"word >> {field.shift} & {field.mask}"
+        reads.append(f"({read} ^ {field.sign}) - {field.sign}" if field.sign else read)
+        checks.append(f"{-field.sign} <= v{place} <= {field.mask - field.sign}")
+        writes.append(f"(v{place} & {field.mask}) << {field.shift}")
+        ranges.append((-field.sign, field.mask - field.sign))
+    source = _SOURCE.format(
+        order="big" if fields[0].big else "little",
+        names=", ".join(f"v{place}" for place in range(len(fields))),
+        reads=", ".join(reads),
+        checks=" and ".join(checks),
+        writes=" | ".join(writes),
+        ranges=ranges,
+        length=length,
+    )
+    namespace: dict[str, Any] = {}
+    exec(source, namespace)
+    return namespace["unpack"], namespace["pack"]
+
+
+class MixedPlan:
+    """The same for messages that mix byte orders or hold floats between other bits."""
+
+    def __init__(self, fields: Sequence[_Field], length: int) -> None:
         self._length = length
-        self._fields = [_field(signal, length) for signal in signals]
-        orders = {field.big for field in self._fields}
-        self._simple = len(orders) <= 1 and not any(field.to_float for field in self._fields)
-        self._order: Any = "big" if orders == {True} else "little"
-        self._triples = [(field.shift, field.mask, field.sign) for field in self._fields]
-        self._places = [(-field.sign, field.mask - field.sign, field.mask, field.shift) for field in self._fields]
+        self._fields = fields
 
     def unpack(self, data: bytes) -> list[Any]:
         """Raw values of `length` bytes."""
-        if self._simple:
-            word = int.from_bytes(data, self._order)
-            return [(((word >> shift) & mask) ^ sign) - sign for shift, mask, sign in self._triples]
         words = int.from_bytes(data, "little"), int.from_bytes(data, "big")
         values: list[Any] = []
         for big, shift, mask, sign, to_float, _ in self._fields:
@@ -145,20 +180,11 @@ class BitPlan:
 
     def pack(self, *values: Any) -> bytes:
         """Payload of raw values; OverflowError where one does not fit its signal."""
-        if self._simple:
-            word = 0
-            for (low, high, mask, shift), value in zip(self._places, values, strict=True):
-                if not low <= value <= high:
-                    raise OverflowError(f"raw value {value} is outside {low} .. {high}")
-                word |= (value & mask) << shift
-            return word.to_bytes(self._length, self._order)
         words = [0, 0]
-        for field, (low, high, mask, shift), value in zip(self._fields, self._places, values, strict=True):
-            raw = value if field.from_float is None else field.from_float(value)
-            if not low <= raw <= high:
-                raise OverflowError(f"raw value {raw} is outside {low} .. {high}")
-            words[field.big] |= (raw & mask) << shift
-        length = self._length
-        if not words[1]:
-            return words[0].to_bytes(length, "little")
-        return (int.from_bytes(words[0].to_bytes(length, "little"), "big") | words[1]).to_bytes(length, "big")
+        for (big, shift, mask, sign, _, from_float), value in zip(self._fields, values, strict=True):
+            raw = value if from_float is None else from_float(value)
+            if not -sign <= raw <= mask - sign:
+                raise OverflowError(f"raw value {raw} is outside {-sign} .. {mask - sign}")
+            words[big] |= (raw & mask) << shift
+        little = int.from_bytes(words[0].to_bytes(self._length, "little"), "big")
+        return (little | words[1]).to_bytes(self._length, "big")
