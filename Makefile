@@ -45,3 +45,6 @@ test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills
 
 docs: setup  ## renew the pages that are made from tables in code
 	@$(BIN)/python -m hil.docs
+
+mutants: setup  ## branch coverage and every mutant of the gate and the state machine
+	@tests/mutation/mutants.sh

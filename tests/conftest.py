@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import filterpy.kalman  # noqa: F401  # once per worker: the filter design then needs no child process
 import pytest
 from hypothesis import settings
 
@@ -29,18 +28,24 @@ def private_runtime_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     return folder
 
 
+@pytest.fixture(scope="session")
+def filterpy_loaded() -> None:
+    """Once per worker: the filter design then needs no child process."""
+    import filterpy.kalman  # noqa: F401
+
+
 @pytest.fixture
-def paper() -> RigConfig:
+def paper(filterpy_loaded: None) -> RigConfig:
     return load_rig(RIGS / "paper.toml")
 
 
 @pytest.fixture
-def microscope() -> RigConfig:
+def microscope(filterpy_loaded: None) -> RigConfig:
     return load_rig(RIGS / "microscope.toml")
 
 
 @pytest.fixture
-def lockstep() -> Callable[..., "LockstepRun"]:
+def lockstep(filterpy_loaded: None) -> Callable[..., "LockstepRun"]:
     """Makes lockstep runs whose every tick is checked against the invariants."""
 
     from hil.lockstep import LockstepRun
