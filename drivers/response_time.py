@@ -19,6 +19,8 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 
 UNBOUNDED = 2**62  # ns; stands for "no bound"
+ROUNDS = 60  # what still rises after so many rounds feeds on itself
+HORIZON = 50  # longest periods; a busy bus that is not idle within them is taken for one that never is
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,11 @@ class Bus:
         """Both go through one FIFO."""
         return other is not item and other.sender == item.sender and item.sender in self.fifo
 
+    @property
+    def horizon(self) -> int:
+        """Times beyond it, ns, are not told from infinity."""
+        return HORIZON * max(item.period for item in self.items)
+
     def shared(self, item: Item) -> bool:
         """Others go through the same FIFO."""
         return any(self.queued_with(item, other) for other in self.items)
@@ -151,6 +158,8 @@ def priority_queue_bound(bus: Bus, item: Item) -> int:
         if longer == busy:
             break
         busy = longer
+        if busy > bus.horizon:
+            return UNBOUNDED
     worst = 0
     wait = blocking
     for instance in range(_ceil(busy + own_jitter, item.period)):
@@ -220,9 +229,8 @@ def _settle(bus: Bus, item: Item, others: Sequence[Item], blockers: tuple[Item, 
     if blockers:
         stages = (*stages, blockers)
     error_cost = bus.error_cost(bus.items)
-    limit = 1000 * max(other.period for other in bus.items)
     begins = fixed
-    while begins <= limit:  # a bound beyond that interests nobody
+    while begins <= bus.horizon:  # a bound beyond that interests nobody
         window = begins if item.tick else begins - item.latest_queueing
         counted = dict(known)
         for other in recurring:
@@ -244,8 +252,10 @@ def solve(bus: Bus) -> None:
     for item in bus.items:
         item.response = item.jitter + item.cost
     changed = True
+    rounds = 0
     while changed:
         changed = False
+        rounds += 1
         for item in bus.items:
             bound = backlog_bound(bus, item)
             if item.next is not None:
@@ -255,5 +265,5 @@ def solve(bus: Bus) -> None:
             if bound > item.response:
                 if item.tick and item.limit < bound < UNBOUNDED and not any(other.overrun for other in bus.items):
                     item.overrun = bound
-                item.response = bound
+                item.response = bound if rounds <= ROUNDS else UNBOUNDED
                 changed = True

@@ -156,15 +156,17 @@ def test_no_response_on_the_wire_exceeds_its_bound_in_1200_random_sets() -> None
         bitrate = draw.choice((1_000_000, 500_000, 125_000))
         messages = random_messages(draw, bitrate)
         fifo = draw.choice((("host",), ("host", "shared"), ("host", "shared", "drive0")))
-        bounds = {r.frame: r.worst_ns for r in analyse(messages, bitrate, bitrate * 4, fifo=fifo).responses}
-        simulation = Simulation(messages, draw, bitrate, fifo)
+        faults = draw.choice((0, 0, 0, 1, 2))
+        analysis = analyse(messages, bitrate, bitrate * 4, ErrorModel(burst=faults), fifo)
+        bounds = {response.frame: response.worst_ns for response in analysis.responses}
+        simulation = Simulation(messages, draw, bitrate, fifo, faults)
         simulation.run(12 * max(message.period_ns for message in messages))
         for name, bound in bounds.items():
             if bound is not None:
                 bounded += 1
                 closest = max(closest, simulation.longest[name] / bound)
                 assert simulation.longest[name] <= bound, f"set {number}, {name}: {messages}"
-    assert bounded > 5000
+    assert bounded > 3000
     assert closest > 0.9  # the bounds are reached, nearly: they are not safe merely by being enormous
 
 

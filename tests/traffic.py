@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import Message
+from drivers.schedulability import frame_ns
 from drivers.wire import Wire
+from drivers.wire_faults import FaultKind, WireFault
 
 US = 1_000
 MS = 1_000_000
@@ -52,17 +54,39 @@ def random_messages(draw: random.Random, bitrate: int) -> list[Message]:
         jitter = draw.choice((0, draw.randrange(period // 2)))
         sender = draw.choice((f"node{index}", "drive0", "shared"))
         messages.append(Message(f"sporadic{index}", can_ids.pop(), length(), fd, period, period, jitter, sender))
-    return messages
+    return loaded(messages, bitrate, draw.choice((0.4, 0.7, 0.9, 0.97, draw.uniform(0.3, 1.0))))
+
+
+def loaded(messages: Sequence[Message], bitrate: int, load: float) -> list[Message]:
+    """The same traffic with its periods stretched or shrunk so that it takes that fraction of the bus at worst."""
+    present = sum(frame_ns(message, bitrate, 4 * bitrate) / message.period_ns for message in messages)
+    base = min([message.period_ns for message in messages if message.sender == "host"], default=1)
+    tick = round(base * present / load)
+
+    def scaled(message: Message) -> Message:
+        in_step = message.sender == "host" or message.after is not None
+        period = tick * (message.period_ns // base) if in_step else round(message.period_ns * present / load)
+        jitter = min(message.jitter_ns, period // 2)
+        return message._replace(period_ns=period, deadline_ns=period, jitter_ns=jitter)
+
+    return [scaled(message) for message in messages]
 
 
 class Simulation:
     """Sends the messages on a wire and keeps each one's longest response, in ns from its tick's start or its event."""
 
-    def __init__(self, messages: Sequence[Message], draw: random.Random, bitrate: int, fifo: Sequence[str]) -> None:
+    def __init__(
+        self, messages: Sequence[Message], draw: random.Random, bitrate: int, fifo: Sequence[str], faults: int
+    ) -> None:
         self.longest = dict.fromkeys((message.name for message in messages), 0)
         self._messages = messages
         self._draw = draw
-        self._wire = Wire(bitrate, bitrate * 4)
+        hit = WireFault(FaultKind.CORRUPT, from_ns=draw.randrange(20 * MS), count=faults)
+        self._wire = Wire(bitrate, bitrate * 4, seed=draw.randrange(1 << 32), faults=[hit] if faults else [])
+        # The critical instant: all that has been delayed as long as it can be is queued at once, and all else on time.
+        self._critical = draw.random() < 0.6
+        self._begun: set[str] = set()
+        self._latest = max(message.jitter_ns for message in messages)
         self._by_id = {message.can_id: message for message in messages}
         self._nodes = {
             sender: self._wire.attach(sender, None, 500, fifo=sender in fifo)
@@ -75,15 +99,18 @@ class Simulation:
         self._tick = min((m.period_ns for m in ticks), default=0)
         self._events: list[tuple[int, int, Callable[[int], None]]] = []
         self._count = 0
+        self._ticks = 0
 
     def run(self, until_ns: int) -> None:
         """Everything at once at first, then as often as each period allows."""
         host = [m for m in self._messages if m.sender == "host" and m.after is None and self._tick]
         if host:
-            self._plan(0, lambda now: self._begin_tick(now, host))
+            self._plan(self._latest if self._critical else 0, lambda now: self._begin_tick(now, host))
         for message in self._messages:
             if message.after is None and message not in host:
                 phase = self._draw.choice((0, 0, self._draw.randrange(message.period_ns)))
+                if self._critical:
+                    phase = self._latest - message.jitter_ns
                 self._plan(phase, lambda now, m=message: self._happen(now, m))  # type: ignore[misc]
         while self._events and self._events[0][0] < until_ns:
             time_ns, _, action = heapq.heappop(self._events)
@@ -98,16 +125,21 @@ class Simulation:
     def _begin_tick(self, now: int, host: Sequence[Message]) -> None:
         self._plan(now + self._tick, lambda later: self._begin_tick(later, host))
         burst = [m for m in host if m.period_ns == self._tick]
-        due = [m for m in host if m.period_ns > self._tick and now % m.period_ns == 0]
+        due = [m for m in host if m.period_ns > self._tick and self._ticks % (m.period_ns // self._tick) == 0]
+        self._ticks += 1
         delay = self._jitter(burst[0])
         self._plan(now + delay, lambda later: [self._send(later, m, now) for m in (*burst, *due[:1])])  # type: ignore[func-returns-value]
 
     def _happen(self, now: int, message: Message) -> None:
-        late = self._draw.choice((0, 0, 0, self._draw.randrange(message.period_ns)))
+        late = 0 if self._critical else self._draw.choice((0, 0, 0, self._draw.randrange(message.period_ns)))
         self._plan(now + message.period_ns + late, lambda later: self._happen(later, message))
         self._plan(now + self._jitter(message), lambda later: self._send(later, message, now))
 
     def _jitter(self, message: Message) -> int:
+        if self._critical:
+            first = message.name not in self._begun
+            self._begun.add(message.name)
+            return message.jitter_ns if first else 0
         return self._draw.choice((0, message.jitter_ns, self._draw.randint(0, message.jitter_ns)))
 
     def _send(self, now: int, message: Message, released: int) -> None:
@@ -116,7 +148,7 @@ class Simulation:
 
     def _frame(self, message: Message) -> Frame:
         data = self._draw.randbytes(message.length)
-        if self._draw.random() < 0.7:
+        if self._critical or self._draw.random() < 0.7:
             data = (self._draw.choice(STUFFED) * 64)[: message.length]
         return Frame(message.can_id, data, FD | BRS if message.fd else 0)
 
