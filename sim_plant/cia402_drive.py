@@ -43,8 +43,8 @@ class Cia402Drive:
     """One node.
 
     node_id: 1 to 127. servo: the drive behind it. position: gives the axis' true position now, m.
-    nmt, state: where the two state machines are. Frames are to be given to every node on the bus in the order of
-    reception, each stamped with the reception time, ns.
+    nmt, state: where the two state machines are. sampled_ns: last SYNC that was answered.
+    Frames are to be given to every node on the bus in the order of reception, each stamped with the reception time, ns.
     """
 
     def __init__(self, node_id: int, servo: ServoDrive, position: Callable[[], float], start_ns: int = 0) -> None:
@@ -59,7 +59,7 @@ class Cia402Drive:
         self._fresh_torque = False
         self._sync_counter = 0
         self._sync_count = 0
-        self._sync_ns = -NEVER_NS
+        self.sampled_ns = -NEVER_NS
         self._heartbeat_ns = NEVER_NS
         self._master_deadline_ns = NEVER_NS
         self._out: list[Frame] = []
@@ -171,7 +171,7 @@ class Cia402Drive:
     def _is_cyclic(self) -> bool:
         """Whether SYNCs come in time. Then a heartbeat waits for the next and goes behind its TPDOs, as the priorities
         of a real controller's mailboxes would have it; here frames leave in the order in which they are queued."""
-        return self.now_ns - self._sync_ns < 2000 * int(self.dictionary.values[_CYCLE_PERIOD])
+        return self.now_ns - self.sampled_ns < 2000 * int(self.dictionary.values[_CYCLE_PERIOD])
 
     def _send_heartbeat(self) -> None:
         self._send(cia301.HEARTBEAT_ID + self.node_id, bytes((self.nmt,)))
@@ -251,7 +251,7 @@ class Cia402Drive:
         for pdo in self._tpdos:
             if pdo.can_id >= 0 and pdo.synchronous and self._sync_count % (pdo.period or 1) == 0:
                 self._send(pdo.can_id, pdo.layout.pack(*map(self.dictionary.get, pdo.keys)))
-        self._sync_ns = self.now_ns
+        self.sampled_ns = self.now_ns
         if self.now_ns >= self._heartbeat_ns:
             self._send_heartbeat()
 

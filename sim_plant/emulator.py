@@ -250,11 +250,11 @@ class EmulatedStage:
         answers = self.advance(frame.timestamp_ns)
         self._run_physics()
         heard = frame._replace(timestamp_ns=self.now_ns)
-        before_ns = self.drives[0].last_command_ns
+        obeyed_ns, sampled_ns = self.drives[0].last_command_ns, self._nodes[0].sampled_ns
         for node in self._nodes:
             answers += self._from_axis(node.servo.axis, node.on_frame(heard))
-        if self.drives[0].last_command_ns != before_ns:
-            self.commands += 1
+        self.commands += self.drives[0].last_command_ns != obeyed_ns
+        if self._nodes[0].sampled_ns != sampled_ns:  # also at a SYNC whose torques were lost
             self._note_sampling()
         self._update()
         return answers

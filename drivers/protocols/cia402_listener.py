@@ -18,7 +18,10 @@ _WRAP, _HALF = 1 << 32, 1 << 31
 
 
 class Cia402Listener:
-    """DeviceProtocol of cia402. A command's enable bits are those of the last controlwords; it has no sequence (0)."""
+    """DeviceProtocol of cia402. A command's enable bits are those of the last controlwords; it has no sequence (0).
+
+    force_resolution: half of the coarsest axis' step as a fraction of its rated force.
+    """
 
     name = "cia402"
     sequence_modulus = 0
@@ -28,6 +31,8 @@ class Cia402Listener:
         self.n_axes = n_axes
         self._first = bus.node_id
         self._units = [rated_torque(force) for force in rated_force]
+        halves = [0.5e-6 * unit / force for (unit, _), force in zip(self._units, rated_force, strict=True)]
+        self.force_resolution = max(halves)
         self._words = Struct(f"<{n_axes}H")
         self._torques = Struct(f"<{n_axes}h")
         self._feedback = Struct("<iH")

@@ -253,12 +253,17 @@ class DbcHost(DbcLayout):
 
 
 class DbcDevice(DbcLayout):
-    """DeviceProtocol of any DBC file: a command is whole once its last message came, after all the others."""
+    """DeviceProtocol of any DBC file: a command is whole once its last message came, after all the others.
+
+    force_resolution: half of the coarsest axis' step as a fraction of its rated force.
+    """
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> None:
         super().__init__(bus, n_axes, rated_force, base_dir)
         self._by_id = {message.can_id: message for message in self._commands}
         self._received: dict[int, Sequence[Any]] = {}
+        steps = [0.0 if bound.place.is_float else abs(bound.place.gain) for bound in self._torque]
+        self.force_resolution = max(0.5 * step / rated for step, rated in zip(steps, rated_force, strict=True))
         self._all_axes = (1 << n_axes) - 1
 
     def decode_command(self, frame: Frame) -> Command | Reject:

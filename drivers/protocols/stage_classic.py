@@ -92,7 +92,9 @@ class StageClassicHost(_Layout):
 
 
 class StageClassicDevice(_Layout):
-    """DeviceProtocol of stage_classic."""
+    """DeviceProtocol of stage_classic. force_resolution: half a step as a fraction of the rated force."""
+
+    force_resolution = 0.5 / FULL_SCALE
 
     def decode_command(self, frame: Frame) -> Command | Reject:
         """The command for all axes; refused whole where any field is out of its range."""
