@@ -1,0 +1,156 @@
+"""What people look at: terminal view, one-line form, browser page, picture."""
+
+import builtins
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer import Exit
+
+from hil.config import RigConfig
+from hil.monitor import dashboard
+from hil.monitor.plots import tracking_picture
+from hil.monitor.terminal import line, view
+from hil.telemetry import telemetry_pb2 as pb
+
+
+def status(**changes: Any) -> pb.Status:
+    values: dict[str, Any] = {
+        "rig": "microscope",
+        "law": "pd-feedforward",
+        "axes": ["x", "theta"],
+        "units": ["m", "rad"],
+        "period_ns": 1_000_000,
+        "pid": 5,
+        "control_alive": True,
+        "state": "ACTIVE",
+        "fault": "NONE",
+        "index": 1234,
+        "position": [0.001234567, -0.02],
+        "setpoint": [0.001234, -0.02],
+        "max_error": [5.67e-7, 3e-5],
+        "force": [0.5, -0.001],
+        "lateness_p50": 22e-6,
+        "lateness_p99": 35e-6,
+        "lateness_max": 410e-6,
+        "realtime": "SCHED_FIFO 80",
+        "counters": pb.Counters(sent=1234, received=4936, missed_host=2, samples_lost=3, rejects=[0, 1]),
+        "sent": 1234,
+        "recording": True,
+        **changes,
+    }
+    return pb.Status(**values)
+
+
+def shown(message: pb.Status) -> str:
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(view(message))
+    return console.export_text()
+
+
+def test_the_view_names_state_axes_lateness_losses_and_real_time() -> None:
+    text = shown(status())
+    for expected in (
+        "microscope · pd-feedforward · 1000 Hz · tick 1234",
+        "ACTIVE",
+        "+1.234567 mm",
+        "567 nm",
+        "-20.000000 mrad",
+        "30 µrad",
+        "+0.5000 N",
+        "p50 22 / p99 35 / max 410 µs",
+        "0 own, 2 the host's",
+        "1234 sent, 4936 received; 3 samples lost, 1 frames rejected",
+        "recording",
+        "SCHED_FIFO 80",
+    ):
+        assert expected in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"state": "FAULT", "fault": "ENCODER_DEAD"}, "FAULT  fault ENCODER_DEAD"),
+        ({"faults_active": ["ENCODER_GAP"]}, "seen now: ENCODER_GAP"),
+        ({"control_alive": False}, "the control process was killed"),
+        ({"control_alive": False, "control_ended": True}, "the control process ended"),
+        ({"control_alive": False, "pid": 0}, "the control process is not running"),
+    ],
+)
+def test_what_went_wrong_is_said_in_every_form(changes: dict[str, Any], expected: str) -> None:
+    assert expected in shown(status(**changes))
+    assert expected in line(status(**changes))
+
+
+def test_a_status_without_any_tick_is_shown_too() -> None:
+    assert "is not running" in shown(pb.Status(rig="microscope"))
+    assert "is not running" in line(pb.Status(rig="microscope"))
+
+
+def test_the_page_streams_one_column_per_axis_and_quantity() -> None:
+    row = dashboard.row(status())
+    assert row["position_0"] == [pytest.approx(1.234567)]
+    assert row["max_error_1"] == [pytest.approx(30)]
+    assert row["late"] == [pytest.approx(410)]
+    assert row["t"] == [pytest.approx(1.234)]
+    assert "killed" in dashboard.headline(status(control_alive=False))
+
+
+def test_the_page_is_laid_out_by_the_first_status_and_fed_by_the_next() -> None:
+    pytest.importorskip("bokeh", reason="the extra `dashboard` is not installed")
+    from bokeh.document import Document
+
+    messages = [pb.Status(rig="microscope"), status(), None, status(index=1334)]
+    client = SimpleNamespace(status=lambda: messages.pop(0), close=lambda: None)
+    document = Document()
+    page = dashboard.Page(document, client)  # type: ignore[arg-type]
+    for _ in range(4):
+        page.update()
+    [root] = document.roots
+    source = root.select_one({"type": __import__("bokeh.models", fromlist=["x"]).ColumnDataSource})
+    assert source.data["t"] == [pytest.approx(1.234), pytest.approx(1.334)]
+
+
+def test_without_bokeh_the_command_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    original = builtins.__import__
+
+    def without_bokeh(name: str, *arguments: Any, **keywords: Any) -> Any:
+        if name.startswith("bokeh"):
+            raise ImportError(name)
+        return original(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", without_bokeh)
+    for name in [name for name in sys.modules if name.startswith("bokeh")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(Exit):
+        dashboard.dashboard(rig=None, connect="tcp/127.0.0.1:9", key="hil", port=5006, show=False)
+    assert 'pip install "hil[dashboard]"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 7, 5000])
+def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, microscope: RigConfig, ticks: int) -> None:
+    values = np.sin(np.arange(ticks)[:, None] * 1e-2 + np.arange(4))
+    values[: ticks // 3] = np.nan
+    run = SimpleNamespace(setpoint=values, error=values * 1e-6, force=np.zeros((ticks, 4)))
+    tracking_picture(tmp_path / "deep" / "tracking.png", microscope, run, np.full(ticks, 3e-5))
+    assert (tmp_path / "deep" / "tracking.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_single_peak_survives_the_thinning_of_a_long_line(microscope: RigConfig) -> None:
+    from matplotlib.figure import Figure
+
+    from hil.monitor.plots import _line
+
+    values = np.zeros(100_000)
+    values[77_777] = 5.0
+    panel = Figure().add_subplot()
+    _line(panel, microscope, values, "", "C0")
+    [drawn] = panel.lines
+    assert np.max(drawn.get_ydata()) == 5.0
+    assert len(np.asarray(drawn.get_ydata())) < 4000

@@ -1,0 +1,141 @@
+"""Replay: the same frames in give the same torque frames out, byte for byte; and any difference is found."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.config import RigConfig, load_rig
+from hil.lockstep import simulate
+from hil.replay import replay_run
+from hil.summary import load_run, summarise
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
+
+ROOT = Path(__file__).parent.parent
+RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"
+SECONDS = 1.2
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigConfig:
+    return load_rig(RIG_FILE, ["plant.modelling_error=0.1", "wire.drop_probability=0.002"])
+
+
+@pytest.fixture(scope="module")
+def recording(rig: RigConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lockstep") / "run.mcap"
+    recorder = LockstepRecorder(path, rig, RIG_FILE)
+    simulate(rig, RIG_FILE.parent, SECONDS, observer=recorder.observe)
+    recorder.close()
+    return path
+
+
+def rewritten(source: Path, target: Path, change: object) -> Path:
+    """A copy of a recording with its traffic messages changed by `change(message, number)`; None drops one."""
+    original = Recording(source)
+    recorder = Recorder(target, original.metadata)
+    number = 0
+    for item in original:
+        data = item.data
+        if item.topic == "traffic":
+            message = change(pb.Traffic.FromString(data), number)  # type: ignore[operator]
+            number += 1
+            if message is None:
+                continue
+            data = message.SerializeToString()
+        recorder.write(item.topic, item.time_ns, data)
+    recorder.close()
+    return target
+
+
+def test_a_lockstep_run_with_lost_frames_replays_byte_for_byte(recording: Path) -> None:
+    report = replay_run(recording)
+    assert (report.ticks, report.different, report.gap_at, report.truncated) == (1200, 0, None, False)
+    assert report.frames > 1100
+
+
+def test_one_changed_bit_of_one_sent_frame_is_found(recording: Path, tmp_path: Path) -> None:
+    def flip(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 10:
+            data = bytearray(message.sent.data)
+            data[3] ^= 1
+            message.sent.data = bytes(data)
+        return message
+
+    report = replay_run(rewritten(recording, tmp_path / "x.mcap", flip))
+    assert (report.ticks, report.different, report.first_different) == (1200, 1, 500)
+
+
+def test_a_changed_sample_changes_the_torque(recording: Path, tmp_path: Path) -> None:
+    def shift(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 20:
+            message.now_ns[0] += 200_000
+        return message
+
+    assert replay_run(rewritten(recording, tmp_path / "x.mcap", shift)).different > 0
+
+
+def test_a_gap_ends_the_replay_and_is_named(recording: Path, tmp_path: Path) -> None:
+    report = replay_run(rewritten(recording, tmp_path / "x.mcap", lambda message, n: None if n == 4 else message))
+    assert (report.ticks, report.different, report.gap_at) == (200, 0, 200)
+
+
+def test_a_recording_cut_short_replays_as_far_as_it_goes(recording: Path, tmp_path: Path) -> None:
+    whole = recording.read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: len(whole) * 2 // 3])
+    report = replay_run(path)
+    assert report.truncated
+    assert 0 < report.ticks < 1200
+    assert report.different == 0
+
+
+def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -> None:
+    same = replay_run(recording, ("law.gains.kp=[60000.0, 40000.0, 16000.0, 13.0]",))
+    other = replay_run(recording, ("law.gains.kp=[30000.0, 40000.0, 16000.0, 13.0]",))
+    assert (same.different, other.different) == (0, 0)
+    assert same.other_force is not None
+    assert other.other_force is not None
+    assert all(row == {"rms": 0.0, "max": 0.0} for row in same.other_force.values())
+    assert other.other_force["x"]["max"] > 0
+    assert other.other_force["y"]["max"] == 0
+
+
+def test_the_command_writes_its_report_and_its_exit_status_tells(recording: Path, tmp_path: Path) -> None:
+    result = hil("replay", str(recording), "--json", "-")
+    report = json.loads(result.stdout)
+    assert (result.returncode, report["ticks"], report["different"]) == (0, 1200, 0)
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"nothing")
+    result = hil("replay", str(bad))
+    assert result.returncode == 1
+    assert "bad.mcap: not a recording" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "hil", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+
+
+def test_a_summary_is_made_of_what_was_recorded(recording: Path, rig: RigConfig) -> None:
+    run = load_run(recording)
+    summary = summarise(run)
+    assert (summary["rig"], summary["ticks"], summary["final_state"]) == ("microscope", 1200, "ACTIVE")
+    assert run.rig == rig
+    assert summary["telemetry"] == {"produced": 1200, "sent": 1200, "dropped": 0}
+    error = run.error[summary["steady_from_tick"] :, 0]
+    largest = np.nanmax(np.abs(error))
+    assert summary["axes"]["x"]["max_error"] == largest
+    assert 0 < summary["axes"]["x"]["rms_error"] < largest
+    assert np.isnan(run.error[0]).all()  # no task before ACTIVE
+
+
+def test_a_recorder_that_cannot_write_says_so(rig: RigConfig) -> None:
+    with pytest.raises(RecordingError, match="cannot be written"):
+        LockstepRecorder(Path("/proc/nowhere/run.mcap"), rig, RIG_FILE)
