@@ -22,7 +22,7 @@ SECONDS = 1.2
 
 @pytest.fixture(scope="module")
 def rig() -> RigConfig:
-    return load_rig(RIG_FILE, ["plant.modelling_error=0.1", "wire.drop_probability=0.002"])
+    return load_rig(RIG_FILE, ["plant.modelling_error=[0.1, 0.1, 0.05, 0.0]", "wire.drop_probability=0.002"])
 
 
 @pytest.fixture(scope="module")
