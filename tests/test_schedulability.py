@@ -87,6 +87,18 @@ def test_the_cia402_protocol_says_of_its_traffic_what_fits() -> None:
     assert any(message.sender == "host" for message in service_messages(1, 4, MS))
 
 
+def test_a_service_frame_that_spills_over_stands_before_the_next_tick_s_commands() -> None:
+    # Emergencies more urgent than SDO: all four at once keep the request in the host's queue beyond the tick's end.
+    urgent = [
+        m._replace(can_id=0x480 + (m.can_id & 0x7F)) if m.name.startswith("emergency") else m
+        for m in cia402_messages(1, 4, MS)
+    ]
+    analysis = at_1_mbit(urgent)
+    assert not analysis.schedulable
+    assert analysis.tightest.frame.startswith("feedback")
+    assert analysis.tightest.at_least_ns > 1_000_000
+
+
 def test_the_paper_s_counterexample_is_seen_in_its_second_instance() -> None:
     # Davis et al. 2007, table 1: three 125-bit frames at 125 kbit/s. The old analysis gave C 3.0 ms; 3.5 ms is right.
     messages = [
