@@ -1,4 +1,4 @@
-"""However a control process ends, and whenever: the drives are at zero within their watchdog, and nothing starts again by itself."""
+"""However and whenever a control process ends: its drives are at zero within their watchdog, and stay there."""
 
 import os
 import random
@@ -20,7 +20,7 @@ from tests.live_rig import PAPER, PATIENCE_S, Control, Emulator, emulated, order
 
 pytestmark = pytest.mark.live
 WATCHDOG = ("plant.watchdog_s=0.01",)
-WATCHDOG_NS = 10_000_000
+PATIENT = ("plant.watchdog_s=0.25",)  # where the story must get as far as ACTIVE on a machine that stalls for 20 ms
 MOMENTS = int(os.environ.get("HIL_KILLS", "200"))
 CHUNKS = 8
 LATEST_S = 2.5  # after the start: interpreter, set-up, CONNECTED, READY and ACTIVE all lie before
@@ -60,7 +60,7 @@ def check_trips(emulator: Emulator) -> None:
     """Every watchdog expired exactly when it had to, by the emulator's clock."""
     for drive in emulator.stage.drives:
         for trip in drive.trips:
-            assert trip.expired_ns - trip.command_ns == WATCHDOG_NS
+            assert trip.expired_ns - trip.command_ns == drive.watchdog_ns
 
 
 def end_it(control: Control, how: signal.Signals, emulator: Emulator) -> None:
@@ -95,7 +95,7 @@ def test_at_random_moments_any_end_leaves_the_drives_at_zero(chunk: int) -> None
 
 
 def test_a_restart_after_a_kill_waits_for_the_operator_with_the_drives_latched() -> None:
-    with emulated(WATCHDOG) as emulator:
+    with emulated(PATIENT) as emulator:
         with Control() as control:
             reader = control.wait_for(State.READY)
             order(CommandKind.ACTIVATE)
@@ -124,7 +124,7 @@ hil.cycle.ControlCycle.step = wedging
 
 
 def test_a_wedged_loop_is_a_silent_one_and_the_drives_go_to_zero() -> None:
-    with emulated(WATCHDOG) as emulator, Control(wrap=WEDGED) as control:
+    with emulated(PATIENT) as emulator, Control(wrap=WEDGED) as control:
         reader = control.wait_for(State.READY)
         order(CommandKind.ACTIVATE)
         control.wait_for(State.ACTIVE, reader)
@@ -157,7 +157,7 @@ def test_a_full_runtime_folder_is_refused_before_any_torque(tmp_path: Path, monk
 
 
 def test_the_last_thing_said_before_a_clean_exit_is_zero() -> None:
-    with emulated(WATCHDOG) as emulator, Control() as control:
+    with emulated(PATIENT) as emulator, Control() as control:
         reader = control.wait_for(State.READY)
         order(CommandKind.ACTIVATE)
         control.wait_for(State.ACTIVE, reader)
