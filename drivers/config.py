@@ -56,4 +56,6 @@ class WireConfig(BaseModel):
     model_config = STRICT
     drop_probability: Annotated[float, Field(ge=0, lt=1)] = 0.0  # per frame
     jitter: Annotated[float, Field(ge=0, le=0.01)] = 0.0  # s, the host's sending instant, uniform in +- jitter
+    # worst: every frame is as long as any of its size can be, so that timing does not depend on payloads (hil sweep)
+    stuffing: Literal["exact", "worst"] = "exact"
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1

@@ -151,6 +151,12 @@ def frame_bits(frame: Frame) -> tuple[int, int]:
     return classic_bits(can_id, data), 0
 
 
+def longest_bits(frame: Frame) -> tuple[int, int]:
+    """As frame_bits for the worst payload a frame of this size can have: same for all payloads. Raises ValueError."""
+    nominal, fast = worst_case_bits(len(frame.data), fd=bool(frame.flags & FD), extended=bool(frame.can_id & EXTENDED))
+    return nominal - INTERMISSION, fast
+
+
 def worst_case_bits(length: int, *, fd: bool, extended: bool) -> tuple[int, int]:
     """(nominal, data-rate) bits no frame of that length exceeds, with the intermission: the frame's cost on the bus.
 

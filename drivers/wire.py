@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.config import BusConfig, WireConfig
 from drivers.frame import Frame
-from drivers.frame_length import INTERMISSION, frame_bits
+from drivers.frame_length import INTERMISSION, frame_bits, longest_bits
 from drivers.wire_confinement import ERROR_FRAME, Confinement
 from drivers.wire_faults import FRAME_FAULTS, FaultKind, FrameFaults, Random, WireFault
 from drivers.wire_node import WireNode, arbitration_key, elapsed_ns
@@ -47,12 +47,14 @@ class Wire:
         faults: Sequence[WireFault] = (),
         start_ns: int = 0,
         observer: Observer | None = None,
+        worst_stuffing: bool = False,
     ) -> None:
         data_bitrate = data_bitrate or bitrate
         if bitrate < 1 or data_bitrate < 1:
             raise ValueError(f"bitrate = {bitrate}, data_bitrate = {data_bitrate}: both must be positive")
         if not 0.0 <= drop_probability < 1.0:
             raise ValueError(f"drop_probability = {drop_probability}, allowed 0 <= p < 1")
+        self.frame_bits = longest_bits if worst_stuffing else frame_bits
         self.nominal_ns = [-(-bits * 1_000_000_000 // bitrate) for bits in range(LONGEST)]
         self.data_ns = [-(-bits * 1_000_000_000 // data_bitrate) for bits in range(LONGEST)]
         self.now_ns = start_ns
@@ -85,7 +87,12 @@ class Wire:
     def from_config(cls, bus: BusConfig, wire: WireConfig, *, start_ns: int = 0) -> "Wire":
         """The segment a rig file describes ([bus] and [wire])."""
         return cls(
-            bus.bitrate, bus.data_bitrate, seed=wire.seed, drop_probability=wire.drop_probability, start_ns=start_ns
+            bus.bitrate,
+            bus.data_bitrate,
+            seed=wire.seed,
+            drop_probability=wire.drop_probability,
+            start_ns=start_ns,
+            worst_stuffing=wire.stuffing == "worst",
         )
 
     def attach(

@@ -115,7 +115,7 @@ class WireNode:
             else:
                 self.down += 1
             return False
-        nominal, fast = frame_bits(frame)
+        nominal, fast = wire.frame_bits(frame)
         if at_ns < self.ready_ns:
             at_ns = self.ready_ns
         entry = (at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast])

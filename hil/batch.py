@@ -83,7 +83,8 @@ class BatchRun:
             self._setpoints.update([now - self._period_ns] * n, [now] * n)
         self._act()
         np.subtract(self._stage.position, self._inputs.sample.position, out=self.error)
-        self._stage.advance(self._period_ns, self._applied)
+        if self.index:  # until the first command arrives the brakes hold the stage
+            self._stage.advance(self._period_ns, self._applied)
         self._applied[...] = self.force.astype(np.float32)
         self.index += 1
 
