@@ -1,7 +1,7 @@
 /* The tick of `hil run` as a C programmer would write it: the yardstick of `hil bench tick`.
  *
  * Joins the local bus by its rules (drivers/local_medium.py: connect to every door, greet with "hil1" and a queue
- * depth), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
+ * depth, count up), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
  * constant-gain Kalman filter per axis with look-ahead, PD plus feedforward with friction, clamp and rate limit, encode,
  * send. Same sockets, same frames, same arithmetic. It never sets an enable bit, so the drives do not act on its torque.
  *
@@ -19,6 +19,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -109,9 +110,16 @@ static int connect_door(const char *directory, const char *name)
     return fd;
 }
 
+/* Under the channel's lock: connect to every door, then count up in the lock file, so that the others look at theirs. */
 static int join_bus(const char *directory, int *links)
 {
     int count = 0;
+    char path[4096];
+    snprintf(path, sizeof path, "%s/lock", directory);
+    int lock = open(path, O_RDWR);
+    uint64_t *joined = lock < 0 ? MAP_FAILED : mmap(NULL, sizeof *joined, PROT_READ | PROT_WRITE, MAP_SHARED, lock, 0);
+    if (joined == MAP_FAILED || flock(lock, LOCK_EX))
+        die(path);
     DIR *entries = opendir(directory);
     if (!entries)
         die(directory);
@@ -124,6 +132,8 @@ static int join_bus(const char *directory, int *links)
         }
     }
     closedir(entries);
+    ++*joined;
+    flock(lock, LOCK_UN);
     return count;
 }
 
