@@ -37,6 +37,7 @@ lock:  ## renew requirements.lock from pyproject.toml (needs uv)
 include deploy/vm/vm.mk
 include deploy/package.mk
 
+.PHONY: proto
 proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
 

@@ -148,7 +148,7 @@ def test_a_clean_end_leaves_no_black_box_and_frees_the_ring(tmp_path: Path) -> N
     assert [entry.name for entry in (tmp_path / "rig").iterdir()] == ["ring"]
 
 
-@pytest.mark.parametrize("content", [b"", b"HILRING1", b"\0" * 8192, b"HILRING1" + b"\xff" * 8192])
+@pytest.mark.parametrize("content", [b"", b"HILRING1", b"\0" * 8192, b"HILRING1" + b"\xff" * 8192], ids=range(4))
 def test_a_file_that_is_no_ring_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "ring").write_bytes(content)
     with pytest.raises(RingError, match="ring"):
