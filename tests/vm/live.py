@@ -1,0 +1,164 @@
+"""`hil run` and `hil emulate` as processes on a kernel CAN interface, slow enough for software emulation."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.state_machine import State
+from hil.telemetry.mailbox import Mailbox
+from hil.telemetry.places import places
+from hil.telemetry.ring import RingError, RingReader
+from hil.tick import CommandKind
+from tests.vm import links
+
+RIG = Path(__file__).parents[2] / "deploy/rigs/paper.toml"
+PATIENCE_S = 240.0
+EXPIRY_NS = 60_000_000_000
+
+# Function, never timing: soft gains at 100 Hz, and thresholds that forgive a guest that is not let run for a second.
+PATIENT = (
+    "rate_hz=100",
+    "law.gains.kp=[40.0, 20.0]",
+    "law.gains.kd=[1.0, 0.5]",
+    "task.kind=hold",
+    "plant.watchdog_s=1.0",
+    "safety.silent_stop_ticks=500",
+    "safety.silent_zero_ticks=1000",
+    "safety.overrun_zero_s=5.0",
+    "safety.overrun_streak=5000",
+    "timing.realtime=false",
+    "timing.lock_memory=false",
+    "timing.dma_latency=false",
+    "bus.interface=socketcan",
+)
+
+
+class LiveRig:
+    """A running pair. `records()` is everything the control process has recorded so far."""
+
+    def __init__(self, control: "subprocess.Popen[bytes]", emulator: "subprocess.Popen[bytes]") -> None:
+        self.control = control
+        self.emulator = emulator
+        self._records: list[npt.NDArray[Any]] = []
+        self._reader: RingReader | None = None
+
+    def newest(self) -> Any:
+        """The newest record, None before the first."""
+        assert self.control.poll() is None, f"hil run ended with {self.control.returncode}"
+        assert self.emulator.poll() is None, f"hil emulate ended with {self.emulator.returncode}"
+        if self._reader is None:
+            try:
+                self._reader = RingReader(places("paper").ring)
+            except (RingError, OSError):
+                return None
+        batch = self._reader.read(100_000).records
+        if len(batch):
+            self._records.append(batch.copy())
+        return self._records[-1][-1] if self._records else None
+
+    def records(self) -> npt.NDArray[Any]:
+        """All records read so far, oldest first."""
+        self.newest()
+        return np.concatenate(self._records)
+
+    def wait_for(self, *states: State) -> State:
+        """Until the control process is in one of `states`."""
+        deadline = time.monotonic() + PATIENCE_S
+        seen: list[str] = []
+        while time.monotonic() < deadline:
+            record = self.newest()
+            if record is not None:
+                state = State(int(record["state"]))
+                if state in states:
+                    return state
+                if seen[-1:] != [state.name]:
+                    seen.append(state.name)
+            time.sleep(0.05)
+        raise AssertionError(f"never in {[state.name for state in states]}; seen: {seen}")
+
+    def wait_ticks(self, count: int) -> npt.NDArray[Any]:
+        """The next `count` (or more) records."""
+        start = len(self.records())
+        deadline = time.monotonic() + PATIENCE_S
+        while len(self.records()) < start + count:
+            assert time.monotonic() < deadline, f"{len(self.records()) - start} ticks instead of {count}"
+            time.sleep(0.05)
+        return self.records()[start:]
+
+    def order(self, kind: CommandKind) -> None:
+        """Post an operator's command."""
+        with Mailbox(places("paper").mailbox) as mailbox:
+            mailbox.post(kind, time.monotonic_ns() + EXPIRY_NS)
+
+    def to_ready(self) -> None:
+        """To READY, by resets where it takes them: the first unlatches the rig, another one what the drives hold."""
+        deadline = time.monotonic() + PATIENCE_S
+        asked = -1.0
+        while self.wait_for(State.READY, State.CONNECTED, State.FAULT) is not State.READY:
+            assert time.monotonic() < deadline, f"never READY, but {State(int(self.newest()['state'])).name}"
+            if time.monotonic() > asked + 5.0:
+                asked = time.monotonic()
+                self.order(CommandKind.RESET)
+            time.sleep(0.1)
+
+    def activate(self) -> None:
+        """READY -> ACTIVE."""
+        self.to_ready()
+        self.order(CommandKind.ACTIVATE)
+        self.wait_for(State.ACTIVE)
+
+    def stage(self) -> dict[str, Any]:
+        """What the emulated drives say of themselves, as of now (they write it twice a second)."""
+        path = places("paper").directory / "emulator.json"
+        asked = time.monotonic_ns()
+        found: dict[str, Any] = {}
+
+        def fresh() -> bool:
+            with contextlib.suppress(OSError, ValueError):
+                found.update(json.loads(path.read_text()))
+            return bool(found.get("now_ns", 0) > asked)
+
+        links.eventually(fresh, "the emulator writes its status")
+        return found
+
+    def applied_forces(self) -> list[float]:
+        """Force that each emulated drive applies now, N."""
+        return [axis["applied_force"] for axis in self.stage()["axes"].values()]
+
+    def stop(self) -> int:
+        """SIGTERM to the control process; its exit status."""
+        self.control.send_signal(signal.SIGTERM)
+        return self.control.wait(PATIENCE_S)
+
+
+def command(name: str, rig: Path, overrides: Sequence[str]) -> list[str]:
+    """Command line of a hil process in this interpreter."""
+    return [sys.executable, "-m", "hil", name, str(rig), *(part for text in overrides for part in ("--set", text))]
+
+
+@contextlib.contextmanager
+def live_rig(channel: str, *more: str, rig: Path = RIG, stage_prefix: Sequence[str] = ()) -> Iterator[LiveRig]:
+    """Start both processes on `channel`. stage_prefix: command before the emulator's (`ip netns exec NAME`)."""
+    overrides = (*PATIENT, f"bus.channel={channel}", *more)
+    stage_overrides = (*overrides, "bus.channel=can1") if stage_prefix else overrides
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with (
+        subprocess.Popen([*stage_prefix, *command("emulate", rig, stage_overrides)], env=environment) as emulator,
+        subprocess.Popen(command("run", rig, overrides), env=environment) as control,
+    ):
+        try:
+            yield LiveRig(control, emulator)
+        finally:
+            for process in (control, emulator):
+                if process.poll() is None:
+                    process.kill()

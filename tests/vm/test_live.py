@@ -1,0 +1,83 @@
+"""The whole loop, live over the kernel's CAN stack: control process, emulated stage, and what a bus does to them."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hil.faults import Fault
+from hil.state_machine import State
+from hil.tick import CommandKind
+from tests.vm import links
+from tests.vm.live import LiveRig, live_rig
+
+pytestmark = pytest.mark.vcan
+
+PROTOCOLS = ["stage_fd", "stage_classic"]
+
+
+def assert_closed_loop(rig: LiveRig) -> None:
+    """Activate, hold for a while, and see that torque goes out, samples come back and the position is held."""
+    rig.activate()
+    records = rig.wait_ticks(100)
+    active = records[records["state"] == State.ACTIVE]
+    assert len(active) > 50
+    assert (active["n_sent"] > 0).all()
+    assert (active["age_ticks"][:, :2] == 0).mean() > 0.5, "most ticks have a fresh sample of every axis"
+    assert abs(active["following_error"][-1, :2]).max() < 0.02
+    rig.order(CommandKind.STOP)
+    rig.wait_for(State.READY)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_layout_closes_the_loop_live(vcan: str, protocol: str) -> None:
+    with live_rig(vcan, f"bus.protocol={protocol}") as rig:
+        assert_closed_loop(rig)
+        assert rig.stop() == 0
+        assert rig.applied_forces() == [0.0, 0.0]
+
+
+def test_an_interface_that_goes_down_stops_the_rig_and_only_a_reset_brings_it_back(vcan: str) -> None:
+    with live_rig(vcan) as rig:
+        rig.activate()
+        links.ip("link", "set", vcan, "down")
+        rig.wait_for(State.FAULT)
+        assert Fault(int(rig.newest()["fault"])) is Fault.INTERFACE_DOWN
+        links.ip("link", "set", vcan, "up")
+        # the port comes back by itself, the state does not
+        links.eventually(lambda: int(rig.newest()["port"][11]) == 0, "the port is bound again")
+        after = rig.wait_ticks(50)
+        assert set(after["state"]) == {State.FAULT}
+        assert rig.applied_forces() == [0.0, 0.0], "the drives' own watchdogs have acted"
+        rig.to_ready()
+        states = rig.records()["state"]
+        last_fault = int((states == State.FAULT).nonzero()[0][-1])
+        assert State.ACTIVE not in states[last_fault:]
+        assert_closed_loop(rig)
+
+
+def test_foreign_traffic_on_the_drives_identifiers_leads_to_zero_torque(vcan: str) -> None:
+    with live_rig(vcan) as rig:
+        rig.activate()
+        # random bytes under the first drive's identifier, ten to a tick, until the rig has had enough of it
+        generator = ["cangen", vcan, "-g", "1", "-f", "-b", "-I", "100", "-L", "16", "-p", "100"]
+        with subprocess.Popen(generator) as process:
+            try:
+                rig.wait_for(State.FAULT)
+            finally:
+                process.terminate()
+        assert Fault(int(rig.newest()["fault"])) in (Fault.BAD_FRAMES, Fault.RECEIVE_FLOOD)
+        after = rig.wait_ticks(20)
+        assert set(after["state"]) == {State.FAULT}
+        assert (after["force"] == 0.0).all()
+
+
+def test_foreign_tools_watching_change_nothing(vcan: str, tmp_path: Path) -> None:
+    with live_rig(vcan) as rig, links.candump(vcan) as dump:
+        rig.activate()
+        records = rig.wait_ticks(50)
+        assert set(records["state"]) == {State.ACTIVE}
+        dump.terminate()
+        frames, _ = dump.communicate(timeout=links.PATIENCE_S)
+    seen = {line.split()[2].partition("#")[0] for line in frames.splitlines() if line.count(" ") == 2}
+    assert seen == {"080", "100", "101"}, "commands and both drives' answers, and nothing else"
