@@ -7,7 +7,7 @@ retries: a torque that could not be sent in its tick is worth nothing in the nex
 import errno
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -21,7 +21,7 @@ from drivers.error_frames import decode_error
 from drivers.frame import ERROR, FD, Frame
 from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
 from drivers.local_medium import LocalMedium
-from drivers.receive_block import SLOTS, STAMPED, ReceiveBlock
+from drivers.receive_block import SLOTS, STAMPED, PlainContents, ReceiveBlock
 from drivers.runtime import RuntimeDirectoryError
 from drivers.socketcan import Filters, SocketCanMedium, is_can_interface
 
@@ -34,7 +34,6 @@ _CLOCKS_READ_NS = 20_000  # reading three clocks takes less than this unless som
 _UNSIGNED_32 = 0xFFFFFFFF
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _OWN_ECHO = int(socket.MSG_CONFIRM)  # a plain int: & with an enum takes a microsecond
-_new_tuple = tuple.__new__  # Frame(...) by another name, in half the time
 _HEADER = 8  # bytes of a can_frame or canfd_frame before its data
 _PACKET = struct.Struct("=IBBH64s")
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
@@ -83,19 +82,20 @@ class Port:
         self._open_medium = open_medium
         self._size = CANFD_MTU if fd else CAN_MTU  # an FD frame is an error to a classic controller
         self._longest = self._size - _HEADER
-        self._flag = FD if fd else 0
+        self._kept_flags, self._mark = (0xFF, FD) if fd else (0, 0)
         self._receive_limit = receive_limit
-        self._block = ReceiveBlock()
+        self._block = ReceiveBlock(self._size)
         self._received = self._sent = self._refused = self._overflow = self._discarded = self._errors = 0
         self._no_ack = self._bus_off = self._restarted = self._down = self._echo = 0
         self._use(open_medium())
 
     def _use(self, medium: Medium) -> None:
         self._medium = medium
+        self._transmit, self._ready = medium.transmit, medium.ready
         self._state = medium.state()
         self._dropped = 0  # the socket's own count, from its opening on
         self._drained_ns = monotonic_ns()
-        self._offset_ns = 0
+        self._offset_ns = self._latest_ns = 0
 
     def fileno(self) -> int:
         """Descriptor that is readable when frames have arrived, for poll(2); another one after `rebind`."""
@@ -110,59 +110,78 @@ class Port:
         Error frames and own echoes are counted, not returned.
         """
         frames: list[Frame] = []
-        sources = self._medium.ready()
+        sources = self._ready()
         if sources:
-            self._offset_ns = _wall_offset(now_ns)
+            wall_ns = time_ns()
+            after_ns = monotonic_ns()
+            trusted = after_ns - now_ns < _CLOCKS_READ_NS
+            self._offset_ns = wall_ns - after_ns if trusted else _wall_offset()
+            self._latest_ns = after_ns
             for fd in sources:
                 self._read(fd, frames)
         self._drained_ns = now_ns
         if frames:
-            self._received += len(frames)
+            count = len(frames)
+            self._received += count
             if len(sources) > 1:
                 frames.sort(key=attrgetter("timestamp_ns"))
-            excess = len(frames) - self._receive_limit
-            if excess > 0:
-                self._discarded += excess
-                del frames[:excess]
+            if count > self._receive_limit:
+                self._discarded += count - self._receive_limit
+                del frames[: -self._receive_limit]
         return frames
 
     def _read(self, fd: int, frames: list[Frame]) -> None:
         """Empty one socket into `frames`."""
+        block = self._block
         for _ in range(_READS_PER_DRAIN):
             try:
-                count = self._block.receive(fd)
+                count = block.receive(fd)
             except OSError as error:
                 if self._note_receive_error(error):
                     return
                 continue
             if not count:
                 return
-            if self._block.all_plain(self._size):
-                self._take_plain(count, frames)
+            plain = block.plain(count)
+            if plain is not None:
+                self._take_plain(plain, frames)
             elif not self._take(fd, count, frames):
                 return
             if count < SLOTS:
                 return
 
-    def _take_plain(self, count: int, frames: list[Frame]) -> None:
-        """The short way, for what almost every tick brings: messages of this port's own size with nothing to tell."""
-        offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, monotonic_ns()
-        longest, flag = self._longest, self._flag
-        for can_id, length, flags, data, s, ns in self._block.plain_contents(count):
+    def _take_plain(self, plain: Iterator[PlainContents], frames: list[Frame]) -> None:
+        """The short way, for what almost every tick brings: messages of this port's own size with nothing to tell.
+
+        Local names, as this is the innermost loop; base data frames first, as they are nearly all.
+        """
+        earliest_ns, latest_ns, longest = self._drained_ns, self._latest_ns, self._longest
+        special, kept, mark, append, new, kind = (
+            ERROR,
+            self._kept_flags,
+            self._mark,
+            frames.append,
+            tuple.__new__,
+            Frame,
+        )
+        second = base_ns = 0
+        for can_id, length, flags, data, s, ns in plain:
             if length > longest:
                 self._errors += 1
-            elif can_id & ERROR:
+            elif can_id >= special and can_id & special:
                 self._note_special(can_id, data[:length])
             else:
-                stamp_ns = s * 1_000_000_000 + ns - offset_ns
-                if not earliest_ns <= stamp_ns <= latest_ns:
-                    stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
-                frames.append(_new_tuple(Frame, (can_id, data[:length], flags | flag if flag else 0, stamp_ns)))
+                if s != second:
+                    second, base_ns = s, s * 1_000_000_000 - self._offset_ns
+                stamp_ns = base_ns + ns
+                if not earliest_ns <= stamp_ns <= latest_ns:  # or it came while reading
+                    stamp_ns = max(earliest_ns, min(stamp_ns, monotonic_ns()))
+                append(new(kind, (can_id, data[:length], flags & kept | mark, stamp_ns)))
 
     def _take(self, fd: int, count: int, frames: list[Frame]) -> bool:
         """Put frames into `frames` and count everything else; False when the other end has closed."""
         offset_ns, earliest_ns, latest_ns = self._offset_ns, self._drained_ns, monotonic_ns()
-        messages = zip(self._block.results(), self._block.contents(count), strict=True)
+        messages = zip(self._block.results(count), self._block.contents(count), strict=True)
         for (control, message_flags, size), (can_id, length, flags, rest, data, _, s, ns, dropped) in messages:
             if size == 0:
                 self._medium.lost(fd)
@@ -221,7 +240,7 @@ class Port:
         Raises ValueError for a frame with an impossible length.
         """
         try:
-            acknowledged = self._medium.transmit(to_bytes(frame))
+            acknowledged = self._transmit(to_bytes(frame))
         except OSError as error:
             if error.errno in _GONE:
                 self._note_down()
@@ -279,14 +298,14 @@ class Port:
         self._medium.close()
 
 
-def _wall_offset(before_ns: int) -> int:
-    """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; before_ns: a reading of the latter just made."""
-    for _ in range(3):  # until nothing has come between the readings
+def _wall_offset() -> int:
+    """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; read until nothing has come between the readings."""
+    for _ in range(3):
+        before_ns = monotonic_ns()
         wall_ns = time_ns()
         after_ns = monotonic_ns()
         if after_ns - before_ns < _CLOCKS_READ_NS:
             break
-        before_ns = monotonic_ns()
     return wall_ns - after_ns
 
 

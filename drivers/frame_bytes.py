@@ -9,8 +9,8 @@ CANFD_MTU = 72  # sizeof(struct canfd_frame)
 
 _CLASSIC = struct.Struct("=IB3x8s")  # can_id, len, padding and len8_dlc, data
 _FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
-pack_classic = _CLASSIC.pack
-pack_fd = _FD.pack
+_pack_classic = _CLASSIC.pack
+_pack_fd = _FD.pack
 _FD_LENGTHS = frozenset(FD_LENGTHS)
 
 
@@ -21,10 +21,10 @@ def to_bytes(frame: Frame) -> bytes:
     if flags & FD:
         if length not in _FD_LENGTHS:
             raise ValueError(f"{length} data bytes: an FD frame has one of {FD_LENGTHS}")
-        return pack_fd(can_id, length, flags, data)
+        return _pack_fd(can_id, length, flags, data)
     if length > 8:
         raise ValueError(f"{length} data bytes: a classic frame has at most 8")
-    return pack_classic(can_id, length, data)
+    return _pack_classic(can_id, length, data)
 
 
 def from_bytes(packet: bytes, timestamp_ns: int = 0) -> Frame | None:

@@ -112,12 +112,12 @@ class Link:
             if self.missed:
                 self._tell()
             self.send(packet, _NO_SIGNAL)
+            return True
         except BlockingIOError:
             if not self.greeted and self.look_for_greeting():
                 return self.deliver(packet)
             self.missed += 1
             return False
-        return True
 
     def _tell(self) -> None:
         """Tell the other side how many frames it has lost; raises BlockingIOError while there is no room for that."""
@@ -258,7 +258,8 @@ class LocalMedium:
         delivered = False
         for link in self._links:
             try:
-                delivered |= link.deliver(packet)
+                if link.deliver(packet):
+                    delivered = True
             except OSError:
                 self._part(link)
         if delivered or not self.others:

@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
-from drivers.frame_bytes import CAN_MTU, CANFD_MTU
+from drivers.frame_bytes import CANFD_MTU
 
 SLOTS = 32  # messages per system call
 
@@ -71,8 +71,8 @@ _recvmmsg.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints
 class ReceiveBlock:
     """Room for SLOTS messages, reused by every call."""
 
-    def __init__(self) -> None:
-        self._used = 0  # bytes of headers that the last call filled
+    def __init__(self, plain_size: int) -> None:
+        """plain_size: of the messages that `plain` is for, CAN_MTU or CANFD_MTU."""
         self._headers = (_MMsgHdr * SLOTS)()
         self._vectors = (_IoVec * SLOTS)()
         self._memory = ctypes.create_string_buffer(SLOTS * _SLOT_BYTES)
@@ -85,20 +85,17 @@ class ReceiveBlock:
             header.iov_length = 1
             header.control = frame + CANFD_MTU
             header.control_length = _CONTROL_BYTES
-        self._slots = memoryview(self._memory).cast("B")
-        self._header_view = memoryview(self._headers).cast("B")
-        self._fresh = bytes(self._header_view)  # the kernel overwrites control_length and flags
         self._address = ctypes.c_void_p(ctypes.addressof(self._headers))
-        self._plain = {size: self._stamped_headers(size) for size in (CAN_MTU, CANFD_MTU)}
-
-    def _stamped_headers(self, size: int) -> bytes:
-        """All headers as they are after SLOTS messages of `size` bytes, each with a time stamp and nothing else."""
+        # Everything by the number of messages, so that a tick cuts nothing out of anything.
+        headers, slots = memoryview(self._headers).cast("B"), memoryview(self._memory).cast("B")
+        self._used = [headers[: count * _HEADER_BYTES] for count in range(SLOTS + 1)]
+        self._slots = [slots[: count * _SLOT_BYTES] for count in range(SLOTS + 1)]
+        self._fresh = [bytes(used) for used in self._used]  # the kernel overwrites control_length and flags
         for index in range(SLOTS):
             self._headers[index].header.control_length = STAMPED
-            self._headers[index].received = size
-        expected = bytes(self._header_view)
-        self._header_view[:] = self._fresh
-        return expected
+            self._headers[index].received = plain_size
+        self._plain = [bytes(used) for used in self._used]
+        headers[:] = self._fresh[SLOTS]
 
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
@@ -108,38 +105,37 @@ class ReceiveBlock:
             if number == errno.EAGAIN:
                 return 0
             raise OSError(number, os.strerror(number))
-        self._used = count * _HEADER_BYTES
         return count
 
-    def results(self) -> list[Result]:
+    def plain(self, count: int) -> Iterator[PlainContents] | None:
+        """The `count` messages received last, as (can_id, length, flags, data, seconds, nanoseconds), oldest first.
+
+        None unless all are of the plain size and have a time stamp and no flags: see `results` and `contents` then.
+
+        It is the case in almost every tick, and one comparison is quicker than parsing. To be read, like `contents`,
+        before the next call of `receive`.
+        """
+        used = self._used[count]
+        if used.tobytes() != self._plain[count]:
+            return None
+        used[:] = self._fresh[count]
+        return _PLAIN.iter_unpack(self._slots[count])  # type: ignore[return-value]
+
+    def results(self, count: int) -> list[Result]:
         """Of the messages received last, oldest first: (control_length, flags, size).
 
         control_length: bytes of control messages (0: neither stamp nor count, STAMPED: a stamp, more: both). flags:
         MSG_CONFIRM and the like. size: bytes of the message (0: the other end has closed). To be asked for once.
         """
-        used = self._used
-        results = list(_RESULT.iter_unpack(self._header_view[:used]))
-        self._header_view[:used] = self._fresh[:used]
+        used = self._used[count]
+        results = list(_RESULT.iter_unpack(used))
+        used[:] = self._fresh[count]
         return results  # type: ignore[return-value]
 
-    def all_plain(self, size: int) -> bool:
-        """Whether all messages received last are of `size` bytes, have a time stamp and no flags; `results` is then
-        not to be asked for. It is the case in almost every tick, and one comparison is quicker than parsing.
-        """
-        used = self._used
-        if bytes(self._header_view[:used]) != self._plain[size][:used]:
-            return False
-        self._header_view[:used] = self._fresh[:used]
-        return True
-
     def contents(self, count: int) -> Iterator[Contents]:
-        """The messages received last, oldest first; to be read before the next call of `receive`.
+        """The messages received last, oldest first.
 
         (can_id, length, flags, reserved, data, kind, seconds, nanoseconds, dropped): `data` always has 64 bytes, of
         which those beyond the frame's are left over; CLOCK_REALTIME of arrival; what this socket has dropped so far.
         """
-        return _CONTENTS.iter_unpack(self._slots[: count * _SLOT_BYTES])  # type: ignore[return-value]
-
-    def plain_contents(self, count: int) -> Iterator[PlainContents]:
-        """`contents` where `all_plain` said yes: (can_id, length, flags, data, seconds, nanoseconds)."""
-        return _PLAIN.iter_unpack(self._slots[: count * _SLOT_BYTES])  # type: ignore[return-value]
+        return _CONTENTS.iter_unpack(self._slots[count])  # type: ignore[return-value]

@@ -102,8 +102,8 @@ def feed(monkeypatch: pytest.MonkeyPatch, port: Port, packets: list[Any]) -> Non
     """Let every read of the port return these (result, contents), as a ReceiveBlock gives them."""
     block = port._block
     monkeypatch.setattr(block, "receive", lambda fd: len(packets))
-    monkeypatch.setattr(block, "all_plain", lambda size: False)
-    monkeypatch.setattr(block, "results", lambda: [result for result, _ in packets])
+    monkeypatch.setattr(block, "plain", lambda count: None)
+    monkeypatch.setattr(block, "results", lambda count: [result for result, _ in packets])
     monkeypatch.setattr(block, "contents", lambda count: (contents for _, contents in packets))
 
 

@@ -19,6 +19,7 @@
 #define FEEDBACK_FRAMES 4
 #define FRAME_BYTES 72
 #define CONTROL_BYTES 64
+#define CLOCK_READINGS 1000
 #define SECOND 1000000000LL
 
 struct frame {
@@ -85,7 +86,7 @@ static int by_value(const void *a, const void *b)
 int main(int argc, char **argv)
 {
     int ticks = argc > 1 ? atoi(argv[1]) : 1000, on = 1, pair[2];
-    int64_t *cost = calloc(ticks, sizeof *cost), previous = 0, clock_cost = INT64_MAX;
+    int64_t *cost = calloc(ticks, sizeof *cost), previous = 0, readings[CLOCK_READINGS];
     struct received frames[SLOTS];
     struct frame command = {.can_id = 0x080, .length = 24, .flags = 5}, feedback = {.length = 16, .flags = 5}, sent;
 
@@ -98,10 +99,12 @@ int main(int argc, char **argv)
         headers[i].msg_hdr.msg_control = control[i];
         headers[i].msg_hdr.msg_controllen = CONTROL_BYTES;
     }
-    for (int i = 0; i < 1000; i++) {
-        int64_t start = read_clock(CLOCK_THREAD_CPUTIME_ID), spent = read_clock(CLOCK_THREAD_CPUTIME_ID) - start;
-        clock_cost = spent < clock_cost ? spent : clock_cost;
+    for (int i = 0; i < CLOCK_READINGS; i++) {
+        int64_t start = read_clock(CLOCK_THREAD_CPUTIME_ID);
+        readings[i] = read_clock(CLOCK_THREAD_CPUTIME_ID) - start;
     }
+    qsort(readings, CLOCK_READINGS, sizeof *readings, by_value);
+    int64_t clock_cost = readings[CLOCK_READINGS / 2];
     for (int tick = 0; tick < ticks; tick++) {
         for (int axis = 0; axis < FEEDBACK_FRAMES; axis++) {
             feedback.can_id = 0x100 + axis;
