@@ -53,7 +53,8 @@ class Pacer:
     """Slots of `period_ns` from `start()` on. The attributes describe the slot that `wait()` returned in.
 
     index: slot number, 0-based. scheduled_ns: its deadline. now_ns: when the sleep ended. skipped: slots lost just
-    before this one. total_skipped, sleeps: slots lost and sleeps made since start.
+    before this one. overrun: those of them lost while the tick before was still running; the others are late wakes.
+    total_skipped, sleeps: slots lost and sleeps made since start.
     now, sleep_until: the clock and the sleep, ns; tests put their own.
     """
 
@@ -71,6 +72,7 @@ class Pacer:
         self.scheduled_ns = 0
         self.now_ns = 0
         self.skipped = 0
+        self.overrun = 0
         self.total_skipped = 0
         self.sleeps = 0
         self._now = now
@@ -87,7 +89,7 @@ class Pacer:
         period = self.period_ns
         deadline = self.scheduled_ns + period
         # The tick before may have run into this slot; the next one starts at the first deadline still ahead.
-        skipped = max(0, -((deadline - self._now()) // period))
+        skipped = self.overrun = max(0, -((deadline - self._now()) // period))
         for _ in range(MAX_RESLEEPS):
             self._sleep_until(deadline + skipped * period)
             self.sleeps += 1
@@ -105,14 +107,14 @@ class Pacer:
         self.total_skipped += skipped
 
 
-def own_share(skipped: int, period_ns: int, cpu_ns: int, blocked: bool) -> int:
-    """How many of `skipped` slots this thread itself lost; the rest is the host's doing.
+def own_share(overrun: int, period_ns: int, cpu_ns: int, blocked: bool) -> int:
+    """How many of the slots that a tick ran over were lost by this thread itself; the rest is the host's doing.
 
-    Question asked: had the tick before started on its deadline and never been interrupted, over which deadlines would
-    it still have run? cpu_ns: CPU time the thread used for that tick (with its sleep and wake: errs towards blaming
-    ourselves). blocked: the thread gave up the CPU other than by its pacing sleep (a page fault, a system call that
-    waited); no kernel counter gives the length of that, so all of it is ours.
+    Question asked: had the tick started on its deadline and never been interrupted, over which deadlines would it still
+    have run? cpu_ns: CPU time the thread used for that tick (with its sleep and wake: errs towards blaming ourselves).
+    blocked: the thread gave up the CPU other than by its pacing sleep (a page fault, a system call that waited); no
+    kernel counter gives the length of that, so all of it is ours. A late wake is never ours: nothing of us ran then.
     """
     if blocked:
-        return skipped
-    return max(0, min(skipped, (cpu_ns - 1) // period_ns))
+        return overrun
+    return max(0, min(overrun, (cpu_ns - 1) // period_ns))

@@ -68,10 +68,10 @@ class MissLedger:
         self._switches, self._faults, self._sleeps = usage.ru_nvcsw, usage.ru_majflt, sleeps
         return blocked
 
-    def book(self, skipped: int, cpu_ns: int, sleeps: int) -> None:
-        """Slots were lost. cpu_ns: CPU time of the tick before them, with its sleeps."""
+    def book(self, skipped: int, overrun: int, cpu_ns: int, sleeps: int) -> None:
+        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with its sleep."""
         blocked = self.take_stock(sleeps)
-        own = own_share(skipped, self._period_ns, cpu_ns, blocked)
+        own = own_share(overrun, self._period_ns, cpu_ns, blocked)
         self.own += own
         self.host += skipped - own
         self.longest = max(self.longest, skipped)
@@ -205,7 +205,7 @@ class ControlLoop:
     def _book_miss(self) -> None:
         since = time.thread_time_ns() - self._cpu_mark_ns
         ledger = self.ledger
-        ledger.book(self.pacer.skipped, self._cpu_ns + since, self.pacer.sleeps)
+        ledger.book(self.pacer.skipped, self.pacer.overrun, self._cpu_ns + since, self.pacer.sleeps)
         self._timing.note_missed(ledger.own, ledger.host, ledger.longest)
 
     # chores -----------------------------------------------------------------------------------------------------------

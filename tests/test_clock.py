@@ -64,7 +64,7 @@ def test_a_tick_that_runs_into_the_next_slot_loses_it_and_no_more():
     pacer.wait()
     world.work(PERIOD + 1)
     pacer.wait()
-    assert (pacer.index, pacer.skipped) == (2, 1)
+    assert (pacer.index, pacer.skipped, pacer.overrun) == (2, 1, 1)
     assert pacer.now_ns == pacer.scheduled_ns
 
 
@@ -72,7 +72,7 @@ def test_a_wake_later_than_half_a_period_waits_for_the_next_slot_instead_of_crow
     world = World(oversleep=[PERIOD // 2 + 1])
     pacer = started(world)
     pacer.wait()
-    assert (pacer.index, pacer.skipped, pacer.now_ns - pacer.scheduled_ns) == (1, 1, 0)
+    assert (pacer.index, pacer.skipped, pacer.overrun, pacer.now_ns - pacer.scheduled_ns) == (1, 1, 0, 0)
     world = World(oversleep=[PERIOD // 2])
     pacer = started(world)
     pacer.wait()
@@ -144,7 +144,7 @@ def test_a_period_that_is_not_positive_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("skipped", "cpu_us", "blocked", "own"),
+    ("overrun", "cpu_us", "blocked", "own"),
     [
         (3, 60, False, 0),  # the host took the core away
         (1, 1000, False, 0),  # ends exactly on the deadline
@@ -154,5 +154,5 @@ def test_a_period_that_is_not_positive_is_refused():
         (2, 60, True, 2),  # waited for a disk
     ],
 )
-def test_lost_slots_are_split_between_us_and_the_host(skipped, cpu_us, blocked, own):
-    assert own_share(skipped, PERIOD, cpu_us * 1000, blocked) == own
+def test_lost_slots_are_split_between_us_and_the_host(overrun, cpu_us, blocked, own):
+    assert own_share(overrun, PERIOD, cpu_us * 1000, blocked) == own
