@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-slow lint lock proto
+.PHONY: help setup run test test-slow lint lock proto profile
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -49,3 +49,6 @@ docs: setup  ## renew the pages that are made from tables in code
 
 mutants: setup  ## branch coverage and every mutant of the gate and the state machine
 	@tests/mutation/mutants.sh
+
+profile: setup  ## where a tick's time goes, function by function; see docs/what-costs-what.md
+	@$(BIN)/hil bench profile

@@ -14,6 +14,7 @@ BENCHES = {
     "io": "Receiving and sending through the bus layer alone",
     "lockstep": "How much faster than real time a whole rig runs in lockstep",
     "batch": "Plants times ticks per second of the batch engine",
+    "profile": "Where a tick's time goes, function by function",
     "ring": "What telemetry costs the control process, and how far a reader lags",
 }
 

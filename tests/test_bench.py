@@ -1,0 +1,115 @@
+"""Benchmarks count what they claim to count."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.bench import harness
+from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
+from hil.bench.jitter import lateness_in_histogram
+from hil.bench.live import calls_per_tick
+from hil.bench.lockstep import measure
+from hil.bench.tick import allocations_per_tick, build_reference
+from hil.config import load_rig
+
+RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
+
+
+def test_cases_take_turns_and_every_second_round_runs_backwards():
+    order = []
+
+    def case(name):
+        return Case(name, lambda: order.append(name) or {"value": float(len(order))})
+
+    blocks = interleave([case("a"), case("b"), case("c")], 3)
+    assert order == ["a", "b", "c", "c", "b", "a", "a", "b", "c"]
+    assert values_of(blocks, "a", "value") == [1.0, 6.0, 7.0]
+
+
+def test_ratios_are_formed_inside_a_block_so_that_shared_weather_cancels():
+    blocks = [Block("ours", 1, {"us": 30.0}), Block("theirs", 1, {"us": 10.0})]
+    blocks += [Block("theirs", 0, {"us": 100.0}), Block("ours", 0, {"us": 300.0})]
+    assert ratios(blocks, "ours", "theirs", "us") == [3.0, 3.0]
+
+
+def test_spread_and_percentiles():
+    assert spread([3.0, 1.0, 2.0]) == (1.0, 2.0, 3.0)
+    figures = percentiles(np.arange(1001))
+    assert figures == pytest.approx({"p50": 500, "p99": 990, "p999": 999, "max": 1000})
+    with pytest.raises(ValueError, match="empty"):
+        spread([])
+
+
+def test_json_carries_the_result_all_blocks_and_the_machine(tmp_path, capsys):
+    path = tmp_path / "out.json"
+    blocks = [Block("ours", 0, {"us": 30.0})]
+    publish({"ratio": 3, "blocks": as_json(blocks)}, [], str(path))
+    written = json.loads(path.read_text())
+    assert written["ratio"] == 3
+    assert written["blocks"] == [{"case": "ours", "block": 0, "us": 30.0}]
+    assert written["machine"]["kernel"] == harness.machine_facts()["kernel"]
+    capsys.readouterr()
+    publish({"ratio": 3}, [], "-")
+    assert json.loads(capsys.readouterr().out)["ratio"] == 3
+
+
+STRACE = """\
+% time     seconds  usecs/call     calls    errors syscall
+------ ----------- ----------- --------- --------- ----------------
+ 52.00    0.104000          52      2000           clock_nanosleep
+ 24.00    0.048000          24      2000           recvmmsg
+ 20.00    0.040000          20      2000         3 sendto
+  4.00    0.008000          16       500           openat
+------ ----------- ----------- --------- --------- ----------------
+100.00    0.200000          30      6500         3 total
+"""
+
+
+def test_system_calls_are_counted_per_pacing_sleep():
+    assert calls_per_tick(STRACE) == 3.25
+    assert calls_per_tick("strace: attach: Operation not permitted") is None
+
+
+CYCLICTEST = """\
+# /dev/cpu_dma_latency set to 0us
+# Histogram
+000000 000000
+000012 000003
+000013 000001
+# Total: 000000005
+# Min Latencies: 00012
+# Histogram Overflows: 00001
+# Thread 0: 4
+"""
+
+
+def test_the_histogram_of_cyclictest_is_read_bin_by_bin_and_overflows_count():
+    assert sorted(lateness_in_histogram(CYCLICTEST).tolist()) == [12.5, 12.5, 12.5, 13.5, 20_000.0]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: the C reference of hil bench tick is not built")
+def test_the_c_reference_compiles_and_says_how_it_is_called(tmp_path):
+    program = build_reference(tmp_path)
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "BUS_DIRECTORY" in done.stderr
+
+
+def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():
+    rig = load_rig(RIG)
+    figures = measure(rig, RIG.parent, 0.3)
+    assert figures["realtime_factor"] > 0
+    assert 0 < figures["cycle_us"] < 1e6
+    assert abs(allocations_per_tick(rig, RIG.parent, 500)) < 0.5
+
+
+def test_the_command_lists_every_benchmark_and_loads_only_the_one_asked_for():
+    code = "import sys; sys.argv = ['hil', 'bench', '--help']\nfrom hil.bench.command import BENCHES, bench\n"
+    code += "assert len(bench.registered_commands) == len(BENCHES)\n"
+    code += "assert not [m for m in sys.modules if m.startswith('hil.bench.') and m != 'hil.bench.command']"
+    subprocess.run([sys.executable, "-c", code], check=True)
