@@ -35,7 +35,7 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """Figures of one run, in um and N, (x, y) each; and its trace for the pictures (s, m)."""
+    """Figures of one run, in um and N, (x, y) each; start of its steady window; its trace for the pictures (s, m)."""
 
     job: Job
     integrator: str
@@ -48,6 +48,7 @@ class Run:
     saturations: int
     floors: int
     unsolved: int
+    steady_from: float
     time: Array
     position: Array
     error: Array
@@ -92,6 +93,7 @@ def _boil_down(job: Job, plan: Plan, trace: Trace) -> Run:
         saturations=trace.saturations,
         floors=trace.floors,
         unsolved=trace.unsolved,
+        steady_from=plan.steady_from,
         time=trace.time,
         position=trace.position,
         error=trace.error,
@@ -126,6 +128,7 @@ def _adaptive(job: Job, progress: Progress | None, shorten: float) -> Run:
         saturations=int(np.count_nonzero(np.abs(forces).max(axis=1) > FORCE_LIMIT)),
         floors=0,
         unsolved=0,
+        steady_from=spec.steady_from * shorten,
         time=time,
         position=states[:, :2].copy(),
         error=error,

@@ -12,6 +12,7 @@ from hil.paper.experiment import Job, Run
 from hil.paper.problem import circle
 
 AXES = ("X", "Y")
+PERIOD = 2.0  # s, of the circle
 
 
 class Curve(NamedTuple):
@@ -82,9 +83,9 @@ def _picture(figure: Figure, curves: list[tuple[Curve, Run]]) -> bytes:
     else:
         _draw_tracking(axes, figure, curves)
     axes.set_title(f"Fig. {figure.number}: {figure.title}", fontsize=10)
-    axes.set_xlabel("t / s")
+    axes.set_xlabel("t from the start of the steady window / s" if figure.printed_um else "t / s")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=7, loc="best")
     buffer = io.BytesIO()
     canvas.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return buffer.getvalue()
@@ -100,16 +101,14 @@ def _draw_tracking(axes: Any, figure: Figure, curves: list[tuple[Curve, Run]]) -
 
 
 def _draw_errors(axes: Any, figure: Figure, curves: list[tuple[Curve, Run]]) -> None:
-    steady_from = max(run.job.spec.steady_from for _, run in curves)
-    until = min(float(run.time[-1]) for _, run in curves)
-    until = max(until, steady_from + 2.0)
     largest = figure.printed_um
     for curve, run in curves:
-        window = (run.time >= run.job.spec.steady_from) & (run.time <= until)
+        # every run's steady window over the same two seconds: they are one period of the task
+        since = run.time - run.steady_from
+        window = (since >= 0.0) & (since <= PERIOD)
         error = run.error[window, figure.axis] * 1e6
         largest = max(largest, float(np.abs(error).max()))
-        # every run's steady window is drawn over the same two seconds: they are one period of the task
-        axes.plot(run.time[window] - run.job.spec.steady_from, error, lw=1, label=curve.label)
+        axes.plot(since[window], error, lw=1, label=curve.label)
     for side in (-1, 1):
         axes.axhline(side * figure.printed_um, color="grey", ls=":", lw=1, label="paper" if side > 0 else None)
     axes.set_ylabel(f"{AXES[figure.axis]} error / µm")

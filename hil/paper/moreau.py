@@ -46,7 +46,7 @@ class Trace(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What to run: step, duration, start of the steady window (s), sampling stride (steps), force limit to count (N)."""
+    """What to run: step, duration, start of the steady window (s), sampling stride (steps), force limit to count by."""
 
     h: float
     duration: float
