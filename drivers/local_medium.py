@@ -121,9 +121,10 @@ class Link:
 
     def _tell(self) -> None:
         """Tell the other side how many frames it has lost; raises BlockingIOError while there is no room for that."""
-        told = min(self.missed, _TOLD_AT_ONCE)
-        self.send(to_bytes(overflow_notice(told)), _NO_SIGNAL)
-        self.missed -= told
+        while self.missed:
+            told = min(self.missed, _TOLD_AT_ONCE)
+            self.send(to_bytes(overflow_notice(told)), _NO_SIGNAL)
+            self.missed -= told
 
     def close(self) -> None:
         """Close both ends held here."""
