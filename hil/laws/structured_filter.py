@@ -5,16 +5,28 @@ See hil/laws/structured_kalman.py for the model. The transition is sparse: only 
 covariance step is two rows and, by symmetry, one 2 x 2 block.
 """
 
+import math
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.laws.base import Array
 
 Number = Any  # float, or an array; every function maps one kind to the same kind
 
 TINY = 1e-300  # keeps 0 / 0 from happening where the reference rests
 INSTANT = 1e-15  # s, likewise for intervals of no length
+NOTHING = np.zeros(())
+# A reversal later than this fraction of an interval costs less position with the old force kept (then the axis waits)
+# than with the new one taken at once: f = (1 - f)^2 + (1 - f).
+LATE = 0.5857864376269049
 
 
 class Interval(NamedTuple):
-    """The reference over an interval: length (s), increments (m, m/s), first velocity, the regressors' means."""
+    """The reference over an interval: length (s), increments (m, m/s), first velocity, the regressors' means.
+
+    stuck: mean force (N) that stiction takes beyond Coulomb's. shift: position (m) lost to the reversal's own course.
+    """
 
     time: Number
     moved: Number
@@ -23,6 +35,8 @@ class Interval(NamedTuple):
     mean_sign: Number
     mean_velocity: Number
     mean_acceleration: Number
+    stuck: Number
+    shift: Number
 
 
 class Disturbance(NamedTuple):
@@ -60,13 +74,69 @@ class Covariance(NamedTuple):
     p55: Number
 
 
-def interval(time: Number, position: Number, velocity: Number, to_position: Number, to_velocity: Number) -> Interval:
-    """Between two instants of the reference. The sign's mean takes the velocity as linear in between."""
+def interval(
+    sign: Any, mass: Number, coulomb: Number, time: Number, position: Number, velocity: Number,
+    to_position: Number, to_velocity: Number,
+) -> Interval:  # fmt: skip
+    """Between two instants of the reference, for an axis of that mass and Coulomb friction; sign: sign_float or alike."""
     time = time + INSTANT
     moved = to_position - position
     gained = to_velocity - velocity
-    mean_sign = (velocity + to_velocity) / (abs(velocity) + abs(to_velocity) + TINY)
-    return Interval(time, moved, gained, velocity, mean_sign, moved / time, gained / time)
+    mean_sign, stuck, shift = sign(velocity, to_velocity, time, mass, coulomb)
+    return Interval(time, moved, gained, velocity, mean_sign, moved / time, gained / time, stuck, shift)
+
+
+def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -> tuple[float, float, float]:
+    """Mean sgn(velocity) under a constant force that takes the axis from v0 to v1; stuck force; lost position."""
+    if v0 * v1 >= 0.0:
+        return (v0 + v1) / (abs(v0) + abs(v1) + TINY), 0.0, 0.0
+    a0, a1 = abs(v0), abs(v1)
+    direction = 1.0 if v1 > 0.0 else -1.0
+    coulomb = coulomb if coulomb > 0.0 else 0.0
+    if a0 * (1.0 - LATE) > LATE * a1 and mass * (a0 + a1) < coulomb * time:
+        return -direction, mass * v1 / time, _late_shift(v0, a0, a1, time)
+    mean = _early_sign(a0, a1, mass / time, coulomb, math.sqrt)
+    return direction * mean, 0.0, _early_shift(v0, v1, mean, time)
+
+
+def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -> tuple[Array, Array, Array]:
+    """As sign_float, element by element, with bit-identical results."""
+    a0, a1 = np.abs(v0), np.abs(v1)
+    plain = (v0 + v1) / (a0 + a1 + TINY)
+    reverses = v0 * v1 < 0.0
+    if not reverses.any():
+        return plain, NOTHING, NOTHING
+    direction = np.where(v1 > 0.0, 1.0, -1.0)
+    coulomb = np.maximum(coulomb, 0.0)
+    late = reverses & (a0 * (1.0 - LATE) > LATE * a1) & (mass * (a0 + a1) < coulomb * time)
+    safe = np.where(reverses, a0 + a1, 1.0)  # the other elements' results are not used
+    mean = _early_sign(np.where(reverses, a0, safe), a1, mass / time, coulomb, np.sqrt)
+    early = reverses & ~late
+    return (
+        np.where(early, direction * mean, np.where(late, -direction, plain)),
+        np.where(late, mass * v1 / time, 0.0),
+        np.where(early, _early_shift(v0, v1, mean, time), np.where(late, _late_shift(v0, a0, safe - a0, time), 0.0)),
+    )
+
+
+def _early_sign(a0: Number, a1: Number, push: Number, coulomb: Number, sqrt: Any) -> Number:
+    """A force that flips with the interval stops the axis at once: friction then acts the new way most of the time.
+
+    From v0 the axis is stopped by force and friction together, then driven to v1 against friction; the force that does
+    both in the interval solves a quadratic. Without friction this is (|v1| - |v0|) / (|v1| + |v0|).
+    """
+    both, more = push * (a0 + a1), coulomb + push * (a1 - a0)
+    return 2.0 * more / (sqrt(both * both + 4.0 * coulomb * more) + both + TINY)
+
+
+def _early_shift(v0: Number, v1: Number, mean: Number, time: Number) -> Number:
+    share = 0.5 * (1.0 - mean)  # of the interval, until the axis stops
+    return -0.5 * time * (v0 * (1.0 - share) + v1 * share)
+
+
+def _late_shift(v0: Number, a0: Number, a1: Number, time: Number) -> Number:
+    """The old force goes on: the axis stops where the reference reverses, and friction holds it to the end."""
+    return -0.5 * time * v0 * (a1 / (a0 + a1))
 
 
 def force_of(d: Disturbance, mean_sign: Number, mean_velocity: Number, mean_acceleration: Number) -> Number:
@@ -80,7 +150,7 @@ def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: I
     The plant moves as a double integrator, the reference by its exact increments.
     """
     speed = net * inverse_mass * over.time
-    error = error + ((rate + over.velocity + 0.5 * speed) * over.time - over.moved)
+    error = error + ((rate + over.velocity + 0.5 * speed) * over.time - over.moved + over.shift)
     return error, rate + (speed - over.gained)
 
 
@@ -92,7 +162,7 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
     early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
     """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
-    time, _, gained, before, s, v, a = over
+    time, _, gained, before, s, v, a, _, _ = over
     after = before + gained
     g = time * inverse_mass
     half = 0.5 * time

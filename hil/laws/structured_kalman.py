@@ -19,7 +19,18 @@ import numpy as np
 
 from hil.laws.base import Array, Law, LawInputs, Model
 from hil.laws.feedforward import DEFAULT_BANDWIDTH, DEFAULT_DAMPING
-from hil.laws.structured_filter import Covariance, Disturbance, Number, force_of, interval, move, predict, update
+from hil.laws.structured_filter import (
+    Covariance,
+    Disturbance,
+    Number,
+    force_of,
+    interval,
+    move,
+    predict,
+    sign_array,
+    sign_float,
+    update,
+)
 
 PRIOR_SPEED = 1e-3  # m/s, standard deviation at the start, at rest
 
@@ -27,6 +38,7 @@ PRIOR_SPEED = 1e-3  # m/s, standard deviation at the start, at rest
 class Plant(NamedTuple):
     """Belief about one axis (floats) or all (arrays), and the gains."""
 
+    period: Number
     mass: Number
     inverse_mass: Number
     coulomb: Number
@@ -62,9 +74,9 @@ class Sight(NamedTuple):
     ahead: Number
     start_position: Number
     start_velocity: Number
+    end_velocity: Number
     mean_velocity: Number
     mean_acceleration: Number
-    mean_sign: Number
     force_last: Number
     force_before: Number
 
@@ -72,8 +84,8 @@ class Sight(NamedTuple):
 def _sight(inputs: LawInputs) -> Sight:
     return Sight(
         inputs.position, inputs.fresh, inputs.sample.position, inputs.sample.velocity, inputs.sample_interval,
-        inputs.ahead, inputs.start.position, inputs.start.velocity, inputs.mean_velocity, inputs.mean_acceleration,
-        inputs.mean_sign, inputs.force_last, inputs.force_before,
+        inputs.ahead, inputs.start.position, inputs.start.velocity, inputs.end.velocity, inputs.mean_velocity,
+        inputs.mean_acceleration, inputs.force_last, inputs.force_before,
     )  # fmt: skip
 
 
@@ -91,17 +103,27 @@ def _friction(plant: Plant, mean_sign: Number, mean_velocity: Number) -> Number:
     return dry + (plant.viscous + plant.quadratic * abs(mean_velocity)) * mean_velocity
 
 
-def _step(
-    plant: Plant, memory: Memory, sight: Sight, clamp: Callable[[Number, Number], Number]
-) -> tuple[Memory, Number]:
+class Kind(NamedTuple):
+    """The few operations that floats and arrays spell differently."""
+
+    clamp: Callable[[Number, Number], Number]
+    sign: Callable[..., tuple[Number, Number, Number]]
+
+
+FLOATS, ARRAYS = Kind(_clamp_float, sign_float), Kind(_clamp_array, sign_array)
+
+
+def _step(plant: Plant, memory: Memory, sight: Sight, kind: Kind) -> tuple[Memory, Number]:
     """Filter the sample in, look ahead to `start`, feed forward what is known and feed back what is left."""
-    position, fresh, q1, v1, elapsed, ahead, q2, v2, mean_v, mean_a, mean_s, force_last, force_before = sight
+    position, fresh, q1, v1, elapsed, ahead, q2, v2, v3, mean_v, mean_a, force_last, force_before = sight
+    clamp, sign = kind
     error, rate, d, covariance, q0, v0 = memory
     inverse_mass = plant.inverse_mass
 
-    past = interval(elapsed, q0, v0, q1, v1)
-    _, _, _, _, s, v, a = past
-    net = force_before - _friction(plant, s, v) - force_of(d, s, v, a)
+    mass = plant.mass
+    past = interval(sign, mass, plant.coulomb + d.coulomb, elapsed, q0, v0, q1, v1)
+    _, _, _, _, s, v, a, stuck, _ = past
+    net = force_before - _friction(plant, s, v) - force_of(d, s, v, a) - stuck
     error, rate = move(error, rate, net, inverse_mass, past)
     covariance = predict(covariance, plant.noise, inverse_mass, past)
     covariance, (k0, k1, k2, k3, k4, k5) = update(covariance, plant.measurement, fresh)
@@ -116,11 +138,14 @@ def _step(
         clamp(d.mass + k5 * innovation, bounds.mass),
     )
 
-    coming = interval(ahead, q1, v1, q2, v2)
-    _, _, _, _, s, v, a = coming
-    net = force_last - _friction(plant, s, v) - force_of(d, s, v, a)
+    coulomb = plant.coulomb + d.coulomb
+    coming = interval(sign, mass, coulomb, ahead, q1, v1, q2, v2)
+    _, _, _, _, s, v, a, stuck, _ = coming
+    net = force_last - _friction(plant, s, v) - force_of(d, s, v, a) - stuck
     error_ahead, rate_ahead = move(error, rate, net, inverse_mass, coming)
-    known = plant.mass * mean_a + _friction(plant, mean_s, mean_v) + force_of(d, mean_s, mean_v, mean_a)
+    # An axis that waited for its reversal has the speed still to gain that the reference has already: `stuck`.
+    mean_s, _, _ = sign(v2, v3, plant.period, mass, coulomb)
+    known = mass * mean_a + stuck + _friction(plant, mean_s, mean_v) + force_of(d, mean_s, mean_v, mean_a)
     force = known - plant.kp * error_ahead - plant.kd * rate_ahead
     # The setpoints' arrays are reused by the caller: keep copies.
     return Memory(error, rate, d, covariance, q1 + 0.0, v1 + 0.0), force
@@ -184,6 +209,7 @@ class StructuredKalman(Law):
         self._prior = [full(np.multiply(value, value)) for value in prior]
         limit = full(force_limit)
         self._plant = Plant(
+            period=full(period),
             mass=full(model.mass),
             inverse_mass=full(1.0 / model.mass),
             coulomb=full(model.coulomb),
@@ -229,12 +255,12 @@ class StructuredKalman(Law):
         if not self._begun:
             self._begin(sight)
         if not self._axes:
-            self._memory, self._force = _step(self._plant, self._memory, sight, _clamp_array)
+            self._memory, self._force = _step(self._plant, self._memory, sight, ARRAYS)
             return self._force
         columns = zip(*(array.tolist() for array in sight), strict=True)
         for axis, values in enumerate(columns):
             plant, memory = self._axes[axis]
-            memory, self._force[axis] = _step(plant, memory, Sight(*values), _clamp_float)
+            memory, self._force[axis] = _step(plant, memory, Sight(*values), FLOATS)
             self._axes[axis] = plant, memory
         return self._force
 
