@@ -33,6 +33,8 @@ pip install --no-compile --no-deps --require-hashes --only-binary :all: --target
 pip wheel --no-deps --no-build-isolation --wheel-dir "$stage" .
 pip install --no-compile --no-deps --target "$root/$packages" "$stage"/hil-*.whl
 rm -rf "$root/$packages/bin"
+# a tenth of the package, and never imported by it
+find "$root/$packages"/{numpy,scipy,matplotlib} -type d -name tests -prune -exec rm -rf {} +
 mkdir -p "$root/$packages/hil/deploy"
 cp -r deploy/systemd deploy/rigs "$root/$packages/hil/deploy/"
 # byte code once, here; hash-based, so that no file time can make it stale

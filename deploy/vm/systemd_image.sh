@@ -67,9 +67,10 @@ mke2fs -q -t ext4 -O ^has_journal -d "$work/root" "$work/image" >&2
 # --- initrd: just enough to mount it
 mkdir -p "$work/initrd"/{bin,proc,sys,dev,newroot,modules}
 cp "$(command -v busybox)" "$work/initrd/bin/busybox"
+for applet in mount insmod sleep switch_root poweroff; do ln -s busybox "$work/initrd/bin/$applet"; done
 {
     echo '#!/bin/busybox sh'
-    echo 'export PATH=/bin; busybox --install -s /bin'
+    echo 'export PATH=/bin'
     echo 'mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev'
     for module in virtio_pci virtio_blk crc32c_generic ext4; do
         modprobe -d "$VM/kernel" -S "$kernel" --show-depends "$module" 2>/dev/null
