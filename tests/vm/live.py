@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.config import load_rig
 from hil.state_machine import State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
@@ -21,7 +22,7 @@ from hil.telemetry.ring import RingError, RingReader
 from hil.tick import CommandKind
 from tests.vm import links
 
-RIG = Path(__file__).parents[2] / "deploy/rigs/paper.toml"
+RIGS = Path(__file__).parents[2] / "deploy/rigs"
 PATIENCE_S = 240.0
 EXPIRY_NS = 60_000_000_000
 
@@ -46,7 +47,8 @@ PATIENT = (
 class LiveRig:
     """A running pair. `records()` is everything the control process has recorded so far."""
 
-    def __init__(self, control: "subprocess.Popen[bytes]", emulator: "subprocess.Popen[bytes]") -> None:
+    def __init__(self, name: str, control: "subprocess.Popen[bytes]", emulator: "subprocess.Popen[bytes]") -> None:
+        self.name = name
         self.control = control
         self.emulator = emulator
         self._records: list[npt.NDArray[Any]] = []
@@ -58,7 +60,7 @@ class LiveRig:
         assert self.emulator.poll() is None, f"hil emulate ended with {self.emulator.returncode}"
         if self._reader is None:
             try:
-                self._reader = RingReader(places("paper").ring)
+                self._reader = RingReader(places(self.name).ring)
             except (RingError, OSError):
                 return None
         batch = self._reader.read(100_000).records
@@ -97,7 +99,7 @@ class LiveRig:
 
     def order(self, kind: CommandKind) -> None:
         """Post an operator's command."""
-        with Mailbox(places("paper").mailbox) as mailbox:
+        with Mailbox(places(self.name).mailbox) as mailbox:
             mailbox.post(kind, time.monotonic_ns() + EXPIRY_NS)
 
     def to_ready(self) -> None:
@@ -119,7 +121,7 @@ class LiveRig:
 
     def stage(self) -> dict[str, Any]:
         """What the emulated drives say of themselves, as of now (they write it twice a second)."""
-        path = places("paper").directory / "emulator.json"
+        path = places(self.name).directory / "emulator.json"
         asked = time.monotonic_ns()
         found: dict[str, Any] = {}
 
@@ -147,7 +149,9 @@ def command(name: str, rig: Path, overrides: Sequence[str]) -> list[str]:
 
 
 @contextlib.contextmanager
-def live_rig(channel: str, *more: str, rig: Path = RIG, stage_prefix: Sequence[str] = ()) -> Iterator[LiveRig]:
+def live_rig(
+    channel: str, *more: str, rig: Path = RIGS / "paper.toml", stage_prefix: Sequence[str] = ()
+) -> Iterator[LiveRig]:
     """Start both processes on `channel`. stage_prefix: command before the emulator's (`ip netns exec NAME`)."""
     overrides = (*PATIENT, f"bus.channel={channel}", *more)
     stage_overrides = (*overrides, "bus.channel=can1") if stage_prefix else overrides
@@ -157,7 +161,7 @@ def live_rig(channel: str, *more: str, rig: Path = RIG, stage_prefix: Sequence[s
         subprocess.Popen(command("run", rig, overrides), env=environment) as control,
     ):
         try:
-            yield LiveRig(control, emulator)
+            yield LiveRig(load_rig(rig).name, control, emulator)
         finally:
             for process in (control, emulator):
                 if process.poll() is None:

@@ -9,11 +9,16 @@ from hil.faults import Fault
 from hil.state_machine import State
 from hil.tick import CommandKind
 from tests.vm import links
-from tests.vm.live import LiveRig, live_rig
+from tests.vm.live import RIGS, LiveRig, live_rig
 
 pytestmark = pytest.mark.vcan
 
-PROTOCOLS = ["stage_fd", "stage_classic"]
+LAYOUTS = {
+    "stage_fd": ("paper.toml", "stage_fd"),
+    "stage_classic": ("paper.toml", "stage_classic"),
+    "cia402": ("paper.toml", "cia402"),
+    "dbc": ("paper-dbc.toml", "dbc:example_drive.dbc"),
+}
 
 
 def assert_closed_loop(rig: LiveRig) -> None:
@@ -29,9 +34,10 @@ def assert_closed_loop(rig: LiveRig) -> None:
     rig.wait_for(State.READY)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_every_layout_closes_the_loop_live(vcan: str, protocol: str) -> None:
-    with live_rig(vcan, f"bus.protocol={protocol}") as rig:
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_closes_the_loop_live(vcan: str, layout: str) -> None:
+    file, protocol = LAYOUTS[layout]
+    with live_rig(vcan, f"bus.protocol={protocol}", rig=RIGS / file) as rig:
         assert_closed_loop(rig)
         assert rig.stop() == 0
         assert rig.applied_forces() == [0.0, 0.0]
