@@ -166,6 +166,8 @@ class ControlLoop:
             self._realtime_ok, self._rig_ok,
         )  # fmt: skip
         result = self._cycle.step(tick, frames)
+        if commands:
+            self._after_commands()
         sending = self._cycle.stamps[RECORD]
         for frame in result.frames:
             port.send(frame)
@@ -237,6 +239,11 @@ class ControlLoop:
         if self.ticks >= self._next_rebind:
             self._next_rebind = self.ticks + round(1e9 / self.pacer.period_ns)
             self._port.rebind()
+
+    def _after_commands(self) -> None:
+        """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
+        handled = self._cycle.commands.handled
+        self.stop = self.stop or any(c.kind is CommandKind.SHUTDOWN and accepted for c, accepted in handled)
 
     def _before_commands(self, commands: tuple[OperatorCommand, ...]) -> None:
         """A controller in bus-off is restarted by nobody but the operator, and without the torques it still holds."""

@@ -30,14 +30,17 @@ def decoded(emulator):
     return [(frame.timestamp_ns, layout.decode_command(frame)) for frame in frames]
 
 
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_while_active_ends_in_zero_torque_and_exit_0(end):
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, CommandKind.SHUTDOWN])
+def test_asked_to_end_while_active_it_stops_sends_zero_torque_last_and_exits_with_0(end):
     with emulated() as emulator, Control() as control:
         reader = control.wait_for(State.READY)
         order(CommandKind.ACTIVATE)
         control.wait_for(State.ACTIVE, reader)
         time.sleep(0.1)
-        control.process.send_signal(end)
+        if isinstance(end, CommandKind):
+            order(end)
+        else:
+            control.process.send_signal(end)
         status, out, err = control.finish()
         assert (status, err) == (0, "")
         assert "ticks; lateness p50" in out
@@ -189,6 +192,11 @@ def test_changing_the_rig_file_during_a_run_is_seen_and_forbids_activation(tmp_p
     assert records["commands_refused"][-1] == 1
 
 
+def hear_for_ever(listener):
+    while True:
+        listener.recv(4096)
+
+
 def test_systemd_hears_of_readiness_and_progress_from_the_loop_alone(tmp_path):
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     listener.bind(str(tmp_path / "notify"))
@@ -205,9 +213,8 @@ def test_systemd_hears_of_readiness_and_progress_from_the_loop_alone(tmp_path):
         control.process.send_signal(signal.SIGSTOP)  # a wedged loop
         os.waitpid(control.process.pid, os.WUNTRACED)
         listener.settimeout(0.3)
-        with pytest.raises(TimeoutError):
-            while True:  # what was sent before the stop, then nothing for two watchdog periods
-                listener.recv(4096)
+        with pytest.raises(TimeoutError):  # what was sent before the stop, then nothing for two watchdog periods
+            hear_for_ever(listener)
         control.process.send_signal(signal.SIGCONT)
         control.process.terminate()
         assert control.finish()[0] == 0
