@@ -5,6 +5,7 @@
 Written once with + - * / for floats and for arrays: a batch of axes and a single one agree bit for bit.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +28,9 @@ NO_CELL = Membrane(0.0, 1.0, 0.0, 1e100, 0.0)
 class Axis(NamedTuple):
     """Parameters of one axis (floats) or of many (arrays of one shape).
 
-    inverse_mass: 1/kg. ripple_amplitude: N. ripple_wavenumber: turns/m. has_ripple, has_cell, has_stribeck: whether any
-    axis has one; the terms of the others are zero and leave every bit as it was.
-    rate: 1/s, fastest rate at rest. speed_rate: 1/m, additional rate per unit of speed.
+    inverse_mass: 1/kg. ripple_amplitude: N. ripple_wavenumber: turns/m. sine: of turns, for this kind of number.
+    has_ripple, has_cell, has_stribeck: whether any axis has one; the terms of the others are zero and leave every bit
+    as it was. rate: 1/s, fastest rate at rest. speed_rate: 1/m, additional rate per unit of speed.
     """
 
     inverse_mass: Number
@@ -37,6 +38,7 @@ class Axis(NamedTuple):
     ripple_amplitude: Number
     ripple_wavenumber: Number
     membrane: Membrane
+    sine: Callable[[Number], Number]
     has_stribeck: bool
     has_ripple: bool
     has_cell: bool
@@ -76,6 +78,7 @@ def make_axis(
         ripple_amplitude=ripple_amplitude,
         ripple_wavenumber=wavenumber,
         membrane=membrane,
+        sine=sin_turns_array if isinstance(inverse_mass, np.ndarray) else sin_turns,
         has_stribeck=bool(np.any(friction.stribeck)),
         has_ripple=bool(np.any(ripple_amplitude)),
         has_cell=bool(np.any(membrane.stiffness)) or bool(np.any(membrane.drag)),
@@ -97,21 +100,27 @@ def take(axis: Axis, index: Any) -> Axis:
     return pick(axis)  # type: ignore[no-any-return]
 
 
-def net_force(axis: Axis, state: State, drive: Number) -> Number:
+def net_force(axis: Axis, position: Number, velocity: Number, pierced: Number, drive: Number) -> Number:
     """All forces (N) but friction; `drive` is the actuator's force plus gravity (N)."""
     force = drive
     if axis.has_ripple:
-        sine = sin_turns_array if isinstance(state.position, np.ndarray) else sin_turns
-        force = force + axis.ripple_amplitude * sine(state.position * axis.ripple_wavenumber)
+        force = force + axis.ripple_amplitude * axis.sine(position * axis.ripple_wavenumber)
     if axis.has_cell:
-        force = force - resistance(axis.membrane, state.position, state.velocity, state.pierced)
+        force = force - resistance(axis.membrane, position, velocity, pierced)
     return force
 
 
-def acceleration(axis: Axis, state: State, drive: Number, sign: Number) -> Number:
+def acceleration(
+    axis: Axis, position: Number, velocity: Number, pierced: Number, drive: Number, sign: Number
+) -> Number:
     """Acceleration (m/s^2) on the branch sgn(v) = sign."""
+    force = drive
+    if axis.has_ripple:  # net_force, without the call
+        force = force + axis.ripple_amplitude * axis.sine(position * axis.ripple_wavenumber)
+    if axis.has_cell:
+        force = force - resistance(axis.membrane, position, velocity, pierced)
     friction = sliding if axis.has_stribeck else sliding_plain
-    return (net_force(axis, state, drive) - friction(axis.friction, state.velocity, sign)) * axis.inverse_mass
+    return (force - friction(axis.friction, velocity, sign)) * axis.inverse_mass
 
 
 def runge_kutta(axis: Axis, state: State, drive: Number, sign: Number, h: float) -> tuple[Number, Number]:
@@ -130,13 +139,13 @@ def runge_kutta(axis: Axis, state: State, drive: Number, sign: Number, h: float)
         v4 = velocity + h * a3
         a4 = (drive - (sign * (coulomb + quadratic * v4 * v4) + viscous * v4)) * inverse_mass
     else:
-        a1 = acceleration(axis, state, drive, sign)
+        a1 = acceleration(axis, position, velocity, pierced, drive, sign)
         v2 = velocity + half * a1
-        a2 = acceleration(axis, State(position + half * velocity, v2, pierced), drive, sign)
+        a2 = acceleration(axis, position + half * velocity, v2, pierced, drive, sign)
         v3 = velocity + half * a2
-        a3 = acceleration(axis, State(position + half * v2, v3, pierced), drive, sign)
+        a3 = acceleration(axis, position + half * v2, v3, pierced, drive, sign)
         v4 = velocity + h * a3
-        a4 = acceleration(axis, State(position + h * v3, v4, pierced), drive, sign)
+        a4 = acceleration(axis, position + h * v3, v4, pierced, drive, sign)
     sixth = h * (1.0 / 6.0)
     return (
         position + sixth * (velocity + 2.0 * (v2 + v3) + v4),
@@ -171,7 +180,7 @@ def substeps(axis: Axis, velocity: float, drive: float, h: float) -> int:
 
 def breakaway_sign(axis: Axis, state: State, drive: float) -> float:
     """Direction in which an axis at rest starts to slide; 0.0: friction holds it."""
-    net = net_force(axis, state, drive)
+    net = net_force(axis, *state, drive)
     hold = breakaway(axis.friction)
     if net > hold:
         return 1.0
@@ -192,7 +201,7 @@ def _root(
         position, velocity = runge_kutta(axis, state, drive, sign, tau)
         if stop:
             value = -sign * velocity
-            slope = -sign * acceleration(axis, State(position, velocity, state.pierced), drive, sign)
+            slope = -sign * acceleration(axis, position, velocity, state.pierced, drive, sign)
         else:
             value = transition(axis.membrane, position, state.pierced)
             slope = axis.membrane.direction * velocity * (1.0 - 2.0 * state.pierced)

@@ -30,6 +30,7 @@ from sim_plant.axis import (
 from sim_plant.cell import Membrane, transition
 from sim_plant.config import PlantConfig
 from sim_plant.friction import Friction, breakaway
+from sim_plant.trigonometry import sin_turns
 
 Array = NDArray[np.float64]
 
@@ -140,6 +141,7 @@ def _axes_of(truth: Truth, clamp: Array) -> Axis:
 def _single(axis: Axis) -> Axis:
     """One axis, told which of the optional terms it has itself."""
     return axis._replace(
+        sine=sin_turns,
         has_stribeck=axis.friction.stribeck != 0.0,
         has_ripple=axis.ripple_amplitude != 0.0,
         has_cell=axis.membrane.stiffness != 0.0 or axis.membrane.drag != 0.0,
@@ -254,7 +256,7 @@ def _piece_many(axis: Axis, state: State, drive: Array, h: float) -> State:
     sign = np.sign(state.velocity)
     resting = sign == 0.0
     if resting.any():
-        net = net_force(axis, state, drive)
+        net = net_force(axis, *state, drive)
         sign = np.where(resting & (np.abs(net) > breakaway(axis.friction)), np.sign(net), sign)
     moving = sign != 0.0
     position, velocity = runge_kutta(axis, state, drive, sign, h)
