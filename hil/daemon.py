@@ -19,6 +19,7 @@ import typer
 from drivers.bus import PortError, open_port
 from drivers.protocols import host_protocol
 from drivers.runtime import RuntimeDirectoryError
+from hil.check import refuse_unschedulable
 from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.loop import ControlLoop, Parts
 from hil.notify import Notifier
@@ -82,6 +83,7 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
     except (ValueError, OSError) as error:
         raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
     try:
+        refuse_unschedulable(config, path.parent)
         refuse_unstable(config)
     except ValueError as error:
         raise RigError([f"{path}: {error}"]) from None

@@ -68,7 +68,7 @@ class LockstepRun:
         self.received: list[Frame] = []  # by the host since the last tick
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives)
-        self._axis_nodes = {name: self.wire.attach(name, None) for name in rig.axis_names}
+        self._axis_nodes = {name: self.wire.attach(name, None, fifo=False) for name in rig.axis_names}
         self.injector = Injector(scenario, self.stage, self.wire, rig.period_ns) if scenario else None
         self._active_since = -1  # tick in which the present ACTIVE began
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
