@@ -31,7 +31,7 @@ class _StampedLaw(Law):
     @property
     def denominator_floors(self) -> int:
         """Asked for in every tick; by way of __getattr__ a law without it would cost an exception each time."""
-        return getattr(self._law, "denominator_floors", 0)
+        return int(getattr(self._law, "denominator_floors", 0))
 
     def reset(self, position: Array, force: Array) -> None:
         self._law.reset(position, force)
