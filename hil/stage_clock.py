@@ -6,7 +6,7 @@ goes, and wraps what it runs.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from drivers.frame import Frame
 from hil.config import RigConfig
@@ -21,8 +21,10 @@ ESTIMATE, CONTROL, GATE, RECORD = range(4)  # indices into `stamps`: when each o
 class _StampedLaw(Law):
     """A law that notes when it has answered: from then on it is the gate's turn."""
 
+    GAINS: ClassVar[dict[str, Any]] = {}
+
     def __init__(self, law: Law, stamps: list[int], clock: Callable[[], int]) -> None:
-        self.name, self.GAINS = law.name, law.GAINS
+        self.name = law.name
         self._law, self._stamps, self._clock = law, stamps, clock
 
     def __getattr__(self, name: str) -> Any:
