@@ -29,6 +29,8 @@ from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import make_trajectory, task_repeat
 
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
+DELAY_SPREAD_NS = 100_000  # an estimated sampling delay this far above the usual is the answer's, not the sample's
+DELAY_LEAK_NS = 200  # per tick, by which the usual delay may grow
 LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
 ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
 
@@ -141,6 +143,8 @@ class ControlCycle:
         self._sent_now_ns = 0
         self._latency_ns = [0] * n  # from the tick's start to the drives' sampling, averaged
         self._latency_known = [False] * n
+        self._stamps_estimated = not self.protocol.stamped
+        self._usual_delay_ns = [0] * n  # lower envelope of estimated delays
         self._filter_ns = [0] * n  # instant of the filter's state
         self._start_ns = [0] * n  # expected start of the coming force's interval
         self._measured = self.inputs.position
@@ -201,6 +205,9 @@ class ControlCycle:
             if self.inbox.fresh[axis] and sample is not None:
                 stamp = sample.stamp_ns if sample.stamp_ns >= 0 else sent_ns
                 delay = stamp - sent_ns
+                if self._stamps_estimated:
+                    delay = self._believable_delay(axis, delay)
+                    stamp = sent_ns + delay
                 latency[axis] += (delay - latency[axis]) >> LATENCY_SHIFT if self._latency_known[axis] else delay
                 self._latency_known[axis] = True
                 # A stamp that jumps is no reason to integrate for hours; what it does to the position is judged there.
@@ -217,6 +224,14 @@ class ControlCycle:
         self.inputs.sample_interval[:] = intervals
         self.inputs.ahead[:] = ahead
         return fresh
+
+    def _believable_delay(self, axis: int, delay: int) -> int:
+        """An estimated sampling delay (ns), unless the answer was merely held up on its way: then the usual one."""
+        usual = self._usual_delay_ns[axis]
+        if not self._latency_known[axis] or delay < usual:
+            usual = delay
+        self._usual_delay_ns[axis] = usual + DELAY_LEAK_NS
+        return usual if delay > usual + DELAY_SPREAD_NS else delay
 
     def _take_positions(self, fresh: list[float]) -> bool:
         """Positions in m; an implausible step is not believed. True where every axis has a trusted sample."""

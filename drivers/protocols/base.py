@@ -91,6 +91,7 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     fd: bool
+    stamped: bool  # samples carry the drive's own time; else `stamp_ns` is estimated from the answers' arrival
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Value of one received frame. Never raises, whatever the bytes."""

@@ -113,6 +113,7 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     fd = False
+    stamped = False
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], period_ns: int = 1_000_000) -> None:
         if not 1 <= n_axes <= MAX_AXES:

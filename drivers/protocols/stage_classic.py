@@ -35,6 +35,7 @@ class _Layout:
     name = "stage_classic"
     sequence_modulus = SEQUENCE_MODULUS
     fd = False
+    stamped = True
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)

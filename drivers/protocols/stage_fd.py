@@ -33,6 +33,7 @@ class _Layout:
     name = "stage_fd"
     sequence_modulus = SEQUENCE_MODULUS
     fd = True
+    stamped = True
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
