@@ -46,9 +46,7 @@ def _live_scenario(path: Path, rig: RigConfig) -> Scenario:
 def emulate(
     rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
     overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
-    faults: Annotated[
-        Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")
-    ] = None,
+    faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
 ) -> None:
     """Emulate the stage of RIG on its bus until SIGTERM or SIGINT."""

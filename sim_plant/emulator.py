@@ -123,6 +123,11 @@ class EmulatedStage:
         return [drive.force for drive in self.drives]
 
     @property
+    def speaks_unasked(self) -> bool:
+        """Whether `advance` may return frames: CANopen nodes."""
+        return bool(self._nodes)
+
+    @property
     def deadline_ns(self) -> int:
         """When the next drive watchdog expires or planned action is due; NEVER_NS where nothing is."""
         return self._deadline_ns

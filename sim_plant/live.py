@@ -21,6 +21,7 @@ from sim_plant.emulator import EmulatedStage
 
 PRIORITY = 20  # SCHED_FIFO, below every control process: a drive is never late because a desktop redraws
 _LONGEST_WAIT_MS = 50
+_HEARTBEAT_WAIT_MS = 2  # where drives speak unasked: how late they may be
 _REPORT_NS = 500_000_000
 _REBIND_NS = 200_000_000
 
@@ -96,14 +97,15 @@ class Emulator:
         if self.port.counters().state is not BusState.DOWN:
             poll.register(self.port.fileno(), select.POLLIN)
         until_expiry_ms = max(0, self.stage.deadline_ns - time.monotonic_ns()) / 1e6
-        poll.poll(min(until_expiry_ms, _LONGEST_WAIT_MS))
+        poll.poll(min(until_expiry_ms, _HEARTBEAT_WAIT_MS if self.stage.speaks_unasked else _LONGEST_WAIT_MS))
 
     def step(self, now_ns: int) -> None:
         """Answer all frames that have come, then let the stage live until now_ns (read before they were fetched)."""
         for frame in self.port.drain(now_ns):
             for answer in self.stage.on_frame(frame):
                 self.port.send(answer)
-        self.stage.advance(now_ns)
+        for unasked in self.stage.advance(now_ns):
+            self.port.send(unasked)
         if self.port.counters().state is BusState.DOWN and now_ns - self._rebind_ns > _REBIND_NS:
             self._rebind_ns = now_ns
             self.port.rebind()

@@ -175,6 +175,18 @@ def test_on_a_live_bus_a_stall_of_the_emulator_expires_no_watchdog_that_was_fed(
     emulator.port.close()
 
 
+def test_on_a_live_bus_canopen_drives_announce_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    bus = BusConfig(interface="local", channel="emu1", protocol="cia402")
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), time.monotonic_ns())
+    control = open_port(bus, role="host", fd=False)
+    emulator = Emulator(stage, open_port(bus, role="device", fd=False))
+    emulator.step(time.monotonic_ns())
+    assert [frame.can_id for frame in control.drain(time.monotonic_ns())] == [0x701, 0x702, 0x703]
+    control.close()
+    emulator.port.close()
+
+
 @pytest.mark.live
 def test_hil_emulate_ends_on_sigterm_with_its_last_word_on_disk(tmp_path: Path) -> None:
     rig = Path(__file__).parents[1] / "deploy/rigs/microscope.toml"
