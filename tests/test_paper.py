@@ -88,9 +88,9 @@ def test_the_adaptive_solver_keeps_its_tolerance_and_order_on_an_oscillator() ->
 
 @pytest.fixture(scope="module")
 def runs() -> dict[Job, Run]:
-    """Every run of every claim, a tenth as long as the real ones; their figures mean nothing."""
+    """Every run of every claim, a fiftieth as long as the real ones; their figures mean nothing."""
     jobs = [job for claim in CLAIMS for job in jobs_of(claim) if job.step == 0]
-    return {job: carry_out(job, shorten=0.05) for job in jobs}
+    return {job: carry_out(job, shorten=0.02) for job in jobs}
 
 
 def test_each_claim_runs_at_two_steps_unless_its_solver_chooses_them() -> None:
@@ -164,7 +164,7 @@ def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_not_believed(run
 
 
 def test_runs_come_back_from_worker_processes_the_same(runs: dict[Job, Run]) -> None:
-    got = run_claims([CLAIMS["pdff-solver-noise"]], Console(quiet=True), workers=1, shorten=0.05)
+    got = run_claims([CLAIMS["pdff-solver-noise"]], Console(quiet=True), workers=1, shorten=0.02)
     job = Job("pdff-solver-noise", 0, 0)
     assert got[job].max_um == runs[job].max_um
 

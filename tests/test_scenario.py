@@ -40,7 +40,7 @@ def test_a_phase_or_state_the_rig_does_not_have_is_refused_with_the_allowed_ones
 
 def test_a_fault_at_a_state_begins_in_the_tick_that_enters_it_and_is_reacted_to() -> None:
     fault = {"kind": "encoder_silent", "axis": "y", "at_state": "ACTIVE", "after_s": 0.05}
-    lockstep = run(Scenario.model_validate({"fault": [fault]}), 400)
+    lockstep = run(Scenario.model_validate({"fault": [fault]}), 200)
     assert lockstep.injector is not None
     ((began_ns, _),) = lockstep.injector.began
     assert began_ns == lockstep.activated_at * 1_000_000 + 50_000_000
@@ -50,4 +50,4 @@ def test_a_fault_at_a_state_begins_in_the_tick_that_enters_it_and_is_reacted_to(
 
 def test_a_scenario_whose_fault_never_comes_changes_no_byte() -> None:
     never = Scenario.model_validate({"fault": [{"kind": "garbage", "at_phase": "dwell"}]})
-    assert run(never, 150).trace_sha256 == run(None, 150).trace_sha256
+    assert run(never, 60).trace_sha256 == run(None, 60).trace_sha256
