@@ -30,6 +30,7 @@ PATIENT = (
     "safety.silent_zero_ticks=2000",
     "safety.overrun_streak=1000",
     "safety.overrun_zero_s=5",
+    "safety.flood_frames=1000",
     "plant.watchdog_s=1",
 )
 _POLL_S = 0.2
