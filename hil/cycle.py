@@ -148,6 +148,8 @@ class ControlCycle:
         self._filter_ns = [0] * n  # instant of the filter's state
         self._start_ns = [0] * n  # expected start of the coming force's interval
         self._measured = self.inputs.position
+        self._trusted = [0.0] * n  # last believed sample, m, and its instant
+        self._trusted_ns = [0] * n
         self._net_last = np.zeros(n)
         self._net_before = np.zeros(n)
         self._scratch = np.zeros(n)
@@ -165,7 +167,7 @@ class ControlCycle:
         monitor = self.monitor
         monitor.begin()
         self.inbox.collect(frames, self.sent_sequence)
-        monitor.check_bus(tick, len(frames))
+        monitor.check_bus(tick, self.inbox.useless_now)
         monitor.check_timing(tick)
         monitor.check_grants(tick)
         monitor.check_samples(self.inbox, self._enabled_seen)
@@ -240,8 +242,12 @@ class ControlCycle:
         for axis, sample in enumerate(self.inbox.samples):
             if fresh[axis] and sample is not None:
                 position = sample.position * self._resolution[axis]
-                if not (self._tracked and self.monitor.implausible(axis, position - float(measured[axis]), 1.0)):
-                    measured[axis] = position
+                stamp = self._filter_ns[axis]
+                periods = (stamp - self._trusted_ns[axis]) / self._period_ns
+                step = position - self._trusted[axis]
+                if not (self._tracked and self.monitor.implausible(axis, step, periods)):
+                    measured[axis] = self._trusted[axis] = position
+                    self._trusted_ns[axis] = stamp
                     continue
                 fresh[axis] = 0.0
             trusted = False

@@ -41,7 +41,7 @@ class Inbox:
         self.bad_frames = 0
         self.late = 0
         self.lost = 0
-        self.received_now = 0
+        self.useless_now = 0  # frames of this tick that carried no sample of ours, not even a late one
 
     def forget(self) -> None:
         """After a reset: whatever was heard before counts no more."""
@@ -53,7 +53,7 @@ class Inbox:
 
     def collect(self, frames: Sequence[Frame], sent_sequence: int) -> None:
         """Sort one tick's frames; `sent_sequence` is that of the newest command sent, -1 before the first."""
-        self.received_now = len(frames)
+        self.useless_now = 0
         fresh = self.fresh
         for axis in range(len(fresh)):
             fresh[axis] = False
@@ -88,13 +88,13 @@ class Inbox:
                 self.late += 1
                 return
         elif self.fresh[axis]:
-            self._reject(Reject.DUPLICATE)
-            return
+            self.late += 1  # without a sequence number, which command it answers cannot be told: the newest wins
         self.samples[axis] = sample
         self.fresh[axis] = True
 
     def _reject(self, reason: Reject) -> None:
         self.rejects[reason] += 1
+        self.useless_now += 1
         if reason in SUSPICIOUS:
             self.bad_frames += 1
 
