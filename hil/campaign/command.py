@@ -39,7 +39,7 @@ def campaign(rigs: Sequence[Path], stride: int, jobs: int, done: Callable[[int, 
 
 
 def faults(
-    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; the two shipped ones if none is named")] = None,
+    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     json_target: Annotated[str, typer.Option("--json", help="write all cells there; - for standard output")] = "",

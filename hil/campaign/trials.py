@@ -202,9 +202,9 @@ def _forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
     """Put a foreign frame made from the axis' latest answer into the host's receive queue."""
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
-        wanted = run.rig.bus.feedback_id + axis
+        sender = _axis_name(run, axis)
         for frame in list(run.received):
-            if frame.can_id == wanted and k < ticks:
+            if k < ticks and run.stage.sender_of(frame) == sender:
                 run.received.append(make(frame))
                 break
 
@@ -244,15 +244,15 @@ TRIALS: tuple[Trial, ...] = (
     Trial("one duplicate", _forge(lambda frame: frame, ticks=1), benign=True),
     Trial(
         "wrong length",
-        _forge(lambda f: f._replace(data=f.data[:8])),
+        _forge(lambda f: f._replace(data=f.data[: len(f.data) // 2])),
         (Fault.BAD_FRAMES,),
         within=7,
         armed=WATCHING,
         demand=Reaction.ZERO,
     ),
     Trial(
-        "remote or classic instead of FD",
-        _forge(lambda f: f._replace(flags=f.flags & ~FD)),
+        "classic instead of FD, or FD instead of classic",
+        _forge(lambda f: f._replace(flags=f.flags ^ FD)),
         (Fault.BAD_FRAMES,),
         within=7,
         armed=WATCHING,
