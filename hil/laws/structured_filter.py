@@ -78,7 +78,7 @@ def interval(
     sign: Any, mass: Number, coulomb: Number, time: Number, position: Number, velocity: Number,
     to_position: Number, to_velocity: Number,
 ) -> Interval:  # fmt: skip
-    """Between two instants of the reference, for an axis of that mass and Coulomb friction; sign: sign_float or alike."""
+    """Between two instants of the reference, for that mass and Coulomb friction; sign: sign_float or sign_array."""
     time = time + INSTANT
     moved = to_position - position
     gained = to_velocity - velocity
