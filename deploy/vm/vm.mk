@@ -1,8 +1,14 @@
 # The VM lane: included by the Makefile. Everything it needs is kept in .vm/.
-.PHONY: test-vm test-vcan vm-lock
+.PHONY: test-vm test-systemd test-vcan vm-lock vm-mutants
 
 test-vm: setup  ## tests that need a real CAN stack, in a virtual machine with one (no KVM needed)
 	@deploy/vm/test.sh
+
+test-systemd: setup  ## the Debian package installed and run on a fresh guest with systemd as init
+	@deploy/vm/test_systemd.sh
+
+vm-mutants: setup  ## prove that the VM lane turns red when drivers/bus.py is broken
+	@deploy/vm/mutants.py
 
 test-vcan: setup  ## the same vcan tests on this machine, where its kernel has vcan
 	@deploy/vm/test_vcan.sh
