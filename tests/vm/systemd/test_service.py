@@ -53,9 +53,8 @@ def eventually(holds, what: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not holds():
         if time.monotonic() > deadline:
-            pytest.fail(
-                f"not within {PATIENCE_S:.0f} s: {what}\n{sh('journalctl -n 40 --no-pager -u hil-*', ok=False)}"
-            )
+            told = sh("systemctl status --no-pager -n 25 'hil-*'; hil monitor microscope --once", ok=False)
+            pytest.fail(f"not within {PATIENCE_S:.0f} s: {what}\n{told}")
         time.sleep(0.5)
 
 
@@ -140,7 +139,8 @@ def test_the_target_starts_everything_and_status_shows_the_state():
     eventually(lambda: show(CONTROL, "ActiveState") == "active", "the control unit is active")
     eventually(lambda: show(SIDECAR, "ActiveState") == show(EMULATOR, "ActiveState") == "active", "all run")
     assert Path("/sys/class/net/vcan0/mtu").read_text().strip() == "72"
-    eventually(lambda: status("CONNECTED", "READY"), "a state is shown")
+    eventually(lambda: status("CONNECTED", "READY", "FAULT"), "a state is shown")
+    assert not status("ACTIVE"), "it never activates by itself"
     assert "Status: " in sh(f"systemctl status --no-pager '{CONTROL}'")
     owner = sh(f"ps -o user= -p {main_pid()}").strip()
     assert owner == "hil", "nothing runs as root"
