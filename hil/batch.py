@@ -7,8 +7,8 @@ same objects, called in the same order. All plants share the task, the sampling 
 
 import numpy as np
 
+from hil.belief import blank_inputs, force_limits, rig_model
 from hil.config import RigConfig
-from hil.cycle import blank_inputs, force_limits, rig_model
 from hil.estimation import MotionFilter, design_gains, per_axis
 from hil.gate import limit_force
 from hil.laws import make_law

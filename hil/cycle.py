@@ -12,15 +12,17 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol
+from hil.belief import axis_limits, blank_inputs, force_limits, rig_model
 from hil.commands import CommandDesk
 from hil.config import RigConfig
 from hil.estimation import MotionFilter, design_gains
-from hil.faults import AxisLimits, Fault, FaultMonitor, Reaction
-from hil.gate import ForceLimits, TorqueGate
+from hil.faults import Fault, FaultMonitor, Reaction
+from hil.gate import TorqueGate
 from hil.homing import home_trajectory
 from hil.inbox import Inbox
 from hil.laws import make_law
-from hil.laws.base import Array, LawInputs, Model, Reference
+from hil.laws.base import Array
+from hil.sampling import Sampling
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
 from hil.stop import DampedStop
@@ -29,69 +31,7 @@ from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import make_trajectory, task_repeat
 
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
-DELAY_SPREAD_NS = 100_000  # an estimated sampling delay this far above the usual is the answer's, not the sample's
-DELAY_LEAK_NS = 200  # per tick, by which the usual delay may grow
-LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
 ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
-
-
-def rig_model(rig: RigConfig) -> Model:
-    """The rig file's nominal belief as arrays (n_axes,). The file's gravity acts on the axis; the model's holds against
-    it.
-    """
-    axes = [axis.model for axis in rig.axes.values()]
-    return Model(
-        mass=np.array([a.mass for a in axes]),
-        coulomb=np.array([a.coulomb for a in axes]),
-        viscous=np.array([a.viscous for a in axes]),
-        quadratic=np.array([a.quadratic for a in axes]),
-        gravity=np.array([-a.gravity for a in axes]) + 0.0,
-    )
-
-
-def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
-    """LawInputs of zeros."""
-
-    def zeros() -> Array:
-        return np.zeros(shape)
-
-    def rest() -> Reference:
-        return Reference(zeros(), zeros(), zeros())
-
-    return LawInputs(
-        position=zeros(), fresh=zeros(), sample=rest(), sample_interval=zeros(), ahead=zeros(),
-        position_estimate=zeros(), velocity_estimate=zeros(), disturbance_estimate=zeros(), start=rest(), end=rest(),
-        mean_velocity=zeros(), mean_acceleration=zeros(), mean_sign=zeros(), force_last=zeros(), force_before=zeros(),
-    )  # fmt: skip
-
-
-def force_limits(rig: RigConfig, shape: tuple[int, ...]) -> ForceLimits:
-    """The gate's bounds from the rig file; shape: of the forces to be limited, (..., n_axes)."""
-    limits = [axis.limits for axis in rig.axes.values()]
-    period = rig.period_ns * 1e-9
-    return ForceLimits(
-        [li.force for li in limits],
-        [li.position[0] for li in limits],
-        [li.position[1] for li in limits],
-        [li.force_rate * period for li in limits],
-        shape,
-    )
-
-
-def _axis_limits(rig: RigConfig) -> list[AxisLimits]:
-    period, safety = rig.period_ns * 1e-9, rig.safety
-    return [
-        AxisLimits(
-            position_low=axis.limits.position[0],
-            position_high=axis.limits.position[1],
-            speed=axis.limits.speed,
-            following_error=axis.limits.following_error,
-            jump_step=safety.jump_margin * axis.limits.speed * period + 2.0 * axis.encoder_resolution,
-            stuck_force=safety.stuck_force_fraction * axis.limits.force,
-            braking=0.5 * axis.limits.force / axis.model.mass,
-        )
-        for axis in rig.axes.values()
-    ]
 
 
 class ControlCycle:
@@ -102,10 +42,7 @@ class ControlCycle:
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
         n = len(rig.axes)
-        self._n = n
-        self._period_ns = rig.period_ns
         period = rig.period_ns * 1e-9
-        self._resolution = [axis.encoder_resolution for axis in rig.axes.values()]
         self.model = rig_model(rig)
         force = np.array([axis.limits.force for axis in rig.axes.values()])
         speed = np.array([axis.limits.speed for axis in rig.axes.values()])
@@ -118,7 +55,7 @@ class ControlCycle:
         gains, variance = design_gains(rig)
         self.filter = MotionFilter(gains, variance, self.model.mass, (n,))
         innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
-        self.monitor = FaultMonitor(rig.safety, _axis_limits(rig), rig.period_ns, innovation_limit)
+        self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, innovation_limit)
         self.gate = TorqueGate(self.protocol, force_limits(rig, (n,)))
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
         self.law = make_law(rig.law, self.model, period, force, repeat)
@@ -127,6 +64,8 @@ class ControlCycle:
         self.inputs.position_estimate = self.filter.ahead_position
         self.inputs.velocity_estimate = self.filter.ahead_velocity
         self.inputs.disturbance_estimate = self.filter.disturbance
+        resolution = [axis.encoder_resolution for axis in rig.axes.values()]
+        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, stamped=self.protocol.stamped)
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         self._stop = DampedStop(self.model, speed, period, rig.safety.stop_s)
         self._records = RecordBuilder(n)
@@ -139,17 +78,8 @@ class ControlCycle:
         self._waited_for_enable = 0
         self._enabled_seen = False
         self._stopping_since_ns = 0
-        self._tracked = False  # the filter has a position to start from
         self._sent_now_ns = 0
-        self._latency_ns = [0] * n  # from the tick's start to the drives' sampling, averaged
-        self._latency_known = [False] * n
-        self._stamps_estimated = not self.protocol.stamped
-        self._usual_delay_ns = [0] * n  # lower envelope of estimated delays
-        self._filter_ns = [0] * n  # instant of the filter's state
-        self._start_ns = [0] * n  # expected start of the coming force's interval
         self._measured = self.inputs.position
-        self._trusted = [0.0] * n  # last believed sample, m, and its instant
-        self._trusted_ns = [0] * n
         self._net_last = np.zeros(n)
         self._net_before = np.zeros(n)
         self._scratch = np.zeros(n)
@@ -182,78 +112,18 @@ class ControlCycle:
 
     def _estimate(self, tick: Tick) -> None:
         """Move the filter to the samples' instants, correct it, and look ahead to where the next force will act."""
-        inputs, motion = self.inputs, self.filter
-        fresh = self._take_stamps(tick)
+        inputs, motion, sampling = self.inputs, self.filter, self.sampling
+        fresh = sampling.take_instants(tick.now_ns, self._sent_now_ns)
         motion.predict(self._net_before, inputs.sample_interval)
-        all_fresh = self._take_positions(fresh)
-        if not self._tracked and all(self.inbox.heard):
-            self._tracked = True
+        all_fresh = sampling.take_positions(fresh, motion.position, self.monitor)
+        if not sampling.tracked and all(self.inbox.heard):
+            sampling.tracked = True
             motion.reseed(self._measured)
         motion.innovate(self._measured)
         inputs.fresh[:] = fresh
         motion.update(None if all_fresh else inputs.fresh)
         motion.look_ahead(self._net_last, inputs.ahead)
-        self.setpoints.update(self._filter_ns, self._start_ns)
-
-    def _take_stamps(self, tick: Tick) -> list[float]:
-        """Sample instants from the drives' stamps, per axis; fills the inputs' intervals (s). Returns 1.0 where a
-        sample came.
-        """
-        period, intervals, ahead, fresh = self._period_ns, [], [], []
-        latency, filter_ns, sent_ns = self._latency_ns, self._filter_ns, self._sent_now_ns
-        for axis, sample in enumerate(self.inbox.samples):
-            previous = filter_ns[axis]
-            elapsed = period
-            if self.inbox.fresh[axis] and sample is not None:
-                stamp = sample.stamp_ns if sample.stamp_ns >= 0 else sent_ns
-                delay = stamp - sent_ns
-                if self._stamps_estimated:
-                    delay = self._believable_delay(axis, delay)
-                    stamp = sent_ns + delay
-                latency[axis] += (delay - latency[axis]) >> LATENCY_SHIFT if self._latency_known[axis] else delay
-                self._latency_known[axis] = True
-                # A stamp that jumps is no reason to integrate for hours; what it does to the position is judged there.
-                elapsed = min(max(stamp - previous, 0), 8 * period) if self._tracked else period
-                fresh.append(1.0)
-            else:
-                stamp = previous + period
-                fresh.append(0.0)
-            filter_ns[axis] = stamp
-            start = tick.now_ns + latency[axis]
-            self._start_ns[axis] = start
-            intervals.append(elapsed * 1e-9)
-            ahead.append((start - stamp) * 1e-9)
-        self.inputs.sample_interval[:] = intervals
-        self.inputs.ahead[:] = ahead
-        return fresh
-
-    def _believable_delay(self, axis: int, delay: int) -> int:
-        """An estimated sampling delay (ns), unless the answer was merely held up on its way: then the usual one."""
-        usual = self._usual_delay_ns[axis]
-        if not self._latency_known[axis] or delay < usual:
-            usual = delay
-        self._usual_delay_ns[axis] = usual + DELAY_LEAK_NS
-        return usual if delay > usual + DELAY_SPREAD_NS else delay
-
-    def _take_positions(self, fresh: list[float]) -> bool:
-        """Positions in m; an implausible step is not believed. True where every axis has a trusted sample."""
-        measured, predicted = self._measured, self.filter.position
-        trusted = True
-        for axis, sample in enumerate(self.inbox.samples):
-            if fresh[axis] and sample is not None:
-                position = sample.position * self._resolution[axis]
-                stamp = self._filter_ns[axis]
-                periods = (stamp - self._trusted_ns[axis]) / self._period_ns
-                step = position - self._trusted[axis]
-                if not (self._tracked and self.monitor.implausible(axis, step, periods)):
-                    measured[axis] = self._trusted[axis] = position
-                    self._trusted_ns[axis] = stamp
-                    continue
-                fresh[axis] = 0.0
-            trusted = False
-            if self._tracked:
-                measured[axis] = predicted[axis]
-        return trusted
+        self.setpoints.update(sampling.instants, sampling.starts)
 
     def _check_motion(self, tick: Tick) -> None:
         if self.machine.state not in TORQUE_STATES:
@@ -332,10 +202,9 @@ class ControlCycle:
 
     def _reconnect(self, *, reset: bool) -> None:
         self._silent = False
-        self._tracked = False
+        self.sampling.restart()
         self._ready_ticks = 0
         self._reset_ticks = RESET_TICKS if reset else 0
-        self._latency_known = [False] * self._n
         self.fault = Fault.NONE
         self.inbox.forget()
         self.monitor.restart()
@@ -382,7 +251,7 @@ class ControlCycle:
         self._waited_for_enable += 1
         if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
             self._enabled_seen = True
-            origin = [tick.now_ns + latency for latency in self._latency_ns]
+            origin = [tick.now_ns + latency for latency in self.sampling.latency]
             start = self.inputs.sample.position.copy()
             homing = self.machine.state is State.HOMING
             rig = self.rig
@@ -392,7 +261,7 @@ class ControlCycle:
                 else make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
             )
             self.setpoints.follow(task, origin)
-            self.setpoints.update(self._filter_ns, self._start_ns)
+            self.setpoints.update(self.sampling.instants, self.sampling.starts)
         elif self._waited_for_enable >= self.rig.safety.enable_timeout_ticks:
             self._latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
 
@@ -460,7 +329,7 @@ class ControlCycle:
         )  # fmt: skip
         records.motion[:] = self._motion
         status = [0 if s is None else s.status for s in inbox.samples]
-        records.axes(self._filter_ns, inbox.age, status, tick.port, inbox.rejects)
+        records.axes(self.sampling.instants, inbox.age, status, tick.port, inbox.rejects)
         floors = getattr(self.law, "denominator_floors", 0)
         records.counts(inbox.lost, self.machine.refused, self.commands.refused, floors, self.gate.saturations)
         records.traffic(self.commands.handled, sent, received)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.belief import blank_inputs, rig_model
 from hil.config import RigConfig, RigError
-from hil.cycle import blank_inputs, rig_model
 from hil.estimation import MotionFilter, design_gains
 from hil.laws import make_law
 from hil.laws.base import Array, LawInputs, Model

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.belief import blank_inputs
 from hil.config import LawConfig
-from hil.cycle import blank_inputs
 from hil.laws import make_law
 from hil.laws.base import Array, Law, Model
 from sim_plant.trigonometry import sincos_turns
