@@ -98,7 +98,7 @@ def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("show", [4.0], indirect=True)
+@pytest.mark.parametrize("show", [12.0], indirect=True)
 def test_a_demo_runs_is_seen_from_elsewhere_and_sums_up(show: Show) -> None:
     show.read_until("to go")
     seen = hil("monitor", "microscope", "--once")

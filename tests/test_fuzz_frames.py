@@ -5,10 +5,11 @@ import pytest
 from tests.fuzz_frames import PROTOCOLS, fuzz
 
 NEVER_THERE = {
-    # Feedback without a reserved value has no invalid one; CANopen has no checksum and no sequence of its own.
+    # Feedback without a reserved value has no invalid one; CANopen has neither checksum nor
+    # sequence, so nothing tells a repeated answer from a late one: the newest wins.
     "stage_fd": {"SERVICE"},
     "stage_classic": {"INVALID_VALUE", "SERVICE"},
-    "cia402": {"BAD_CHECKSUM", "STALE"},
+    "cia402": {"BAD_CHECKSUM", "STALE", "DUPLICATE"},
     "dbc:example_drive.dbc": {"INVALID_VALUE", "SERVICE"},
 }
 
