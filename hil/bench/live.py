@@ -76,6 +76,7 @@ def private_bus() -> Iterator[Path]:
     """A runtime directory of our own, in memory: nobody else's frames, rings or mailboxes."""
     base = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     before = os.environ.get("HIL_RUNTIME_DIR")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds, so that no process of ours is left behind
     with tempfile.TemporaryDirectory(prefix="hil-bench-", dir=base) as directory:
         os.environ["HIL_RUNTIME_DIR"] = directory
         try:
