@@ -119,7 +119,7 @@ class ReceiveBlock:
         if used.tobytes() != self._plain[count]:
             return None
         used[:] = self._fresh[count]
-        return _PLAIN.iter_unpack(self._slots[count])  # type: ignore[return-value]
+        return _PLAIN.iter_unpack(self._slots[count])
 
     def results(self, count: int) -> list[Result]:
         """Of the messages received last, oldest first: (control_length, flags, size).
@@ -130,7 +130,7 @@ class ReceiveBlock:
         used = self._used[count]
         results = list(_RESULT.iter_unpack(used))
         used[:] = self._fresh[count]
-        return results  # type: ignore[return-value]
+        return results
 
     def contents(self, count: int) -> Iterator[Contents]:
         """The messages received last, oldest first.
@@ -138,4 +138,4 @@ class ReceiveBlock:
         (can_id, length, flags, reserved, data, kind, seconds, nanoseconds, dropped): `data` always has 64 bytes, of
         which those beyond the frame's are left over; CLOCK_REALTIME of arrival; what this socket has dropped so far.
         """
-        return _CONTENTS.iter_unpack(self._slots[count])  # type: ignore[return-value]
+        return _CONTENTS.iter_unpack(self._slots[count])

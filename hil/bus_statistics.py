@@ -15,7 +15,7 @@ class Row(NamedTuple):
     """One identifier. rate: frames per second; age, s: since its last frame; frame: that frame."""
 
     can_id: int
-    count: int
+    count: int  # type: ignore[assignment]  # tuple has a method of that name
     rate: float
     age: float
     frame: Frame

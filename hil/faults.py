@@ -122,7 +122,9 @@ RULES: dict[Fault, Rule] = {
     Fault.TRANSMIT_REFUSED: Rule("ENOBUFS, EAGAIN; newest wins, nothing is retried", "1 frame", Reaction.COUNT, ALWAYS),
     Fault.TRANSMIT_BLOCKED: Rule("the same", "safety.transmit_refused_limit (3) ticks in a row", Reaction.ZERO, ALWAYS),
     Fault.INTERFACE_DOWN: Rule("ENETDOWN, ENODEV", "1 tick", Reaction.SILENT, ALWAYS),
-    Fault.RECEIVE_FLOOD: Rule("frames of no use per tick, overflow counter", "safety.flood_frames (12)", Reaction.STOP, ALWAYS),
+    Fault.RECEIVE_FLOOD: Rule(
+        "frames of no use per tick, overflow counter", "safety.flood_frames (12)", Reaction.STOP, ALWAYS
+    ),
     Fault.OVERRUN: Rule("a slot was skipped", "1 slot", Reaction.COUNT, ALWAYS),
     Fault.OVERRUN_BURST: Rule("the same", "safety.overrun_streak (5) ticks in a row", Reaction.STOP, MOVING),
     Fault.OVERRUN_LONG: Rule("time between two ticks", "safety.overrun_zero_s (20 ms)", Reaction.ZERO, MOVING),
@@ -204,8 +206,8 @@ class FaultMonitor:
         self.active |= 1 << fault
 
     def check_bus(self, tick: Tick, useless_now: int) -> None:
-        """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use (answers
-        that pile up behind a stall are late, not a flood).
+        """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use
+        (answers that pile up behind a stall are late, not a flood).
         """
         port, before = tick.port, self._port
         slots = max(1, tick.index - self._previous_index)
