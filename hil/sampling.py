@@ -12,6 +12,7 @@ from hil.inbox import Inbox
 from hil.laws.base import Array, LawInputs
 
 LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
+LATENCY_STEP_NS = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
 DELAY_SPREAD_NS = 100_000  # an estimated sampling delay this far above the usual is the answer's, not the sample's
 DELAY_LEAK_NS = 200  # per tick, by which the usual delay may grow
 LONGEST_PERIODS = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged all the same
@@ -36,6 +37,7 @@ class Sampling:
         self.instants = [0] * n
         self.starts = [0] * n
         self.latency = [0] * n
+        self._average = [0] * n
         self._latency_known = [False] * n
         self._usual_delay = [0] * n  # lower envelope of estimated delays
         self._trusted = [0.0] * n  # last believed position, m, and its instant
@@ -76,11 +78,12 @@ class Sampling:
         """From the tick's start to the sampling, ns; keeps the average up to date."""
         if not self._stamped:
             delay = self._believable(axis, delay)
-        latency = self.latency
         if self._latency_known[axis]:
-            latency[axis] += (delay - latency[axis]) >> LATENCY_SHIFT
+            self._average[axis] += (delay - self._average[axis]) >> LATENCY_SHIFT
+            if abs(self._average[axis] - self.latency[axis]) > LATENCY_STEP_NS:
+                self.latency[axis] = self._average[axis]
         else:
-            latency[axis] = delay
+            self.latency[axis] = self._average[axis] = delay
             self._latency_known[axis] = True
         return delay
 
