@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-PATIENCE_S = 60.0  # software emulation on a busy machine: generous, and only ever waited out by a failure
+PATIENCE_S = 120.0  # software emulation on a busy machine: generous, and only ever waited out by a failure
 CAN_MTU, CANFD_MTU = 16, 72
 
 
