@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import typer
 
 from hil.config import EXIT_CONFIG, RigError
+from sim_plant.config import PlantError
 
 
 class Entry(NamedTuple):
@@ -73,4 +74,7 @@ def main() -> None:
     except RigError as error:
         for problem in error.problems:
             print(f"hil: {problem}", file=sys.stderr)
+        sys.exit(EXIT_CONFIG)
+    except PlantError as error:
+        print(f"hil: {error}", file=sys.stderr)
         sys.exit(EXIT_CONFIG)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from drivers.config import STRICT, BusConfig, WireConfig
-from sim_plant.config import PlantConfig
+from sim_plant.config import PlantConfig, Resolution
 
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus
 MAX_AXES = 4
@@ -19,6 +19,8 @@ AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+Duration = Annotated[float, Field(gt=0, le=1e6)]  # s; a thousand cells of the longest still fit 64 bits of ns
+Pause = Annotated[float, Field(ge=0, le=1e6)]  # s
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -58,7 +60,7 @@ class AxisConfig(BaseModel):
 
     model_config = STRICT
     kind: Literal["linear", "rotary"] = "linear"
-    encoder_resolution: Positive  # m or rad per count
+    encoder_resolution: Resolution  # m or rad per count
     rated_force: Positive  # N or N m; full scale of the bus layouts that carry per-mille or counts
     safe: Literal["release", "brake"] = "release"  # at zero torque: free to move, or held by its brake
     limits: LimitsConfig
@@ -104,14 +106,14 @@ class TaskConfig(BaseModel):
     kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection"] = "hold"
     axes: list[str] = []  # circle, lissajous: the two axes; point_to_point: those that move
     radius: Positive = 1.0  # m; circle, lissajous: amplitude
-    frequency_hz: Positive = 0.5  # of the first axis
+    frequency_hz: Annotated[float, Field(ge=1e-6, le=1e4)] = 0.5  # of the first axis
     ratio: Annotated[int, Field(ge=1, le=16)] = 2  # lissajous: second axis' frequency over the first's
     phase: float = 0.0  # rad
-    approach_s: Positive = 2.0  # minimum-jerk approach to the figure
-    settle_s: NonNegative = 6.0  # after the approach; statistics start then
+    approach_s: Duration = 2.0  # minimum-jerk approach to the figure
+    settle_s: Pause = 6.0  # after the approach; statistics start then
     target: list[float] = []  # point_to_point: m, per axis in `axes`
-    move_s: Positive = 1.0  # point_to_point: duration of one move
-    dwell_s: NonNegative = 0.5  # point_to_point: rest between moves
+    move_s: Duration = 1.0  # point_to_point: duration of one move
+    dwell_s: Pause = 0.5  # point_to_point: rest between moves
     injection: "InjectionConfig | None" = None
 
     @model_validator(mode="after")
@@ -134,12 +136,12 @@ class InjectionConfig(BaseModel):
     end: list[float]  # q_d of the first cell: at rest inside
     pitch: list[float]  # from one cell to the next
     cells: Annotated[int, Field(ge=1, le=1000)] = 3
-    approach_s: Positive = 2.0  # q_a -> q_b
-    transfer_s: Positive = 0.6  # q_b -> q_s, and from cell to cell
-    strike_s: Positive = 0.25  # q_s -> q_c -> q_d
+    approach_s: Duration = 2.0  # q_a -> q_b
+    transfer_s: Duration = 0.6  # q_b -> q_s, and from cell to cell
+    strike_s: Duration = 0.25  # q_s -> q_c -> q_d
     contact_speed: Positive = 0.01  # m/s along the line q_s -> q_d
-    dwell_s: Positive = 1.0  # inject
-    withdraw_s: Positive = 0.6
+    dwell_s: Duration = 1.0  # inject
+    withdraw_s: Duration = 0.6
 
 
 class TimingConfig(BaseModel):

@@ -36,7 +36,7 @@ ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStat
 
 class ControlCycle:
     """The control service's one step. Construct once per process from a validated rig; `base_dir` is the rig file's
-    folder (DBC files).
+    folder (DBC files). Raises ValueError naming what this rig cannot do: its task, law, filter or layout.
     """
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
@@ -57,7 +57,9 @@ class ControlCycle:
         innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, innovation_limit)
         self.gate = TorqueGate(self.protocol, force_limits(rig, (n,)))
-        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
+        # Made here too, so that a task that cannot be done is refused now and not when the drives are live.
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
+        repeat = repeat if rig.law.iterative_learning else None
         self.law = make_law(rig.law, self.model, period, force, repeat)
         self.commands = CommandDesk()
         self.inputs = blank_inputs((n,))

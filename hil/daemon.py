@@ -96,7 +96,10 @@ def control_loop(
 ) -> Iterator[ControlLoop]:
     """All the loop needs, in the order in which it may fail; real time after every import and large allocation."""
     files = places(rig.name)
-    cycle = TimedCycle(rig, base_dir, stage_clock)
+    try:
+        cycle = TimedCycle(rig, base_dir, stage_clock)
+    except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
+        raise RigError([str(error)]) from None
     with contextlib.ExitStack() as stack:
         port = open_port(rig.bus, role="host", fd=cycle.protocol.fd)
         stack.callback(port.close)

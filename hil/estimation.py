@@ -43,24 +43,37 @@ def filter_parameters(rig: RigConfig) -> list[dict[str, float]]:
     ]
 
 
+_NO_GAINS = "[estimator] and axes.*.model.mass: no steady Kalman filter for these: "
+
+
 @lru_cache(maxsize=64)
 def _design_in_child(parameters: str) -> list[Any]:
     if "filterpy" in sys.modules:
         from hil.estimation_design import design
 
-        return design(json.loads(parameters))
+        try:
+            return design(json.loads(parameters))
+        except (ArithmeticError, ValueError) as error:
+            raise ValueError(_NO_GAINS + str(error)) from None
     child = subprocess.run(
         [sys.executable, "-m", "hil.estimation_design"], input=parameters, capture_output=True, text=True, check=False
     )
     if child.returncode != 0:
-        raise RuntimeError(f"Kalman filter design failed: {child.stderr.strip().splitlines()[-1:]}")
+        raise ValueError(_NO_GAINS + "".join(child.stderr.strip().splitlines()[-1:]))
     return list(json.loads(child.stdout))
 
 
 def design_gains(rig: RigConfig) -> tuple[Array, Array]:
-    """filterpy's steady-state gains, (3, n_axes), and innovation variances, (n_axes,), m^2."""
+    """filterpy's steady-state gains, (3, n_axes), and innovation variances, (n_axes,), m^2.
+
+    Raises ValueError where the rig's masses and noises have none.
+    """
     result = _design_in_child(json.dumps(filter_parameters(rig)))
-    return np.array([gain for gain, _ in result]).T.copy(), np.array([variance for _, variance in result])
+    gains = np.array([gain for gain, _ in result]).T.copy()
+    variance = np.array([variance for _, variance in result])
+    if not (np.isfinite(gains).all() and np.isfinite(variance).all() and (variance > 0.0).all()):
+        raise ValueError(_NO_GAINS + f"gains {gains.tolist()}, innovation variances {variance.tolist()}")
+    return gains, variance
 
 
 class MotionFilter:

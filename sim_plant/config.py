@@ -8,7 +8,13 @@ STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+Position = Annotated[float, Field(ge=-1e3, le=1e3)]
+Resolution = Annotated[float, Field(ge=1e-15, le=1e3)]
 PerAxis = float | list[float]  # one number for all axes, or one per axis
+
+
+class PlantError(ArithmeticError):
+    """Numbers in [plant] that are valid one by one but whose motion cannot be integrated."""
 
 
 class CellConfig(BaseModel):
@@ -35,12 +41,12 @@ class PlantConfig(BaseModel):
     mass_scale: Annotated[float, Field(ge=0.1, le=10)] = 1.0
     friction_scale: Annotated[float, Field(ge=0, le=10)] = 1.0  # of coulomb, viscous and quadratic
     modelling_error: Annotated[float, Field(ge=0)] | list[NonNegative] = 0.0  # N, Delta sgn(v)
-    encoder_resolution: Positive | list[Positive] = 1e-7  # m or rad per count
+    encoder_resolution: Resolution | list[Resolution] = 1e-7  # m or rad per count
     ripple_amplitude: NonNegative | list[NonNegative] = 0.0  # N
     ripple_period: Positive | list[Positive] = 0.05  # m
     stribeck_scale: NonNegative | list[NonNegative] = 0.0  # extra Coulomb friction at rest, as a fraction
     stribeck_velocity: Positive | list[Positive] = 0.01  # m/s
-    initial_position: float | list[float] = 0.0  # m
+    initial_position: Position | list[Position] = 0.0  # m
     cells: list[CellConfig] = []  # at most one per axis
     brake: bool | list[bool] = False  # the axis has a brake, engaged by its drive whenever it applies no torque
     brake_force: Positive | list[Positive] = 100.0  # N (N m) the brake holds

@@ -17,7 +17,7 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject
-from sim_plant.config import PlantConfig
+from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drive import NEVER_NS, ServoDrive
 from sim_plant.stage import Stage, Truth, per_axis_array
 
@@ -186,8 +186,20 @@ class EmulatedStage:
     def _run_physics(self) -> None:
         """Integrate up to now, before anything that acts on the stage changes."""
         if self.now_ns > self._physics_ns:
-            self._stage.advance(self.now_ns - self._physics_ns, self._force)
+            try:
+                self._stage.advance(self.now_ns - self._physics_ns, self._force)
+            except (ValueError, OverflowError):  # a sine or a rounding of what is no number any more
+                raise self._diverged() from None
+            total = sum(self._stage.position.tolist())
+            if total - total != 0.0:
+                raise self._diverged()
             self._physics_ns = self.now_ns
+
+    def _diverged(self) -> PlantError:
+        return PlantError(
+            f"[plant]: at {self.now_ns * 1e-9:.3f} s the emulated motion is no longer finite; its masses, friction, "
+            "ripple or forces lie beyond what can be integrated in steps of a millisecond"
+        )
 
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""

@@ -103,6 +103,7 @@ _TAIL = struct.Struct("<7Q")
 _FRAME = struct.Struct("<qIBBH64s")
 _COMMAND = struct.Struct("<IIQq")
 _COUNTS = struct.Struct("<4H")
+_MAX_U32, _MAX_U64, _MAX_I64 = 2**32 - 1, 2**64 - 1, 2**63 - 1
 
 
 class RecordBuilder:
@@ -144,7 +145,10 @@ class RecordBuilder:
         _COUNTS.pack_into(buffer, _OFFSET["n_commands"], len(commands), len(received), len(sent), 0)
         offset = _OFFSET["commands"]
         for command, accepted in commands:
-            _COMMAND.pack_into(buffer, offset, command.kind, accepted, command.sequence, command.expires_ns)
+            # Cut to the fields' widths: no sender's number, however absurd, may raise in the control process.
+            expires_ns = min(max(command.expires_ns, -_MAX_I64 - 1), _MAX_I64)
+            kind, sequence = command.kind & _MAX_U32, command.sequence & _MAX_U64
+            _COMMAND.pack_into(buffer, offset, kind, accepted, sequence, expires_ns)
             offset += _COMMAND.size
         for start, frames in ((_OFFSET["sent"], sent), (_OFFSET["received"], received)):
             offset = start
