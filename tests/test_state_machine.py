@@ -1,6 +1,7 @@
 """The states and who may lead where."""
 
 import itertools
+from enum import IntEnum
 
 import pytest
 from hypothesis import given
@@ -29,6 +30,11 @@ def test_every_pair_follows_the_table_or_is_refused_and_counted(state: State, ev
         assert not taken
         assert machine.state is state
         assert machine.refused == 1
+
+
+@pytest.mark.parametrize(("kind", "count"), [(State, 9), (Event, 14)])
+def test_every_name_has_its_own_number_and_recordings_keep_their_meaning(kind: type[IntEnum], count: int) -> None:
+    assert [int(member) for member in kind.__members__.values()] == list(range(count))
 
 
 def test_a_fresh_machine_is_in_boot() -> None:
