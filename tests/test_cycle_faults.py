@@ -1,0 +1,151 @@
+"""Rows of the fault table that need more than an injection: grants, heartbeats, the age and number of a command."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from hil.config import RigConfig, load_rig
+from hil.faults import Fault
+from hil.invariants import Invariants
+from hil.lockstep import LockstepRun
+from hil.state_machine import State
+from hil.tick import CommandKind, OperatorCommand
+from sim_plant.scenario import Scenario
+
+RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
+READY_BY = 60  # ticks
+LATER_NS = 2**62
+Mail = Callable[["Posted", int], Sequence[OperatorCommand]]
+
+
+class Posted(LockstepRun):
+    """A run whose commands are exactly those of `mail(run, now_ns)`."""
+
+    def __init__(self, rig: RigConfig, mail: Mail, scenario: Scenario | None = None) -> None:
+        super().__init__(rig, RIGS, observer=Invariants(rig, RIGS).observe, scenario=scenario)
+        self._mail = mail
+
+    def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
+        return tuple(self._mail(self, now))
+
+    def go(self, ticks: int) -> "Posted":
+        for _ in range(ticks):
+            self.tick()
+        return self
+
+
+def paper(*overrides: str) -> RigConfig:
+    return load_rig(RIGS / "paper.toml", overrides)
+
+
+def activate_once(number: int = 1, *, at: int = READY_BY, expires_ns: int = LATER_NS) -> Mail:
+    def mail(run: Posted, now: int) -> list[OperatorCommand]:
+        return [OperatorCommand(CommandKind.ACTIVATE, number, expires_ns)] if run.index == at else []
+
+    return mail
+
+
+@pytest.mark.parametrize(
+    ("grant", "strict", "lenient"),
+    [
+        ("realtime_ok", "timing.allow_degraded=false", "timing.allow_degraded=true"),
+        ("recorder_ok", "telemetry.recording_required=true", "telemetry.recording_required=false"),
+    ],
+)
+def test_what_was_not_granted_refuses_activate_unless_the_rig_says_otherwise(
+    grant: str, strict: str, lenient: str
+) -> None:
+    for override, expected in ((strict, State.READY), (lenient, State.ACTIVE)):
+        run = Posted(paper(override), activate_once())
+        run.grants[grant] = False
+        run.go(READY_BY + 5)
+        assert run.cycle.state is expected
+        assert run.cycle.commands.refused == (expected is State.READY)
+
+
+def test_a_rig_file_changed_on_disk_refuses_activate_and_leaves_a_running_task_alone() -> None:
+    changed = Posted(paper(), activate_once())
+    changed.grants["rig_ok"] = False
+    assert changed.go(READY_BY + 5).cycle.state is State.READY
+    running = Posted(paper(), activate_once()).go(READY_BY + 5)
+    running.grants["rig_ok"] = False
+    assert running.go(50).cycle.state is State.ACTIVE
+
+
+def test_a_recorder_lost_while_active_stops_nothing_and_is_counted() -> None:
+    run = Posted(paper("telemetry.recording_required=true"), activate_once()).go(READY_BY + 5)
+    run.grants["recorder_ok"] = False
+    assert run.go(50).cycle.state is State.ACTIVE
+    assert run.cycle.monitor.counts[Fault.RECORDER_LOST] == 50
+
+
+HEARTBEAT_TICKS = 40
+
+
+def heartbeats(until: int) -> Mail:
+    """One every ten ticks before tick `until`; ACTIVATE in between."""
+
+    def mail(run: Posted, now: int) -> list[OperatorCommand]:
+        if run.index == READY_BY:
+            return [OperatorCommand(CommandKind.ACTIVATE, run.index, LATER_NS)]
+        beat = run.index % 10 == 5 and run.index < until
+        return [OperatorCommand(CommandKind.HEARTBEAT, run.index, LATER_NS)] if beat else []
+
+    return mail
+
+
+def test_without_the_operators_heartbeat_activate_is_refused() -> None:
+    rig = paper(f"safety.heartbeat_s={HEARTBEAT_TICKS * 1e-3}")
+    assert Posted(rig, heartbeats(until=0)).go(READY_BY + 5).cycle.state is State.READY
+    assert Posted(rig, heartbeats(until=10)).go(READY_BY + 5).cycle.state is State.READY, "one that is too old"
+    assert Posted(rig, heartbeats(until=READY_BY)).go(READY_BY + 5).cycle.state is State.ACTIVE
+
+
+def test_a_heartbeat_that_ends_brings_a_damped_stop_in_time_and_latches() -> None:
+    rig = paper(f"safety.heartbeat_s={HEARTBEAT_TICKS * 1e-3}")
+    last = 205
+    run = Posted(rig, heartbeats(until=last + 1)).go(last + HEARTBEAT_TICKS + 1)
+    assert run.cycle.state is State.ACTIVE, "no sooner than was agreed"
+    run.go(1)
+    assert run.cycle.fault is Fault.HEARTBEAT_LOST
+    assert run.cycle.state is State.STOPPING
+    run.go(round(rig.safety.stop_s * 1e3) + 3)
+    assert run.cycle.state is State.FAULT
+    assert run.stage.applied_force == [0.0, 0.0]
+
+
+def test_a_stale_command_is_refused_and_the_same_one_in_time_is_not() -> None:
+    now_ns = READY_BY * 1_000_000
+    assert Posted(paper(), activate_once(expires_ns=now_ns - 1)).go(READY_BY + 5).cycle.state is State.READY
+    assert Posted(paper(), activate_once(expires_ns=now_ns)).go(READY_BY + 5).cycle.state is State.ACTIVE
+
+
+def test_a_replayed_activate_does_not_start_the_stage_a_second_time() -> None:
+    activate = OperatorCommand(CommandKind.ACTIVATE, 1, LATER_NS)
+    story = {READY_BY: activate, 100: OperatorCommand(CommandKind.STOP, 2, LATER_NS), 200: activate}
+    run = Posted(paper(), lambda run, now: [story[run.index]] if run.index in story else []).go(250)
+    assert run.cycle.state is State.READY
+    assert run.cycle.commands.refused == 1
+
+
+@pytest.mark.parametrize("jump_s", [0.5, 0.002, -0.002, -0.5])
+def test_a_drives_clock_that_jumps_keeps_the_stage_on_its_task_or_stops_it(jump_s: float) -> None:
+    jump = {"kind": "clock_jump", "axis": "x", "at_tick": 400, "value": jump_s}
+    run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [jump]})).go(400)
+    limit = run.rig.axes["x"].limits.following_error
+    for _ in range(300):
+        run.tick()
+        if run.cycle.state is State.ACTIVE:
+            assert abs(float(run.true_position[0] - run.cycle.inputs.sample.position[0])) < limit
+        else:
+            assert run.cycle.fault is not Fault.NONE
+    assert run.cycle.state in (State.ACTIVE, State.FAULT)
+
+
+def test_a_push_stronger_than_the_drive_is_a_following_error_and_ends_at_zero() -> None:
+    push = {"kind": "push", "axis": "x", "at_tick": 300, "value": 8.0}
+    run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [push]})).go(400)
+    assert run.cycle.fault in (Fault.FOLLOWING_ERROR, Fault.SPEED)
+    assert run.cycle.state is State.FAULT
+    assert run.stage.applied_force == [0.0, 0.0]
