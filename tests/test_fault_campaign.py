@@ -2,6 +2,7 @@
 fail.
 """
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.frame import Frame
+from hil.campaign.command import campaign
 from hil.campaign.trials import TRIALS
 from hil.campaign.voyage import Cell, Checkpoint, Leg, active, bring_to, displaced, in_fork, legs, run_cell, sail
 from hil.config import RigConfig, load_rig
@@ -38,6 +40,13 @@ def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(leg: Leg) -> 
 
 def test_the_sample_has_a_thousand_cells() -> None:
     assert sum(len(leg.cells) for leg in LEGS) >= 1000
+
+
+@pytest.mark.slow
+def test_the_whole_campaign_passes_on_every_rig_we_ship() -> None:
+    cells = campaign(sorted(RIGS.glob("*.toml")), 1, os.cpu_count() or 1, lambda done, total: None)
+    assert [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed] == []
+    assert len(cells) > 4000
 
 
 def cell(trial_name: str, point: Checkpoint, sabotage: Callable[[], None] = lambda: None) -> Cell:
