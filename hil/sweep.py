@@ -26,12 +26,13 @@ from sim_plant.stage import Truth
 
 CHUNK = 1250  # plants run as one array: their state stays in a core's cache
 MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # ranges of the scales
-DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.01), (0.0, 0.05)  # N; fraction of the nominal Coulomb friction; likewise
+DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.05), (0.0, 0.2)  # as fractions of the nominal Coulomb friction
 STARTUP_LIMIT = 1000  # ticks
 
 
 class Job(NamedTuple):
-    """A chunk of plants: rig (as JSON), seed of the sweep, first plant's number, how many, ticks, first steady tick."""
+    """A chunk of plants: rig (as JSON), seed of the sweep, first plant's number, how many, ticks, first steady tick,
+    whether with ripple and Stribeck friction."""
 
     rig: str
     seed: int
@@ -39,6 +40,7 @@ class Job(NamedTuple):
     plants: int
     ticks: int
     steady: int
+    hard: bool
 
 
 class Figures(NamedTuple):
@@ -50,22 +52,24 @@ class Figures(NamedTuple):
     chatter: Array
 
 
-def plant_parameters(rig: RigConfig, seed: int, number: int) -> dict[str, Any]:
-    """[plant] keys of plant `number`: a function of rig, seed and number alone."""
+def plant_parameters(rig: RigConfig, seed: int, number: int, hard: bool) -> dict[str, Any]:
+    """[plant] keys of plant `number`: a function of the arguments alone. hard: with ripple and Stribeck."""
     random = Random(f"{seed}/{number}")
     coulomb = rig.plant.coulomb
-    return {
+    keys: dict[str, Any] = {
         "mass_scale": random.uniform(*MASS),
         "friction_scale": random.uniform(*FRICTION),
-        "modelling_error": [random.uniform(*DELTA) * min(1.0, value) for value in coulomb],
-        "ripple_amplitude": [random.uniform(*RIPPLE) * value for value in coulomb],
-        "stribeck_scale": [random.uniform(*STRIBECK) for _ in coulomb],
+        "modelling_error": [random.uniform(*DELTA) * value for value in coulomb],
     }
+    if hard:
+        keys["ripple_amplitude"] = [random.uniform(*RIPPLE) * value for value in coulomb]
+        keys["stribeck_scale"] = [random.uniform(*STRIBECK) for _ in coulomb]
+    return keys
 
 
-def plant_rig(rig: RigConfig, seed: int, number: int) -> RigConfig:
+def plant_rig(rig: RigConfig, seed: int, number: int, hard: bool) -> RigConfig:
     """The rig with that plant, and a wire whose timing does not depend on payloads."""
-    plant = rig.plant.model_copy(update=plant_parameters(rig, seed, number))
+    plant = rig.plant.model_copy(update=plant_parameters(rig, seed, number, hard))
     return rig.model_copy(update={"plant": plant, "wire": rig.wire.model_copy(update={"stuffing": "worst"})})
 
 
@@ -73,7 +77,7 @@ def run_chunk(job: Job) -> Figures:
     """All ticks of a chunk of plants. What a worker does, here or on another machine."""
     rig = RigConfig.model_validate_json(job.rig)
     n = len(rig.axes)
-    plants = [plant_rig(rig, job.seed, job.first + index).plant for index in range(job.plants)]
+    plants = [plant_rig(rig, job.seed, job.first + index, job.hard).plant for index in range(job.plants)]
     batch = BatchRun(rig, Truth.stack([Truth.from_config(plant, n, rig.axis_names) for plant in plants]))
     largest, squares, peak, changes = (np.zeros((job.plants, n)) for _ in range(4))
     last = np.zeros((job.plants, n))
@@ -108,13 +112,13 @@ def startup_ticks(rig: RigConfig, base_dir: Path) -> int:
     raise RigError([f"{rig.name}: not ACTIVE within {STARTUP_LIMIT} ticks of lockstep; try `hil sim`"])
 
 
-def jobs(rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int) -> list[Job]:
+def jobs(rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int, hard: bool = False) -> list[Job]:
     """The sweep's chunks. Raises RigError where `seconds` leave no steady window, or for a layout it cannot batch."""
     if rig.bus.protocol != "stage_fd" or rig.wire.jitter or rig.wire.drop_probability:
         raise RigError(
             ["hil sweep batches the layout stage_fd on a wire without jitter and loss (bus.protocol, [wire])"]
         )
-    single = plant_rig(rig, seed, 0)
+    single = plant_rig(rig, seed, 0, hard)
     from hil.trajectories import make_trajectory
 
     steady_from = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
@@ -123,7 +127,9 @@ def jobs(rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int)
     if steady >= ticks:
         raise RigError([f"--seconds {seconds:g}: the steady window begins at {steady * rig.period_ns * 1e-9:.3f} s"])
     document = rig.model_dump_json()
-    return [Job(document, seed, first, min(CHUNK, plants - first), ticks, steady) for first in range(0, plants, CHUNK)]
+    return [
+        Job(document, seed, first, min(CHUNK, plants - first), ticks, steady, hard) for first in range(0, plants, CHUNK)
+    ]
 
 
 def run_here(work: Sequence[Job], workers: int) -> Iterator[Figures]:
@@ -156,12 +162,14 @@ def collect(results: Iterable[Figures], done: Callable[[int], None]) -> Figures:
     return Figures(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def save_worst(rig_file: Path, rig: RigConfig, seed: int, numbers: Sequence[int], folder: Path) -> list[Path]:
+def save_worst(
+    rig_file: Path, rig: RigConfig, seed: int, hard: bool, numbers: Sequence[int], folder: Path
+) -> list[Path]:
     """Rig files of those plants, complete and commented as the original."""
     paths = []
     for number in numbers:
         document = tomlkit.parse(rig_file.read_text(encoding="utf-8"))
-        for table, values in overridden(rig, seed, number).items():
+        for table, values in overridden(plant_rig(rig, seed, number, hard)).items():
             section: Any = document.setdefault(table, tomlkit.table())
             for key, value in values.items():
                 section[key] = value
@@ -172,9 +180,8 @@ def save_worst(rig_file: Path, rig: RigConfig, seed: int, numbers: Sequence[int]
     return paths
 
 
-def overridden(rig: RigConfig, seed: int, number: int) -> dict[str, dict[str, Any]]:
+def overridden(single: RigConfig) -> dict[str, dict[str, Any]]:
     """What such a rig file holds that the original may not: plant, law, task and wire as they were run."""
-    single = plant_rig(rig, seed, number)
     tables = {"plant": single.plant, "task": single.task, "wire": single.wire}
     dumped = {name: model.model_dump(exclude_none=True, exclude_unset=True) for name, model in tables.items()}
     dumped["law"] = single.law.model_dump()
@@ -236,6 +243,7 @@ def sweep(
     seconds: Annotated[float, typer.Option(min=0.1, help="virtual time, start-up included")] = 10.0,
     laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
     seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
+    hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
@@ -260,7 +268,7 @@ def sweep(
     document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
     for name in names:
         rig = load_rig(rig_file, [*(overrides or ()), f"law.name={name}"])
-        work = jobs(rig, rig_file.parent, plants, seconds, seed)
+        work = jobs(rig, rig_file.parent, plants, seconds, seed, hard)
         results = run_on_cluster(work, scheduler) if scheduler else run_here(work, workers or os.cpu_count() or 1)
         started = time.perf_counter()
         with Progress(console=console, transient=True) as bar:
@@ -270,7 +278,7 @@ def sweep(
         rate = plants * work[0].ticks / elapsed
         plot(output / f"{name}.png", rig, figures)
         chosen = worst_plants(figures, worst)
-        paths = save_worst(rig_file, rig, seed, chosen, output)
+        paths = save_worst(rig_file, rig, seed, hard, chosen, output)
         cases = [
             {"rig": str(path), "plant": number, "max_error": figures.max_error[number].tolist(),
              "reproduced": reproduce(path, seconds, figures.max_error[number])}
