@@ -1,0 +1,187 @@
+"""Velocity estimators on the same quantised positions, against the stage's true velocity (`hil compare --velocity`).
+
+One lockstep run gives the data; every estimator then sees the same samples and forces. Kalman filters are filterpy's,
+run to their steady state; Simon, Optimal State Estimation (2006), chapter 5.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.belief import rig_model
+from hil.config import RigConfig
+from hil.estimation import filter_parameters
+from hil.laws.base import Array, Model
+from hil.lockstep import LockstepRun, steady_from
+
+DERIVATIVE_CORNER_HZ = 40.0
+JERKY = 300.0  # m/s^2/sqrt(Hz), white acceleration of the constant-velocity filter on q: it must follow the task
+ERROR_ACCELERATION = 3.0  # likewise on the error, which hardly accelerates
+JERK = 300.0  # m/s^3/sqrt(Hz), white jerk of the constant-acceleration filter
+
+
+class Data:
+    """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity and mean
+    acceleration over the interval before, true velocity, net force (let out less nominal friction) of that interval."""
+
+    def __init__(self, rig: RigConfig, base_dir: Path, seconds: float) -> None:
+        run = LockstepRun(rig, base_dir)
+        model = rig_model(rig)
+        rows: list[Array] = []
+        for _ in range(round(seconds * rig.rate_hz)):
+            run.tick()
+            inputs = run.cycle.inputs
+            rows.append(
+                np.stack(
+                    [inputs.position, inputs.sample.position, inputs.sample.velocity, run.true_velocity,
+                     inputs.force_before]
+                )
+            )  # fmt: skip
+        first = steady_from(run, len(rows))
+        self.position, self.setpoint, self.reference, self.truth, force = np.moveaxis(np.array(rows[first:]), 1, 0)
+        self.period = rig.period_ns * 1e-9
+        self.acceleration = np.diff(self.reference, axis=0, prepend=self.reference[:1]) / self.period
+        self.net = force - _nominal_friction(model, self.reference) - model.gravity
+        self.model = model
+        self.parameters = filter_parameters(rig)
+
+
+def _nominal_friction(model: Model, velocity: Array) -> Array:
+    before = np.vstack([velocity[:1], velocity[:-1]])
+    total = np.abs(before) + np.abs(velocity)
+    sign = (before + velocity) / np.maximum(total, 1e-300)
+    mean = 0.5 * (before + velocity)
+    friction: Array = model.coulomb * sign + model.viscous * mean + model.quadratic * mean * np.abs(mean)
+    return friction
+
+
+def finite_difference(data: Data, axis: int) -> Array:
+    """(q(k) - q(k-1)) / T."""
+    q = data.position[:, axis]
+    return np.diff(q, prepend=q[0]) / data.period
+
+
+def filtered_derivative(data: Data, axis: int) -> Array:
+    """The same through a first-order low-pass of DERIVATIVE_CORNER_HZ."""
+    from scipy.signal import lfilter
+
+    raw = finite_difference(data, axis)
+    raw[0] = raw[1]
+    pole = np.exp(-2.0 * np.pi * DERIVATIVE_CORNER_HZ * data.period)
+    filtered: Array = lfilter([1.0 - pole], [1.0, -pole], raw, zi=[pole * raw[1]])[0]
+    return filtered
+
+
+def _steady_filter(f: Array, q: Array, sigma: float, b: Array, measured: Array, inputs: Array, start: Array) -> Array:
+    """filterpy's filter designed to its steady state, then applied; the velocity (state 1) after every sample."""
+    from filterpy.kalman import KalmanFilter
+
+    size = len(f)
+    kf = KalmanFilter(dim_x=size, dim_z=1)
+    kf.F, kf.Q, kf.R = f, q, np.array([[sigma * sigma]])
+    kf.H = np.eye(1, size)
+    kf.P = np.eye(size) * 1e6
+    for _ in range(5000):
+        kf.predict()
+        kf.update(np.zeros((1, 1)))
+    gain = kf.K[:, 0]
+    x, out = start.copy(), np.empty(len(measured))
+    for k, (z, u) in enumerate(zip(measured.tolist(), inputs.tolist(), strict=True)):
+        if k:
+            x = f @ x + b * u
+        x = x + gain * (z - x[0])
+        out[k] = x[1]
+    return out
+
+
+def _white_acceleration(period: float, density: float) -> tuple[Array, Array]:
+    t = period
+    return np.array([[1.0, t], [0.0, 1.0]]), density**2 * np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]])
+
+
+def constant_velocity(data: Data, axis: int) -> Array:
+    """Kalman filter on q with white acceleration."""
+    f, q = _white_acceleration(data.period, JERKY)
+    z = data.position[:, axis]
+    start = np.array([z[0], data.reference[0, axis]])
+    return _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(2), z, 0.0 * z, start)
+
+
+def constant_velocity_error(data: Data, axis: int) -> Array:
+    """The same on the error e = q - qd; the reference's own velocity is known."""
+    f, q = _white_acceleration(data.period, ERROR_ACCELERATION)
+    z = data.position[:, axis] - data.setpoint[:, axis]
+    start = np.array([z[0], 0.0])
+    rate = _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(2), z, 0.0 * z, start)
+    return rate + data.reference[:, axis]
+
+
+def constant_acceleration(data: Data, axis: int) -> Array:
+    """Kalman filter on the error with white jerk."""
+    t = data.period
+    f = np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
+    q = JERK**2 * np.array([[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]])
+    z = data.position[:, axis] - data.setpoint[:, axis]
+    start = np.array([z[0], 0.0, 0.0])
+    return (
+        _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(3), z, 0.0 * z, start) + data.reference[:, axis]
+    )
+
+
+def model_input(data: Data, axis: int) -> Array:
+    """Model and input, no disturbance: biased by whatever the model lacks."""
+    mass, t = float(data.model.mass[axis]), data.period
+    f, q = _white_acceleration(t, 0.3)
+    b = np.array([t * t / 2, t]) / mass
+    z = data.position[:, axis]
+    start = np.array([z[0], data.reference[0, axis]])
+    return _steady_filter(f, q, data.parameters[axis]["sigma"], b, z, data.net[:, axis], start)
+
+
+def model_input_disturbance(data: Data, axis: int) -> Array:
+    """Model, input and a random-walk disturbance: the rig's own filter."""
+    from hil.estimation_design import make_filter
+
+    kf = make_filter(**data.parameters[axis])
+    z = data.position[:, axis]
+    start = np.array([z[0], data.reference[0, axis], 0.0])
+    sigma = data.parameters[axis]["sigma"]
+    return _steady_filter(kf.F, kf.Q, sigma, kf.B[:, 0], z, data.net[:, axis], start)
+
+
+ESTIMATORS: dict[str, Callable[[Data, int], Array]] = {
+    "finite difference": finite_difference,
+    "filtered derivative": filtered_derivative,
+    "Kalman, constant velocity": constant_velocity,
+    "Kalman, constant velocity of the error": constant_velocity_error,
+    "Kalman, constant acceleration of the error": constant_acceleration,
+    "Kalman, model and input": model_input,
+    "Kalman, model, input and disturbance": model_input_disturbance,
+}
+
+
+def compare_velocity(rig: RigConfig, base_dir: Path, seconds: float) -> list[dict[str, Any]]:
+    """Rows {estimator, axes.<name>.rms_error} over the second half of the steady window, m/s."""
+    data = Data(rig, base_dir, seconds)
+    half = len(data.truth) // 2
+    rows = []
+    for name, estimator in ESTIMATORS.items():
+        axes = {}
+        for axis, axis_name in enumerate(rig.axis_names):
+            error = (estimator(data, axis) - data.truth[:, axis])[half:]
+            axes[axis_name] = {"rms_error": float(np.sqrt(np.mean(error**2)))}
+        rows.append({"estimator": name, "axes": axes})
+    return rows
+
+
+def velocity_table(rows: list[dict[str, Any]]) -> Any:
+    """RMS errors in um/s."""
+    from rich.table import Table
+
+    names = list(rows[0]["axes"])
+    table = Table("estimator", *(f"{name}, RMS µm/s" for name in names), title="velocity error at the sample")
+    for row in rows:
+        table.add_row(row["estimator"], *(f"{row['axes'][name]['rms_error'] * 1e6:.0f}" for name in names))
+    return table
