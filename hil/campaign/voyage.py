@@ -221,7 +221,8 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: LockstepRun, rig_n
     run._operator = lambda run, index: (command,) if command is not None and index == start else ()
     start = run.index
     try:
-        for k in range(ticks):
+        k = -1
+        while (k := k + 1) < (ticks if detected_at < 0 else detected_at + HORIZON + 1):  # seen late: time to stop, too
             trial.step(run, axis, k)
             run.tick()
             applied = max(abs(force) for force in run.stage.applied_force)
@@ -230,8 +231,6 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: LockstepRun, rig_n
             if detected_at >= 0:
                 peak = max(peak, applied)
                 zero_at = -1 if applied else (k if zero_at < 0 else zero_at)
-                if k >= detected_at + HORIZON:
-                    break
         why = judge(trial, point, due, run, detected_at, zero_at)
     except Exception:
         why = traceback.format_exc(limit=-3).strip().replace("\n", " | ")
