@@ -30,9 +30,12 @@ lint: setup  ## ruff and mypy --strict
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-lock:  ## renew requirements.lock from pyproject.toml (needs uv)
+lock:  ## renew the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
+	uv pip compile tests/mutation/requirements.in -c requirements.lock --universal --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q \
+	    -o tests/mutation/requirements.lock
 
 include deploy/vm/vm.mk
 include deploy/package.mk

@@ -3,6 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 bin=$PWD/.venv/bin
+"$bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/mutation/requirements.lock
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 export PATH=$bin:$PATH PYTHONDONTWRITEBYTECODE=1 COVERAGE_FILE=$scratch/coverage
