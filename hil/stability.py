@@ -104,9 +104,9 @@ class StabilityReport:
 class _Loop:
     """Filter and law as in the cycle, around m a = force - (what the reference needs); plant i pulsed on axis i."""
 
-    def __init__(self, rig: RigConfig, model: Model) -> None:
+    def __init__(self, rig: RigConfig, model: Model, plant_gain: float) -> None:
         n = model.mass.size
-        self._model = model
+        self._mass = model.mass / plant_gain
         self._period = rig.period_ns * 1e-9
         gains, variance = design_gains(rig)
         self._filter = MotionFilter(gains, variance, model.mass, (n, n))
@@ -153,7 +153,7 @@ class _Loop:
         inputs.force_last, inputs.force_before = last + self._needed, before + self._needed
         asked = self._law.force(inputs) - self._needed
         # The sample is from the start of the last period: its force moves the plant to the next sample.
-        change = last / self._model.mass * self._period
+        change = last / self._mass * self._period
         self._error = self._error + (self._rate + 0.5 * change) * self._period
         self._rate = self._rate + change
         self._net = [asked.copy(), last]
@@ -165,15 +165,15 @@ class _Loop:
         return self._error + self._rate * self._period
 
 
-def pulse_response(rig: RigConfig, ticks: int) -> tuple[Array, Array]:
+def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple[Array, Array]:
     """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, n_axes).
 
     The motion is the true error moved on by one period at its rate: a force that alternates from tick to tick shows in
-    the speed alone, as every sample falls on a node of the position.
+    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one.
     """
     model = rig_model(rig)
     n = model.mass.size
-    loop = _Loop(rig, model)
+    loop = _Loop(rig, model, plant_gain)
     quiet = np.zeros((n, n))
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):

@@ -60,7 +60,8 @@ def _nominal_friction(model: Model, velocity: Array) -> Array:
 def finite_difference(data: Data, axis: int) -> Array:
     """(q(k) - q(k-1)) / T."""
     q = data.position[:, axis]
-    return np.diff(q, prepend=q[0]) / data.period
+    velocity: Array = np.diff(q, prepend=q[0]) / data.period
+    return velocity
 
 
 def filtered_derivative(data: Data, axis: int) -> Array:
@@ -115,7 +116,8 @@ def constant_velocity_error(data: Data, axis: int) -> Array:
     z = data.position[:, axis] - data.setpoint[:, axis]
     start = np.array([z[0], 0.0])
     rate = _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(2), z, 0.0 * z, start)
-    return rate + data.reference[:, axis]
+    velocity: Array = rate + data.reference[:, axis]
+    return velocity
 
 
 def constant_acceleration(data: Data, axis: int) -> Array:
@@ -125,9 +127,9 @@ def constant_acceleration(data: Data, axis: int) -> Array:
     q = JERK**2 * np.array([[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]])
     z = data.position[:, axis] - data.setpoint[:, axis]
     start = np.array([z[0], 0.0, 0.0])
-    return (
-        _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(3), z, 0.0 * z, start) + data.reference[:, axis]
-    )
+    rate = _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(3), z, 0.0 * z, start)
+    velocity: Array = rate + data.reference[:, axis]
+    return velocity
 
 
 def model_input(data: Data, axis: int) -> Array:

@@ -94,7 +94,7 @@ def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -
     direction = 1.0 if v1 > 0.0 else -1.0
     coulomb = coulomb if coulomb > 0.0 else 0.0
     if a0 * (1.0 - LATE) > LATE * a1 and mass * (a0 + a1) < coulomb * time:
-        return -direction, mass * v1 / time, _late_shift(v0, a0, a1, time)
+        return -direction, mass * v1 / time, _late_shift(v0, a1, a0 + a1, time)
     mean = _early_sign(a0, a1, mass / time, coulomb, math.sqrt)
     return direction * mean, 0.0, _early_shift(v0, v1, mean, time)
 
@@ -115,7 +115,7 @@ def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -
     return (
         np.where(early, direction * mean, np.where(late, -direction, plain)),
         np.where(late, mass * v1 / time, 0.0),
-        np.where(early, _early_shift(v0, v1, mean, time), np.where(late, _late_shift(v0, a0, safe - a0, time), 0.0)),
+        np.where(early, _early_shift(v0, v1, mean, time), np.where(late, _late_shift(v0, a1, safe, time), 0.0)),
     )
 
 
@@ -134,9 +134,9 @@ def _early_shift(v0: Number, v1: Number, mean: Number, time: Number) -> Number:
     return -0.5 * time * (v0 * (1.0 - share) + v1 * share)
 
 
-def _late_shift(v0: Number, a0: Number, a1: Number, time: Number) -> Number:
+def _late_shift(v0: Number, a1: Number, both: Number, time: Number) -> Number:
     """The old force goes on: the axis stops where the reference reverses, and friction holds it to the end."""
-    return -0.5 * time * v0 * (a1 / (a0 + a1))
+    return -0.5 * time * v0 * (a1 / both)
 
 
 def force_of(d: Disturbance, mean_sign: Number, mean_velocity: Number, mean_acceleration: Number) -> Number:

@@ -235,7 +235,7 @@ class StructuredKalman(Law):
         self._force = np.zeros(position.shape)
         self._memory = memory
         self._begun = False
-        self._acting = np.zeros(position.shape)  # force in the interval before the newest sample
+        self._acting = np.zeros(position.shape) + force  # in the interval before the newest sample
         self._axes: list[tuple[Plant, Memory]] = []
         if position.ndim == 1 and shared.ndim == 1:
             self._axes = [(_pick(plant, axis), _pick(memory, axis)) for axis in range(position.size)]
@@ -253,7 +253,9 @@ class StructuredKalman(Law):
     def _acted(self, sight: Sight, fresh: Array) -> Sight:
         """The forces that acted: where no axis answered, the command was lost, and drives hold the force before it."""
         before, last = self._acting, sight.force_last
-        if not (fresh != 0.0).any(axis=-1).all():
+        if not self._begun:
+            last = before  # the axes rest: drives or brakes hold them until the first command arrives
+        elif not (fresh != 0.0).any(axis=-1).all():
             last = np.where((fresh != 0.0).any(axis=-1, keepdims=True), last, before)
         self._acting = last + 0.0
         return sight._replace(force_last=last, force_before=before)
