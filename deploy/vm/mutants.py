@@ -28,7 +28,11 @@ MUTANTS = {
         "            self._socket.setblocking(False)\n            self._socket.setsockopt(101, 2, 0)\n",
     ),
     "error frames taken for traffic": ("drivers/bus.py", "elif can_id & ERROR or message_flags", "elif message_flags"),
-    "FD flag lost": ("drivers/bus.py", "0 if classic else flags | FD", "0 if classic else flags"),
+    "FD flag lost": (
+        "drivers/bus.py",
+        "0 if classic else flags | FD",
+        "0 if classic else flags & ~FD",
+    ),  # the kernel sets it too
     "own echo not filtered": ("drivers/bus.py", "can_id & ERROR or message_flags & _OWN_ECHO", "can_id & ERROR"),
 }
 
