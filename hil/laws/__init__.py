@@ -76,6 +76,7 @@ def make_law(
     inner = kind(model, period, force_limit, **gains)
     if not law.iterative_learning:
         return inner
+    learning = {f"learning_{key}": gains[key] for key in ("kp", "kd") if key in gains} | learning
     if repeat is None:
         raise ValueError(
             "law.iterative_learning = true: the task does not repeat (circle, lissajous, point_to_point do)"

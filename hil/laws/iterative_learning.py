@@ -15,8 +15,8 @@ from hil.laws.base import Array, Law, LawInputs, Model
 from hil.laws.feedback import bounded
 
 LEARNING_GAINS: dict[str, Any] = {
-    "learning_rate": 0.5,
-    "learning_decay": 0.15,
+    "learning_rate": 0.9,
+    "learning_decay": 0.02,
     "learning_kp": 0.0,
     "learning_kd": 0.0,
     "learning_inertia": 1.0,
@@ -29,7 +29,9 @@ class IterativeLearning(Law):
 
     u(i) <- u(i) - g (M a + learning_kd v + learning_kp e), where e, v, a are the error, its rate and its acceleration
     in the interval i in which u(i) acted, and g = learning_rate / (1 + learning_decay j) in repeat j, so that late
-    repeats average noise. learning_kp: N/m and learning_kd: N s/m, of the inner loop. learning_inertia: fraction of M.
+    repeats average noise. learning_kp: N/m and learning_kd: N s/m, of the inner loop (make_law
+    takes the inner law's kp and kd). learning_inertia: fraction of M. Best around a law without an observer of its own:
+    an observer that answers the same error makes learning slow, or unstable.
 
     The inner law never sees the learnt force: its observer would take it for a disturbance and undo it. The learnt
     force stays within half the force limit and is not changed in ticks with missing samples or a force at its limit.
@@ -47,8 +49,8 @@ class IterativeLearning(Law):
         repeat_ns: int,
         repeat_from_ns: int,
         *,
-        learning_rate: Array | float = 0.5,
-        learning_decay: Array | float = 0.15,
+        learning_rate: Array | float = 0.9,
+        learning_decay: Array | float = 0.02,
         learning_kp: Array | float = 0.0,
         learning_kd: Array | float = 0.0,
         learning_inertia: Array | float = 1.0,
