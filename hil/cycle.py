@@ -42,7 +42,7 @@ class ControlCycle:
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
         n = len(rig.axes)
-        period = rig.period_ns * 1e-9
+        period = self._period = rig.period_ns * 1e-9
         self.model = rig_model(rig)
         force = np.array([axis.limits.force for axis in rig.axes.values()])
         speed = np.array([axis.limits.speed for axis in rig.axes.values()])
@@ -123,7 +123,8 @@ class ControlCycle:
             motion.reseed(self._measured)
         motion.innovate(self._measured)
         inputs.fresh[:] = fresh
-        motion.update(None if all_fresh else inputs.fresh)
+        stretch = np.maximum(inputs.sample_interval / self._period, 1.0) if sampling.stretched else None
+        motion.update(None if all_fresh else inputs.fresh, stretch)
         motion.look_ahead(self._net_last, inputs.ahead)
         self.setpoints.update(sampling.instants, sampling.starts)
 

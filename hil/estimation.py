@@ -112,12 +112,20 @@ class MotionFilter:
         np.subtract(measured, self.position, out=self.innovation)
         return self.innovation
 
-    def update(self, fresh: Array | None) -> None:
-        """Correct the state by the innovation; `fresh` 1.0/0.0 per axis leaves axes without a trusted sample alone."""
+    def update(self, fresh: Array | None, stretch: Array | None = None) -> None:
+        """Correct the state by the innovation; `fresh` 1.0/0.0 per axis leaves axes without a trusted sample alone.
+
+        stretch: interval since the last sample over the period the gains were designed for, where it is far from 1. The
+        velocity's gain is then divided by it and the disturbance's by its square, as for an alpha-beta-gamma filter:
+        left as they are, they would make the filter run away.
+        """
         innovation = self.innovation
         if fresh is not None:
             np.multiply(innovation, fresh, out=innovation)
         np.multiply(self._gains, innovation, out=self._correction)
+        if stretch is not None:
+            self._correction[1] /= stretch
+            self._correction[2] /= stretch * stretch
         np.add(self._state, self._correction, out=self._state)
 
     def look_ahead(self, force: Array, ahead: Array) -> None:

@@ -43,6 +43,7 @@ class Sampling:
         self._trusted = [0.0] * n  # last believed position, m, and its instant
         self._trusted_ns = [0] * n
         self.tracked = False
+        self.stretched = False  # some interval is much longer than a period: slots were skipped
 
     def restart(self) -> None:
         """After a reset: what was learnt about the drives' clocks and positions counts no more."""
@@ -70,6 +71,7 @@ class Sampling:
             self.starts[axis] = start = now_ns + self.latency[axis]
             intervals.append(elapsed * 1e-9)
             ahead.append((start - instant) * 1e-9)
+        self.stretched = max(intervals) > 1.5e-9 * period
         self._inputs.sample_interval[:] = intervals
         self._inputs.ahead[:] = ahead
         return fresh

@@ -165,6 +165,18 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
     assert abs(float(run.cycle.inputs.sample.position[0] - run.true_position[0])) < 2e-6
 
 
+@pytest.mark.parametrize("skipped", [1, 2, 5])
+def test_the_filter_stays_with_the_axes_when_slots_are_skipped_all_the_time(lockstep: MakeRun, skipped: int) -> None:
+    rig = load_rig(RIGS / "microscope.toml", ["rate_hz=50", "plant.watchdog_s=1.0", "safety.silent_zero_ticks=100"])
+    run = lockstep(rig, operator=commands({}))
+    run_until(run, State.READY)
+    for _ in range(300):
+        run.tick()
+        run.skip(skipped)
+    assert np.abs(run.cycle.filter.position - run.true_position).max() < 1e-6
+    assert np.abs(run.cycle.filter.velocity).max() < 1e-3
+
+
 def test_an_expired_or_replayed_command_is_refused_but_an_emergency_stop_never(
     lockstep: MakeRun, paper: RigConfig
 ) -> None:
