@@ -12,6 +12,7 @@ import pytest
 from drivers.wire_faults import FaultKind, WireFault
 from hil.config import RigConfig, load_rig
 from hil.faults import Fault
+from hil.invariants import Invariants
 from hil.lockstep import LockstepRun, simulate
 from hil.state_machine import State
 from hil.tick import CommandKind
@@ -61,7 +62,7 @@ def test_activation_starts_at_rest_where_the_axes_are(lockstep: MakeRun) -> None
 
 
 def test_the_circle_is_followed_to_a_micrometre_where_belief_and_truth_agree(paper: RigConfig) -> None:
-    report, _ = simulate(paper, RIGS, 10.0)
+    report, _ = simulate(paper, RIGS, 10.0, observer=Invariants(paper, RIGS).observe)
     assert report.state == "ACTIVE"
     assert not report.faults
     for axis in report.axes.values():
@@ -70,7 +71,7 @@ def test_the_circle_is_followed_to_a_micrometre_where_belief_and_truth_agree(pap
 
 def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
     rig = paper_rig("plant.modelling_error=0.3")
-    report, _ = simulate(rig, RIGS, 10.0)
+    report, _ = simulate(rig, RIGS, 10.0, observer=Invariants(rig, RIGS).observe)
     for axis, kp in zip(report.axes.values(), rig.law.effective_gains()["kp"], strict=True):
         assert axis["plateau_error"] == pytest.approx(0.3 / kp, rel=0.05)
 

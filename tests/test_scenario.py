@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil.config import RigError, load_rig
+from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
 from hil.scenario import load_scenario
 from hil.state_machine import State
@@ -15,7 +16,9 @@ RIG = ROOT / "deploy/rigs/microscope.toml"
 
 
 def run(scenario: Scenario | None, ticks: int) -> LockstepRun:
-    lockstep = LockstepRun(load_rig(RIG), RIG.parent, scenario=scenario)
+    lockstep = LockstepRun(
+        load_rig(RIG), RIG.parent, scenario=scenario, observer=Invariants(load_rig(RIG), RIG.parent).observe
+    )
     for _ in range(ticks):
         lockstep.tick()
     return lockstep

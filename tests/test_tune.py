@@ -13,6 +13,7 @@ from hil.batch import BatchRun
 from hil.cli import build_app
 from hil.compare import LEARNING, cases, run_case
 from hil.config import RigError, load_rig
+from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
 from hil.sweep import Job, jobs, plant_rig, reproduce, run_chunk, run_here, save_worst
 from hil.tune import CORNERS, SPACE, Bench, corner_truths, front, knob_scale, search, write_gains
@@ -31,7 +32,7 @@ def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str) -> N
     """Protocol, wire, drives and cycle on one side, arrays on the other: the same error and force in every tick."""
     changes = ["wire.stuffing=worst"] + ([f"law.name={law}", "plant.modelling_error=0.3"] if law else [])
     rig = load_rig(rig_file, changes)
-    single = LockstepRun(rig, rig_file.parent)
+    single = LockstepRun(rig, rig_file.parent, observer=Invariants(rig, rig_file.parent).observe)
     truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
     batch = BatchRun(rig, Truth.stack([truth, truth]))
     while single.activated_at < 0:
