@@ -14,6 +14,7 @@ from drivers.frame import BRS, FD, Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command
 from hil.state_machine import State
+from hil.telemetry.mailbox import MailboxError
 from hil.telemetry.places import places
 from hil.tick import CommandKind
 from tests.live_rig import PAPER, PATIENCE_S, Control, Emulator, emulated, order, rig_with
@@ -38,8 +39,8 @@ class EagerOperator(threading.Thread):
             if places("paper").mailbox.exists():
                 try:
                     order(CommandKind.ACTIVATE)
-                except (OSError, ValueError, RuntimeError):
-                    continue  # the process is just replacing its mailbox
+                except (OSError, ValueError, MailboxError):
+                    continue  # it is just being replaced, or full: the process no longer takes anything
 
 
 def wait_for_zero(emulator: Emulator) -> None:
