@@ -32,9 +32,9 @@ lint: setup  ## ruff and mypy --strict
 
 lock:  ## renew the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
-	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
+	    --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
 	uv pip compile tests/mutation/requirements.in -c requirements.lock --universal --python-version 3.11 \
-	    --generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make lock" -q \
+	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
 	    -o tests/mutation/requirements.lock
 
 include deploy/vm/vm.mk

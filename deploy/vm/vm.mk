@@ -15,4 +15,4 @@ test-vcan: setup  ## the same vcan tests on this machine, where its kernel has v
 
 vm-lock:  ## renew deploy/vm/requirements.lock (needs uv)
 	uv pip compile deploy/vm/requirements.in --universal --python-version 3.11 --generate-hashes \
-	    --no-emit-index-url --no-annotate --custom-compile-command "make vm-lock" -q -o deploy/vm/requirements.lock
+	    --no-annotate --custom-compile-command "make vm-lock" -q -o deploy/vm/requirements.lock

@@ -150,11 +150,6 @@ def due_faults(trial: Trial, point: Checkpoint, moves: bool) -> tuple[Fault, ...
     return trial.faults if point.state in trial.armed else ()
 
 
-def possible_faults(trial: Trial) -> frozenset[Fault]:
-    """What may latch at all: a trial that need not be seen at this checkpoint may be seen a little later."""
-    return frozenset(trial.faults)
-
-
 def expected_end(trial: Trial, point: Checkpoint) -> set[State]:
     """Where the state machine may be at the end of a cell without a latched fault."""
     ends = {point.state}
@@ -184,7 +179,7 @@ def judge(
     if detected_at < 0:
         ends = expected_end(trial, point)
         return "" if state in ends else f"ended {state.name}, expected {' or '.join(sorted(s.name for s in ends))}"
-    if fault not in possible_faults(trial):
+    if fault not in trial.faults:
         return f"latched {fault.name}, which this trial must not cause"
     if due and detected_at > trial.within:
         return f"{fault.name} detected after {detected_at} ticks, allowed {trial.within}"
