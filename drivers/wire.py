@@ -18,11 +18,13 @@ from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits, longest_bits
 from drivers.wire_confinement import ERROR_FRAME, Confinement
 from drivers.wire_faults import FRAME_FAULTS, FaultKind, FrameFaults, Random, WireFault
-from drivers.wire_node import WireNode, arbitration_key, elapsed_ns
+from drivers.wire_node import DURATION, FRAME, READY, WireNode, elapsed_ns
 from drivers.wire_script import LateDeliveries, NodeFaults
 
 LONGEST = 800  # bits; more than any frame has at either rate
 COLLISION_BIT = 20  # two senders with one identifier differ behind the arbitration field
+
+new_frame = tuple.__new__  # what Frame(...) ends in, without the detour through Python
 
 Observer = Callable[[int, int, str, Frame, bool], None]
 
@@ -77,7 +79,6 @@ class Wire:
         self.node_faults = NodeFaults(self)
         self._drop_probability = drop_probability
         self._intermission_ns = self.nominal_ns[INTERMISSION]
-        self._keys: dict[int, int] = {}
         self._agenda: list[tuple[int, int, Callable[..., object], tuple[Any, ...]]] = []
         self._planned = 0
         for fault in faults:
@@ -159,52 +160,49 @@ class Wire:
         self.busy_ns += self.free_ns - self.start_ns
         self.sender = self.fate = None
         if self.observer is not None:
-            self.observer(self.start_ns, self.now_ns, sender.name, sender.queue[0][1], False)
+            self.observer(self.start_ns, self.now_ns, sender.name, sender.queue[0][FRAME], False)
 
     def _arbitrate(self, horizon_ns: int) -> bool:
         """Begin the next frame if it begins by `horizon_ns`."""
         waiting = self.waiting
-        if not waiting:
+        start_ns = self.free_ns
+        if not waiting or start_ns > horizon_ns:
             return False
-        winner = waiting[0]
-        start_ns = winner.queue[0][0]
-        contested = len(waiting) > 1
-        if contested:
-            for node in waiting:
-                ready_ns = node.queue[0][0]
-                if ready_ns < start_ns:
-                    start_ns = ready_ns
-        if start_ns < self.free_ns:
-            start_ns = self.free_ns
+        if len(waiting) == 1:
+            winner = waiting[0]
+            start_ns = max(start_ns, winner.queue[0][READY])
+        else:
+            found = self._lowest(start_ns)
+            if found is None:  # nobody is ready yet when the bus is free
+                start_ns = min(node.queue[0][READY] for node in waiting)
+                found = self._lowest(start_ns)
+                assert found is not None
+            winner = found
         if start_ns > horizon_ns:
+            self.collision = ()
             return False
-        if contested:
-            winner = self._lowest(start_ns)
         entry = winner.queue[0]
         self.sender = winner
         self.start_ns = start_ns
-        self.end_ns = start_ns + entry[2]
+        self.end_ns = start_ns + entry[DURATION]
         if self.frame_faults.armed or self.collision:
-            self._decide_fate(winner, entry[1])
+            self._decide_fate(winner, entry[FRAME])
         return True
 
-    def _lowest(self, start_ns: int) -> WireNode:
-        """Who wins the arbitration at `start_ns`. Notes a collision if a second node sends its id with other bits."""
-        keys = self._keys
-        winner = self.waiting[0]
+    def _lowest(self, start_ns: int) -> WireNode | None:
+        """Who of those ready wins the arbitration at `start_ns`; None: nobody is ready. Notes a collision if a second
+        node sends the winner's identifier with other bits.
+        """
+        winner = None
         lowest = 1 << 40
         collision: tuple[WireNode, ...] = ()
         for node in self.waiting:
-            ready_ns, frame, _ = node.queue[0]
-            if ready_ns > start_ns:
+            ready_ns, key, frame, _ = node.queue[0]
+            if key > lowest or ready_ns > start_ns:
                 continue
-            can_id = frame[0]
-            key = keys.get(can_id, -1)
-            if key < 0:
-                key = keys[can_id] = arbitration_key(can_id)
-            if key < lowest:
+            if winner is None or key < lowest:
                 winner, lowest, collision = node, key, ()
-            elif key == lowest and winner.queue[0][1][:3] != frame[:3]:
+            elif winner.queue[0][FRAME][:3] != frame[:3]:
                 collision = (winner, node)
         self.collision = collision
         return winner
@@ -229,14 +227,14 @@ class Wire:
         if fate is not None and fate.kind is FaultKind.CORRUPT:
             self.confinement.failed(sender)
             return
-        can_id, data, flags, _ = sender.queue[0][1]
+        can_id, data, flags, _ = sender.queue[0][FRAME]
         targets = sender.targets.get(can_id)
         if targets is None:
             targets = self._route(sender, can_id)
         if not targets and not self._acknowledged(sender):
             self.confinement.not_acknowledged(sender)
             return
-        received = Frame(can_id, data, flags, end_ns)
+        received = new_frame(Frame, (can_id, data, flags, end_ns))
         self.sender = self.fate = None
         self.free_ns = end_ns + self._intermission_ns
         self.busy_ns += self.free_ns - self.start_ns

@@ -2,7 +2,8 @@
 
 from collections import deque
 from collections.abc import Callable, Container
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
 
 from drivers.counters import BusState, PortCounters
 from drivers.frame import BRS, EXTENDED, EXTENDED_MASK, REMOTE, STANDARD_MASK, Frame
@@ -14,7 +15,14 @@ if TYPE_CHECKING:
 PASSIVE_LIMIT = 127  # TEC or REC above it: error-passive (ISO 11898-1:2015, 12.1.4)
 BUS_OFF_LIMIT = 255  # TEC above it: bus-off
 
+Entry = tuple[int, int, Frame, int]
+READY: Final = 0  # of an Entry: earliest start, ns
+KEY: Final = 1  # arbitration key
+FRAME: Final = 2
+DURATION: Final = 3  # SOF to EOF, ns
 
+
+@lru_cache(maxsize=4096)
 def arbitration_key(can_id: int) -> int:
     """The arbitration field as an integer: of two frames that begin together the one with the lower key wins.
 
@@ -88,7 +96,7 @@ class WireNode:
         self.interface_up = True
         self.down_faults = 0  # scripted reasons for the interface to be down; windows may overlap
         self.cut_off = 0  # likewise for being cut off from the others
-        self.queue: deque[tuple[int, Frame, int]] = deque()  # (earliest start, frame, duration SOF to EOF), ns
+        self.queue: deque[Entry] = deque()
         self.ready_ns = 0  # nothing of this node starts earlier: it is suspended, or has just come back
         self.attempt_ns = -1  # its next attempt while it is cut off from the others
         self.repeating = False  # the others have taken the oldest frame already
@@ -103,9 +111,10 @@ class WireNode:
         Raises ValueError for a time in the past and for a payload length the format does not have.
         """
         wire = self._wire
-        if at_ns < wire.now_ns:
-            raise ValueError(f"node {self.name}: send at {at_ns} ns, but the wire is at {wire.now_ns} ns")
-        if not self.fifo and at_ns > wire.now_ns:
+        now_ns = wire.now_ns
+        if at_ns < now_ns:
+            raise ValueError(f"node {self.name}: send at {at_ns} ns, but the wire is at {now_ns} ns")
+        if not self.fifo and at_ns > now_ns:
             wire.at(at_ns, self.send, frame, at_ns)  # it takes its place among the others when it is due
             return True
         queue = self.queue
@@ -118,7 +127,7 @@ class WireNode:
         nominal, fast = wire.frame_bits(frame)
         if at_ns < self.ready_ns:
             at_ns = self.ready_ns
-        entry = (at_ns, frame, wire.nominal_ns[nominal] + wire.data_ns[fast])
+        entry = (at_ns, arbitration_key(frame[0]), frame, wire.nominal_ns[nominal] + wire.data_ns[fast])
         if self.fifo or not queue:
             queue.append(entry)
         else:
@@ -130,11 +139,10 @@ class WireNode:
                 wire.waiting.append(self)
         return True
 
-    def _insert(self, entry: tuple[int, Frame, int]) -> None:
+    def _insert(self, entry: Entry) -> None:
         """Before what is less urgent and not on the wire."""
         position = 1 if self._wire.sender is self or self.repeating else 0
-        key = arbitration_key(entry[1].can_id)
-        while position < len(self.queue) and arbitration_key(self.queue[position][1].can_id) <= key:
+        while position < len(self.queue) and self.queue[position][KEY] <= entry[KEY]:
             position += 1
         self.queue.insert(position, entry)
 
@@ -164,9 +172,9 @@ class WireNode:
     def not_before(self, ready_ns: int) -> None:
         """Nothing of this node starts before `ready_ns`."""
         self.ready_ns = ready_ns
-        if self.queue and self.queue[0][0] < ready_ns:
-            _, frame, duration_ns = self.queue[0]
-            self.queue[0] = (ready_ns, frame, duration_ns)
+        if self.queue and self.queue[0][READY] < ready_ns:
+            _, key, frame, duration_ns = self.queue[0]
+            self.queue[0] = (ready_ns, key, frame, duration_ns)
 
     @property
     def queued(self) -> int:
@@ -192,16 +200,9 @@ class WireNode:
     def counters(self) -> PortCounters:
         """What a port on this node reports."""
         return PortCounters(
-            received=self.received,
-            sent=self.sent,
-            refused=self.refused,
-            errors=self.errors,
-            no_ack=self.no_ack,
-            bus_off=self.bus_off,
-            restarted=self.restarted,
-            down=self.down,
-            state=self.state,
-        )
+            self.received, self.sent, self.refused, 0, 0, self.errors, self.no_ack, self.bus_off, self.restarted,
+            self.down, 0, self.state,
+        )  # fmt: skip
 
 
 def elapsed_ns(frame: Frame, bit: int, nominal_ns: list[int], data_ns: list[int]) -> int:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from drivers.frame import Frame
 from drivers.wire_faults import FOREVER_NS, FaultKind, WireFault
-from drivers.wire_node import WireNode
+from drivers.wire_node import READY, WireNode
 
 if TYPE_CHECKING:
     from drivers.wire import Wire
@@ -79,7 +79,7 @@ class NodeFaults:
 
     def attempt_next(self, node: WireNode) -> None:
         """A node that is cut off has something to send; it will not be acknowledged."""
-        node.attempt_ns = max(node.queue[0][0], self._wire.now_ns)
+        node.attempt_ns = max(node.queue[0][READY], self._wire.now_ns)
         self._wire.at(node.attempt_ns, self._attempt_alone, node)
 
     def _end(self, fault: WireFault) -> None:
@@ -129,7 +129,7 @@ class NodeFaults:
         wire = self._wire
         if not node.cut_off or not node.queue or node.attempt_ns != wire.now_ns:
             return  # back on the bus, purged, or planned anew
-        _, frame, duration_ns = node.queue[0]
+        _, _, frame, duration_ns = node.queue[0]
         wire.confinement.count_missing_acknowledgement(node)
         node.not_before(wire.now_ns + wire.confinement.attempt_alone_ns(node, duration_ns))
         if wire.observer is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.frame import Frame
 from drivers.wire import Wire
@@ -31,6 +32,7 @@ Operator = Callable[["LockstepRun", int], Sequence[CommandKind]]
 
 _TRACE_HEAD = struct.Struct("<qHH")
 _TRACE_FRAME = struct.Struct("<qIBB")
+_TRACE_PARTS = 1000  # hashed at once
 _COMMAND_LIFE_NS = 100_000_000
 
 
@@ -67,19 +69,19 @@ class LockstepRun:
             self.wire.inject(fault)
         self.received: list[Frame] = []  # by the host since the last tick
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
-        self.wire.attach("drives", self._to_drives)
+        self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
         self._axis_nodes = {name: self.wire.attach(name, None, fifo=False) for name in rig.axis_names}
         self.injector = Injector(scenario, self.stage, self.wire, rig.period_ns) if scenario else None
         self._active_since = -1  # tick in which the present ACTIVE began
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
         self._jitter_ns = round(rig.wire.jitter * 1e9)
         self._command_sequence = 0
-        self._trace = hashlib.sha256()
+        self._trace: list[bytes] = []  # not hashed yet
+        self._hashed = hashlib.sha256()
         self.index = 0
         self.activated_at = -1  # tick of the first ACTIVE
         self.stop = False
-        self.true_position = np.zeros(len(axes))  # of the samples the latest tick worked on, before the encoder
-        self.true_velocity = np.zeros(len(axes))
+        self._true = self.stage.sampled  # of the samples the latest tick worked on
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
     def _to_drives(self, frame: Frame) -> None:
@@ -103,10 +105,9 @@ class LockstepRun:
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
-        self.true_position[:] = self.stage.sampled_position
-        self.true_velocity[:] = self.stage.sampled_velocity
+        self._true = self.stage.sampled
         self._send(result.frames, now)
-        self._hash(frames, result.frames)
+        self._note(frames, result.frames)
         if self._observer:
             self._observer(tick, frames, result)
         if self.injector:
@@ -137,18 +138,36 @@ class LockstepRun:
         for frame in frames:
             self.host.send(frame, now)
 
-    def _hash(self, received: Sequence[Frame], sent: Sequence[Frame]) -> None:
-        parts = [_TRACE_HEAD.pack(self.index, len(received), len(sent))]
+    def _note(self, received: Sequence[Frame], sent: Sequence[Frame]) -> None:
+        """Add a tick's frames to what is hashed."""
+        trace = self._trace
+        trace.append(_TRACE_HEAD.pack(self.index, len(received), len(sent)))
         for frames in (received, sent):
             for can_id, data, flags, stamp in frames:
-                parts.append(_TRACE_FRAME.pack(stamp, can_id, flags, len(data)))
-                parts.append(data)
-        self._trace.update(b"".join(parts))
+                trace.append(_TRACE_FRAME.pack(stamp, can_id, flags, len(data)))
+                trace.append(data)
+        if len(trace) > _TRACE_PARTS:
+            self._hash()
+
+    def _hash(self) -> None:
+        self._hashed.update(b"".join(self._trace))
+        self._trace.clear()
 
     @property
     def trace_sha256(self) -> str:
         """Hash over every frame received and sent so far, with its tick."""
-        return self._trace.hexdigest()
+        self._hash()
+        return self._hashed.hexdigest()
+
+    @property
+    def true_position(self) -> NDArray[np.float64]:
+        """Position (m) of the samples the latest tick worked on, before the encoder, (n_axes,)."""
+        return np.array(self._true[0])
+
+    @property
+    def true_velocity(self) -> NDArray[np.float64]:
+        """The same for velocity, m/s."""
+        return np.array(self._true[1])
 
 
 @dataclass
@@ -242,7 +261,6 @@ class Traces:
         self.force[index] = cycle.gate.force
         if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
             return
-        sample = cycle.inputs.sample
-        self.setpoint[index] = sample.position
-        self.error[index] = run.true_position - sample.position
-        self.velocity_error[index] = cycle.filter.velocity - run.true_velocity
+        self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
+        self.error[index] = run.true_position - setpoint
+        self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity

@@ -169,15 +169,6 @@ def effort(axis: Axis, velocity: Number, drive: Number, h: float) -> Number:
     return work
 
 
-def substeps(axis: Axis, velocity: float, drive: float, h: float) -> int:
-    """Equal substeps (a power of two) that one axis needs for h seconds."""
-    work = effort(axis, velocity, drive, h)
-    count = 1
-    while count * ACCURACY < work and count < MAX_SUBSTEPS:
-        count *= 2
-    return count
-
-
 def breakaway_sign(axis: Axis, state: State, drive: float) -> float:
     """Direction in which an axis at rest starts to slide; 0.0: friction holds it."""
     net = net_force(axis, *state, drive)

@@ -4,7 +4,7 @@ At the reception of a command frame all drives sample their encoders, answer, an
 forces.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from functools import partial
 from heapq import heappop, heappush
 from pathlib import Path
@@ -31,6 +31,16 @@ _BRAKE = int(DriveStatus.BRAKE)
 _LONGEST_NS = 100_000_000  # of one integration: what `position` has to make up for stays bounded
 
 
+class AllBut:
+    """An acceptance filter that lets all identifiers through but those in `ids` at the time."""
+
+    def __init__(self, ids: Container[int]) -> None:
+        self._ids = ids
+
+    def __contains__(self, can_id: object) -> bool:
+        return can_id not in self._ids
+
+
 class EmulatedStage:
     """Stage and drives behind one of the frame layouts.
 
@@ -38,8 +48,9 @@ class EmulatedStage:
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value.
 
     now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
-    that carried no command, by reason. sampled_position, sampled_velocity: truth (m, m/s, (n_axes,)) at the latest
-    sampling, before the encoder. frame_taps: what every frame of a drive goes through (fault injection).
+    that carried no command, by reason. sampled: truth (positions in m, velocities in m/s) at the latest sampling,
+    before the encoder; replaced by the next, not changed. acceptance: identifiers the drives listen to. frame_taps:
+    what every frame of a drive goes through (fault injection).
     Raises ValueError for a plant or bus that does not fit.
     """
 
@@ -72,9 +83,9 @@ class EmulatedStage:
         self._jam = [0.0] * n_axes
         self._push = [0.0] * n_axes
         self._force = [0.0] * n_axes
-        self.sampled_position = self._stage.position.copy()
-        self.sampled_velocity = self._stage.velocity.copy()
+        self.sampled = self._stage.positions, self._stage.velocities
         self._senders: dict[int, str] = {}
+        self.acceptance = AllBut(self._senders)
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._planned = 0
         self._clamp: list[float] = []
@@ -118,6 +129,16 @@ class EmulatedStage:
         return self._truth_now()[2]
 
     @property
+    def sampled_position(self) -> Array:
+        """True position at the latest sampling, m, (n_axes,)."""
+        return np.array(self.sampled[0])
+
+    @property
+    def sampled_velocity(self) -> Array:
+        """True velocity at the latest sampling, m/s, (n_axes,)."""
+        return np.array(self.sampled[1])
+
+    @property
     def applied_force(self) -> list[float]:
         """Force each drive applies now, N."""
         return [drive.force for drive in self.drives]
@@ -138,7 +159,7 @@ class EmulatedStage:
     def _true_position(self, axis: int) -> float:
         if self._physics_ns != self.now_ns:
             return float(self.position[axis])
-        return float(self._stage.position[axis])
+        return self._stage.positions[axis]
 
     # what acts on it -------------------------------------------------------------------------------------------------
 
@@ -190,7 +211,7 @@ class EmulatedStage:
                 self._stage.advance(self.now_ns - self._physics_ns, self._force)
             except (ValueError, OverflowError):  # a sine or a rounding of what is no number any more
                 raise self._diverged() from None
-            total = sum(self._stage.position.tolist())
+            total = sum(self._stage.positions)
             if total - total != 0.0:
                 raise self._diverged()
             self._physics_ns = self.now_ns
@@ -203,13 +224,16 @@ class EmulatedStage:
 
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""
-        self._force = [drive.force + push for drive, push in zip(self.drives, self._push, strict=True)]
-        self._deadline_ns = min(drive.deadline_ns for drive in self.drives)
-        if self._agenda:
-            self._deadline_ns = min(self._deadline_ns, self._agenda[0][0])
+        drives = self.drives
+        self._force = [drive.force + push for drive, push in zip(drives, self._push, strict=True)]
+        deadline_ns = self._agenda[0][0] if self._agenda else NEVER_NS
+        for drive in drives:
+            if drive.deadline_ns < deadline_ns:
+                deadline_ns = drive.deadline_ns
+        self._deadline_ns = deadline_ns
         clamp = [
             jam + (hold if drive.status & _BRAKE else 0.0)
-            for jam, hold, drive in zip(self._jam, self._brake_force, self.drives, strict=True)
+            for jam, hold, drive in zip(self._jam, self._brake_force, drives, strict=True)
         ]
         if clamp != self._clamp:
             self._clamp = clamp
@@ -251,15 +275,14 @@ class EmulatedStage:
         assert self._protocol is not None
         now_ns = self.now_ns
         self._note_sampling()
-        positions = self._stage.position.tolist()
+        positions = self.sampled[0]
+        encode = self._protocol.encode_feedback
         sequence, forces, enable, reset = command
         answers: list[Frame] = []
-        for drive, position, force in zip(self.drives, positions, forces, strict=True):
-            enabled = bool(enable >> drive.axis & 1)
-            if drive.on_command(force, enabled, reset, sequence, now_ns):
-                answer = self._protocol.encode_feedback(drive.sample(position, now_ns))
-                answers += self._from_axis(drive.axis, (answer,))
-                self.commands += drive.axis == 0
+        for axis, drive in enumerate(self.drives):
+            if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
+                answers += self._from_axis(axis, (encode(drive.sample(positions[axis], now_ns)),))
+                self.commands += axis == 0
         self._update()
         return answers
 
@@ -277,8 +300,7 @@ class EmulatedStage:
         return answers
 
     def _note_sampling(self) -> None:
-        self.sampled_position[:] = self._stage.position
-        self.sampled_velocity[:] = self._stage.velocity
+        self.sampled = self._stage.positions, self._stage.velocities
 
     def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:
         """What leaves the drive in place of these frames."""

@@ -19,17 +19,16 @@ from sim_plant.axis import (
     Axis,
     State,
     advance_piece,
-    breakaway_sign,
     effort,
     make_axis,
     net_force,
     runge_kutta,
-    substeps,
     take,
 )
 from sim_plant.cell import Membrane, transition
 from sim_plant.config import PlantConfig
 from sim_plant.friction import Friction, breakaway
+from sim_plant.single_axis import SingleAxis
 from sim_plant.trigonometry import sin_turns
 
 Array = NDArray[np.float64]
@@ -119,6 +118,11 @@ def per_axis_array(name: str, value: ArrayLike, n_axes: int) -> Array:
     return np.array(np.broadcast_to(array, (n_axes,)))
 
 
+def _filled(value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    # in C order, whatever the strides of the broadcast view: a batch is integrated through flat views of it
+    return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), shape), order="C")
+
+
 def _axes_of(truth: Truth, clamp: Array) -> Axis:
     flat = {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
     friction = Friction(
@@ -151,34 +155,56 @@ def _single(axis: Axis) -> Axis:
 class Stage:
     """One stage (n_axes,) or a batch of stages (..., n_axes) under forces that are constant during each `advance`.
 
-    position, velocity: truth after the last `advance`, m and m/s, (..., n_axes); read only, reused by the next one.
-    pierced: 1.0 where an axis' cell is pierced.
+    position, velocity: truth after the last `advance`, m and m/s, (..., n_axes); read only, those of a batch reused by
+    the next one. pierced: 1.0 where an axis' cell is pierced.
     """
 
     def __init__(self, truth: Truth, position: ArrayLike = 0.0, velocity: ArrayLike = 0.0) -> None:
         self.truth = truth
-        self.position: Array = np.array(np.broadcast_to(np.asarray(position, dtype=np.float64), truth.shape))
-        self.velocity: Array = np.array(np.broadcast_to(np.asarray(velocity, dtype=np.float64), truth.shape))
-        self.pierced: Array = np.zeros(truth.shape)
         self._clamp = np.zeros(truth.shape)
         self._gravity: list[float] = truth.gravity.tolist() if truth.mass.ndim == 1 else []
-        self._configure()
+        self._axes: list[SingleAxis] = []  # of one stage
+        self._state = State(*(_filled(value, truth.shape) for value in (position, velocity, 0.0)))  # of a batch
+        self._configure(self._state)
 
-    def _configure(self) -> None:
+    def _configure(self, state: State) -> None:
+        """Take over the parameters, at this state (arrays)."""
         self._batch = _axes_of(self.truth, self._clamp)
-        self._axes: list[Axis] = []
-        self._states: list[State] = []
-        if self.position.ndim == 1:
-            self._axes = [_single(take(self._batch, index)) for index in range(self.position.size)]
-            triples = zip(self.position.tolist(), self.velocity.tolist(), self.pierced.tolist(), strict=True)
-            self._states = [State(*triple) for triple in triples]
+        if len(self.truth.shape) == 1:
+            states = zip(*(array.tolist() for array in state), strict=True)
+            self._axes = [SingleAxis(_single(take(self._batch, i)), *values) for i, values in enumerate(states)]
+
+    @property
+    def position(self) -> Array:
+        """m, (..., n_axes)."""
+        return np.array(self.positions) if self._axes else self._state.position
+
+    @property
+    def velocity(self) -> Array:
+        """m/s, (..., n_axes)."""
+        return np.array([axis.velocity for axis in self._axes]) if self._axes else self._state.velocity
+
+    @property
+    def pierced(self) -> Array:
+        """1.0 or 0.0, (..., n_axes)."""
+        return np.array([axis.pierced for axis in self._axes]) if self._axes else self._state.pierced
+
+    @property
+    def positions(self) -> list[float]:
+        """Positions of one stage (not a batch), m."""
+        return [axis.position for axis in self._axes]
+
+    @property
+    def velocities(self) -> list[float]:
+        """Velocities of one stage (not a batch), m/s."""
+        return [axis.velocity for axis in self._axes]
 
     def clamp(self, force: ArrayLike) -> None:
         """Hold axes with `force` (N, (..., n_axes)) of additional dry friction from now on: a brake, a jam. 0: free."""
         wanted = np.broadcast_to(np.asarray(force, dtype=np.float64), self._clamp.shape)
         if not np.array_equal(wanted, self._clamp):
             self._clamp[...] = wanted
-            self._configure()
+            self._configure(State(self.position, self.velocity, self.pierced))
 
     def advance(self, duration_ns: int, force: Sequence[float] | Array) -> None:
         """Advance by duration_ns >= 0 with `force` (N, (..., n_axes)) held; all values finite."""
@@ -187,35 +213,23 @@ class Stage:
         pieces = -(-duration_ns // MAX_PIECE_NS)
         h = duration_ns * 1e-9 / pieces
         if self._axes:
-            self._advance_single(pieces, h, force.tolist() if isinstance(force, np.ndarray) else force)
+            single = force.tolist() if isinstance(force, np.ndarray) else force
+            for axis, drive, gravity in zip(self._axes, single, self._gravity, strict=True):
+                axis.advance(pieces, h, drive + gravity)
         else:
             self._advance_batch(pieces, h, np.asarray(force, dtype=np.float64))
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
         """Position, velocity, pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
         ahead = copy.copy(self)
-        ahead.position, ahead.velocity, ahead.pierced = self.position.copy(), self.velocity.copy(), self.pierced.copy()
-        ahead._states = list(self._states)
+        ahead._axes = [copy.copy(axis) for axis in self._axes]
+        ahead._state = State(*(array.copy() for array in self._state))
         ahead.advance(duration_ns, force)
         return ahead.position, ahead.velocity, ahead.pierced
 
-    def _advance_single(self, pieces: int, h: float, force: Sequence[float]) -> None:
-        for index, axis in enumerate(self._axes):
-            state = self._states[index]
-            drive = force[index] + self._gravity[index]
-            if state.velocity == 0.0 and breakaway_sign(axis, state, drive) == 0.0:
-                continue  # friction holds it, and nothing changes until the force does
-            for _ in range(pieces):
-                count = substeps(axis, state.velocity, drive, h)
-                short = h / count
-                for _ in range(count):
-                    state = advance_piece(axis, state, drive, short)
-            self._states[index] = state
-            self.position[index], self.velocity[index], self.pierced[index] = state
-
     def _advance_batch(self, pieces: int, h: float, force: Array) -> None:
         drive = (force + self.truth.gravity).reshape(-1)
-        flat = [array.reshape(-1) for array in (self.position, self.velocity, self.pierced)]
+        flat = [array.reshape(-1) for array in self._state]
         for start in range(0, drive.size, CHUNK):
             part = slice(start, start + CHUNK)
             axis = take(self._batch, part)

