@@ -174,14 +174,34 @@ def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
         raise RigError([f"{source}: {line}" for line in error.problems]) from None
 
 
-def _place_rig(root: Path, rig: RigConfig, text: str, *, replace: bool) -> None:
-    """Write the rig file unless that would lose somebody's edits. It is the user's: no manifest lists it."""
-    place = root / RIGS / f"{rig.name}.toml"
-    if place.exists() and place.read_text() != text and not replace:
-        raise InstallError(f"{place} exists and is different; edit it there and install it, or use --replace")
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(text)
-    place.chmod(0o644)
+def _dbc_file(rig: RigConfig, source: Path) -> Files:
+    """The DBC file that a rig with `protocol = "dbc:FILE"` needs beside it, by its name there; else nothing.
+
+    Raises InstallError for a path out of the rig file's folder: the installed one would not find it again.
+    """
+    kind, _, name = rig.bus.protocol.partition(":")
+    if kind != "dbc" or Path(name).is_absolute():  # an absolute path is the same file wherever the rig file lies
+        return {}
+    if ".." in Path(name).parts:
+        raise InstallError(f"bus.protocol = '{rig.bus.protocol}': must lie beside {source}, or be an absolute path")
+    # DBC files are in whatever 8-bit encoding their editor used: carry the bytes through
+    return {name: (source.parent / name).read_text(encoding="utf-8", errors="surrogateescape")}
+
+
+def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> None:
+    """Write the rig file and what belongs to it unless that would lose somebody's edits.
+
+    They are the user's: no manifest lists them.
+    """
+    encoding = {"encoding": "utf-8", "errors": "surrogateescape"}
+    places = {root / RIGS / name: text for name, text in files.items()}
+    for place, text in places.items():
+        if place.exists() and place.read_text(**encoding) != text and not replace:
+            raise InstallError(f"{place} exists and is different; edit it there and install it, or use --replace")
+    for place, text in places.items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text, **encoding)
+        place.chmod(0o644)
 
 
 def _reload(root: Path) -> None:
@@ -201,10 +221,13 @@ def _reload(root: Path) -> None:
             print(f"hil install: {' '.join(command)}: {done.stderr.strip()}", file=sys.stderr)
 
 
-def _needs_fd(rig: RigConfig) -> bool:
+def _needs_fd(rig: RigConfig, base_dir: Path) -> bool:
     from drivers.protocols import host_protocol  # slow, and only needed where a rig is installed
 
-    return host_protocol(rig.bus, len(rig.axes), [axis.rated_force for axis in rig.axes.values()], Path(".")).fd
+    try:
+        return host_protocol(rig.bus, len(rig.axes), [axis.rated_force for axis in rig.axes.values()], base_dir).fd
+    except ValueError as error:
+        raise RigError([f"bus.protocol = '{rig.bus.protocol}': {error}"]) from None
 
 
 def install_rig(
@@ -216,13 +239,15 @@ def install_rig(
     """
     text, rig = _rig_text(source, channel)
     emulated = rig.bus.channel.startswith("vcan") if emulator is None else emulator
+    fd = _needs_fd(rig, source.parent)
+    belongings = {f"{rig.name}.toml": text, **_dbc_file(rig, source)}
     packaged = (root / _PACKAGED_TARGET).exists()
     manifest = _read_manifest(root)
     _remove(root, [path for path in manifest if f"@{rig.name}.service" in path], manifest)
-    _place_rig(root, rig, text, replace=replace)
+    _place_rig(root, rig, belongings, replace=replace)
     shared = {} if packaged else system_files(executable, packaged=False)
     unit_directory = "usr/lib/systemd/system" if packaged else "etc/systemd/system"
-    files = {**shared, **rig_files(rig, fd=_needs_fd(rig), emulator=emulated)}
+    files = {**shared, **rig_files(rig, fd=fd, emulator=emulated)}
     _write(root, files, rig_links(rig, unit_directory, emulator=emulated), manifest)
     return rig
 

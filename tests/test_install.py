@@ -46,6 +46,30 @@ def test_a_classic_layout_gets_a_classic_interface(tmp_path):
     assert dict(network["CAN"]) == {"BitRate": "500000"}
 
 
+def test_a_rig_whose_drives_a_dbc_file_describes_brings_that_file_along(tmp_path):
+    put(tmp_path, RIGS / "paper-dbc.toml")
+    rig = load_rig(tmp_path / "etc/hil/rigs/paper-dbc.toml")
+    installed = tmp_path / "etc/hil/rigs" / rig.bus.protocol.removeprefix("dbc:")
+    assert installed.read_bytes() == (RIGS / "example_drive.dbc").read_bytes()
+    installed.write_bytes(installed.read_bytes() + b'CM_ "B\xfcro";\n')  # an edit, in the encoding of its editor
+    with pytest.raises(InstallError, match=r"example_drive\.dbc"):
+        put(tmp_path, RIGS / "paper-dbc.toml")
+    put(tmp_path, tmp_path / "etc/hil/rigs/paper-dbc.toml")
+    assert installed.read_bytes().endswith(b'"B\xfcro";\n')
+
+
+@pytest.mark.parametrize(("file", "error"), [("missing.dbc", RigError), ("../elsewhere.dbc", InstallError)])
+def test_a_dbc_file_that_cannot_be_brought_along_installs_nothing(tmp_path, file, error):
+    rigs = tmp_path / "rigs"
+    rigs.mkdir()
+    (tmp_path / "elsewhere.dbc").write_bytes((RIGS / "example_drive.dbc").read_bytes())
+    rig = rigs / "mine.toml"
+    rig.write_text((RIGS / "paper-dbc.toml").read_text().replace("example_drive.dbc", file))
+    with pytest.raises(error, match=file):
+        put(tmp_path / "root", rig)
+    assert not (tmp_path / "root").exists()
+
+
 def test_a_controller_that_went_bus_off_is_never_restarted_by_the_network_configuration():
     for fd in (True, False):
         for text in network_files(load_rig(MICROSCOPE).bus, fd=fd).values():
@@ -75,7 +99,7 @@ def test_units_start_the_hil_that_installed_them(tmp_path):
     put(tmp_path)
     unit = read_unit(tmp_path / "etc/systemd/system/hil-control@.service")
     assert unit["Service"]["ExecStart"] == "/opt/hil/bin/hil run /etc/hil/rigs/%i.toml"
-    assert unit["Service"]["RestartPreventExitStatus"] == "78"
+    assert unit["Service"]["RestartPreventExitStatus"] == "77 78"
     assert unit["Service"]["User"] == "hil"
 
 
