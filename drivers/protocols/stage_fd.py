@@ -25,6 +25,7 @@ FEEDBACK_CHECKED = FEEDBACK_LENGTH - 4
 _WRAP = 1 << 32  # sample_time, ns
 _HALF = 1 << 31
 _SINGLE = Struct("<f")
+_new = tuple.__new__  # what Frame(...) ends in, without the detour through Python
 
 
 class _Layout:
@@ -118,9 +119,9 @@ class StageFdDevice(_Layout):
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """The feedback frame of one axis; position and stamp wrap at 32 bits."""
-        can_id = self._feedback_id + sample.axis
-        position = (sample.position + _HALF) % _WRAP - _HALF
-        data = self._feedback.pack(
-            position, sample.stamp_ns % _WRAP, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0
-        )[:FEEDBACK_CHECKED]
-        return Frame(can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS)
+        axis, position, status, sequence, stamp = sample
+        can_id = self._feedback_id + axis
+        position = (position + _HALF) % _WRAP - _HALF
+        data = self._feedback.pack(position, stamp % _WRAP, status & STATUS_MASK, sequence % SEQUENCE_MODULUS, 0)
+        data = data[:FEEDBACK_CHECKED]
+        return _new(Frame, (can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS, 0))
