@@ -12,6 +12,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
+from drivers.frame import ERROR, FD, FD_LENGTHS, Frame
 from drivers.frame_bytes import CANFD_MTU
 
 SLOTS = 32  # messages per system call
@@ -22,7 +23,9 @@ STAMPED = socket.CMSG_SPACE(struct.calcsize("@ll"))  # control bytes of a messag
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]
-PlainContents = tuple[int, int, int, bytes, int, int]
+# The headers that some number of messages use; these when all are plain; when they are fresh; the messages' slots. No
+# NamedTuple: only a true tuple is unpacked quickly.
+Parts = tuple[memoryview, bytes, bytes, memoryview]
 
 
 class _IoVec(ctypes.Structure):
@@ -59,8 +62,12 @@ _RESULT = _exactly(f"@{_MsgHdr.control_length.offset}xNi{_GAP}xI", _HEADER_BYTES
 # can_id, len, flags, reserved, data; then the control messages: SO_TIMESTAMPNS with seconds and nanoseconds,
 # SO_RXQ_OVFL with its count. cmsg_len and cmsg_level are skipped, as only SOL_SOCKET messages have been asked for.
 _CMSG = f"{struct.calcsize('@N') + 4}x"
-_PLAIN = _exactly(f"@IBB2x64s{_CMSG}4xll", _SLOT_BYTES)
 _CONTENTS = _exactly(f"@IBBH64s{_CMSG}ill{_CMSG}4xI", _SLOT_BYTES)
+_HEAD = struct.Struct("@H")  # len and flags in one
+# can_id, head, data, then seconds and nanoseconds of the time stamp, by the length of the data
+_ORDINARY = {
+    length: _exactly(f"@IH2x{length}s{64 - length}x{_CMSG}4xll", _SLOT_BYTES).iter_unpack for length in FD_LENGTHS
+}
 
 _DONT_WAIT = int(socket.MSG_DONTWAIT)
 # PyDLL keeps the GIL: the call never waits, and handing the GIL over costs more than it takes.
@@ -69,10 +76,16 @@ _recvmmsg.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints
 
 
 class ReceiveBlock:
-    """Room for SLOTS messages, reused by every call."""
+    """Room for SLOTS messages, reused by every call.
 
-    def __init__(self, plain_size: int) -> None:
-        """plain_size: of the messages that `plain` is for, CAN_MTU or CANFD_MTU."""
+    `frames` is the short way, for what almost every tick brings: frames of one length with nothing to tell but their
+    data. Anything else is left to the long way, message by message: `results` and `contents`.
+    """
+
+    def __init__(self, size: int) -> None:
+        """size: of the messages that the short way is for, CAN_MTU or CANFD_MTU."""
+        self._mark = FD if size == CANFD_MTU else 0
+        self.count = 0  # messages received last
         self._headers = (_MMsgHdr * SLOTS)()
         self._vectors = (_IoVec * SLOTS)()
         self._memory = ctypes.create_string_buffer(SLOTS * _SLOT_BYTES)
@@ -85,57 +98,89 @@ class ReceiveBlock:
             header.iov_length = 1
             header.control = frame + CANFD_MTU
             header.control_length = _CONTROL_BYTES
-        self._address = ctypes.c_void_p(ctypes.addressof(self._headers))
-        # Everything by the number of messages, so that a tick cuts nothing out of anything.
+        self._address = ctypes.byref(self._headers)  # quicker to pass than a c_void_p
         headers, slots = memoryview(self._headers).cast("B"), memoryview(self._memory).cast("B")
-        self._used = [headers[: count * _HEADER_BYTES] for count in range(SLOTS + 1)]
-        self._slots = [slots[: count * _SLOT_BYTES] for count in range(SLOTS + 1)]
-        self._fresh = [bytes(used) for used in self._used]  # the kernel overwrites control_length and flags
+        fresh = bytes(headers)  # the kernel overwrites control_length and flags
         for index in range(SLOTS):
             self._headers[index].header.control_length = STAMPED
-            self._headers[index].received = plain_size
-        self._plain = [bytes(used) for used in self._used]
-        headers[:] = self._fresh[SLOTS]
+            self._headers[index].received = size
+        plain = bytes(headers)
+        headers[:] = fresh
+        # Everything by the number of messages, so that a tick cuts nothing out of anything.
+        self._parts: list[Parts] = []
+        for count in range(SLOTS + 1):
+            end = count * _HEADER_BYTES
+            self._parts.append((headers[:end], plain[:end], fresh[:end], slots[: count * _SLOT_BYTES]))
+        self.expect(0, 0)
+
+    def expect(self, length: int, flags: int) -> None:
+        """The short way is for frames of `length` data bytes with these raw flags, from now on."""
+        unpack = _ORDINARY.get(length)
+        if unpack is not None:
+            self._unpack = unpack
+            self._head: int = _HEAD.unpack(bytes((length, flags)))[0]
+            self._flags = flags | FD if self._mark else 0
 
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
-        count: int = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
+        self.count = count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
         if count < 0:
-            number = ctypes.get_errno()
-            if number == errno.EAGAIN:
-                return 0
+            self._fail()
+        return self.count
+
+    def _fail(self) -> None:
+        self.count = 0
+        number = ctypes.get_errno()
+        if number != errno.EAGAIN:
             raise OSError(number, os.strerror(number))
-        return count
 
-    def plain(self, count: int) -> Iterator[PlainContents] | None:
-        """The `count` messages received last, as (can_id, length, flags, data, seconds, nanoseconds), oldest first.
+    def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
+        """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
 
-        None unless all are of the plain size and have a time stamp and no flags: see `results` and `contents` then.
-
-        It is the case in almost every tick, and one comparison is quicker than parsing. To be read, like `contents`,
-        before the next call of `receive`.
+        None where any of the `count` messages is out of the ordinary: of another size, length or flags than expected,
+        an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns, a count of dropped frames
+        with it; or SLOTS of them, as there may be more. They are then to be had from `results` and `contents`.
+        Raises OSError as `receive` does.
         """
-        used = self._used[count]
-        if used.tobytes() != self._plain[count]:
+        self.count = count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
+        if not 0 < count < SLOTS:
+            if count < 0:
+                self._fail()
+            return None if self.count else []
+        used, plain, fresh, slots = self._parts[count]
+        if used.tobytes() != plain:  # one comparison is quicker than parsing
             return None
-        used[:] = self._fresh[count]
-        return _PLAIN.iter_unpack(self._slots[count])
+        frames: list[Frame] = []
+        # Local names and no call that can be saved: this is the innermost loop.
+        expected, flags, error = self._head, self._flags, ERROR
+        append, new, kind = frames.append, tuple.__new__, Frame
+        second = base_ns = 0
+        for can_id, head, data, s, ns in self._unpack(slots):
+            if s != second:
+                second, base_ns = s, s * 1_000_000_000 - offset_ns
+            stamp_ns = base_ns + ns
+            if head == expected and (can_id < error or not can_id & error) and earliest_ns <= stamp_ns <= latest_ns:
+                append(new(kind, (can_id, data, flags, stamp_ns)))
+        if len(frames) != count:
+            return None
+        used[:] = fresh
+        return frames
 
-    def results(self, count: int) -> list[Result]:
+    def results(self) -> list[Result]:
         """Of the messages received last, oldest first: (control_length, flags, size).
 
         control_length: bytes of control messages (0: neither stamp nor count, STAMPED: a stamp, more: both). flags:
         MSG_CONFIRM and the like. size: bytes of the message (0: the other end has closed). To be asked for once.
         """
-        used = self._used[count]
+        used, _, fresh, _ = self._parts[self.count]
         results = list(_RESULT.iter_unpack(used))
-        used[:] = self._fresh[count]
+        used[:] = fresh
         return results
 
-    def contents(self, count: int) -> Iterator[Contents]:
+    def contents(self) -> Iterator[Contents]:
         """The messages received last, oldest first.
 
         (can_id, length, flags, reserved, data, kind, seconds, nanoseconds, dropped): `data` always has 64 bytes, of
         which those beyond the frame's are left over; CLOCK_REALTIME of arrival; what this socket has dropped so far.
         """
-        return _CONTENTS.iter_unpack(self._slots[count])
+        return _CONTENTS.iter_unpack(self._parts[self.count][3])

@@ -21,12 +21,22 @@ from hypothesis import strategies as st
 from drivers import bus as bus_module
 from drivers.bus import BusState, Port, PortCounters, PortError, open_port, resolve_interface
 from drivers.config import BusConfig
-from drivers.frame import BRS, ERROR, FD, Frame
+from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_bytes import to_bytes
 from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
+ORDINARY_AND_NOT = [
+    *(to_bytes(FEEDBACK._replace(can_id=0x100 + axis)) for axis in range(4)),
+    *(to_bytes(FEEDBACK._replace(can_id=can_id)) for can_id in (0x100 | EXTENDED, 0x100 | REMOTE)),
+    *(to_bytes(FEEDBACK._replace(flags=FD | flag)) for flag in (0, ESI)),
+    to_bytes(COMMAND),
+    to_bytes(FEEDBACK)[:4] + bytes((65,)) + to_bytes(FEEDBACK)[5:],  # longer than any frame
+    to_bytes(Frame(0x701, b"\x05")),
+    to_bytes(Frame(ERROR | 0x004, bytes.fromhex("0001000000070000"))),
+    b"greeting",
+]
 
 
 class Cable:
@@ -101,10 +111,11 @@ def bare(frames: list[Frame]) -> list[Frame]:
 def feed(monkeypatch: pytest.MonkeyPatch, port: Port, packets: list[Any]) -> None:
     """Let every read of the port return these (result, contents), as a ReceiveBlock gives them."""
     block = port._block
+    block.count = len(packets)
     monkeypatch.setattr(block, "receive", lambda fd: len(packets))
-    monkeypatch.setattr(block, "plain", lambda count: None)
-    monkeypatch.setattr(block, "results", lambda count: [result for result, _ in packets])
-    monkeypatch.setattr(block, "contents", lambda count: (contents for _, contents in packets))
+    monkeypatch.setattr(block, "frames", lambda fd, offset_ns, earliest_ns, latest_ns: None)
+    monkeypatch.setattr(block, "results", lambda: [result for result, _ in packets])
+    monkeypatch.setattr(block, "contents", lambda: (contents for _, contents in packets))
 
 
 def test_a_drain_empties_the_socket_oldest_first(port: Port, cable: Cable) -> None:
@@ -233,10 +244,10 @@ def test_a_bus_that_comes_back_without_its_controller_is_not_called_usable(cable
 
 
 def test_going_down_shows_in_a_read_as_well(port: Port, cable: Cable, monkeypatch: pytest.MonkeyPatch) -> None:
-    def receive(fd: int) -> int:
+    def read(*_: int) -> None:
         raise OSError(errno.ENETDOWN, "Network is down")
 
-    monkeypatch.setattr(port._block, "receive", receive)
+    monkeypatch.setattr(port._block, "frames", read)
     assert drain(port) == []
     assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
 
@@ -316,6 +327,23 @@ def test_no_packet_raises_and_each_is_accounted_for(packets: list[bytes]) -> Non
     assert counters.received + counters.errors == len(packets)
     assert all(len(frame.data) <= (64 if frame.flags & FD else 8) for frame in frames)
     port.close()
+
+
+@given(st.lists(st.lists(st.sampled_from(ORDINARY_AND_NOT), max_size=6), max_size=6))
+def test_the_short_way_of_reading_tells_the_same_as_the_long_one(ticks: list[list[bytes]]) -> None:
+    short, long = Cable.pair(), Cable.pair()
+    ports = [Port(lambda cable=cable: cable, fd=True, receive_limit=4) for cable in (short, long)]
+    block = ports[1]._block
+    block.frames = lambda fd, *_: None if block.receive(fd) else []
+    for packets in ticks:
+        for cable in (short, long):
+            for packet in packets:
+                cable.far.send(packet)
+        assert bare(drain(ports[0])) == bare(drain(ports[1]))
+        assert ports[0].counters() == ports[1].counters()
+    assert short.strangers == long.strangers
+    for port in ports:
+        port.close()
 
 
 def test_auto_means_the_local_bus_where_no_can_interface_has_that_name() -> None:

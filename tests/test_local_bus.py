@@ -99,11 +99,12 @@ def test_everyone_but_the_sender_hears_a_frame(join: OpenPort) -> None:
     assert take(second) == []
 
 
-def test_frames_of_several_senders_come_out_in_the_order_in_which_they_were_sent(join: OpenPort) -> None:
-    host, *devices = join(), join("device"), join("device"), join("device")
+@pytest.mark.parametrize("senders", [2, 3, 7])
+def test_frames_of_several_senders_come_out_in_the_order_in_which_they_were_sent(join: OpenPort, senders: int) -> None:
+    host, devices = join(), [join("device") for _ in range(senders)]
     assert take(host) == []  # takes them in
     for number in range(12):
-        devices[number % 3].send(Frame(0x100 + number, b""))
+        devices[number % senders].send(Frame(0x100 + number, b""))
     assert [can_id for can_id, _ in take(host)] == [0x100 + number for number in range(12)]
 
 
