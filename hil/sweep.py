@@ -7,8 +7,10 @@ plants are saved as rig files; `hil sim` on one of them gives the same error, bi
 
 import math
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from typing import Annotated, Any, NamedTuple
@@ -24,10 +26,11 @@ from hil.laws.base import Array
 from hil.lockstep import LockstepRun, simulate
 from sim_plant.stage import Truth
 
-CHUNK = 1250  # plants run as one array: their state stays in a core's cache
+CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
 MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # ranges of the scales
 DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.05), (0.0, 0.2)  # as fractions of the nominal Coulomb friction
 STARTUP_LIMIT = 1000  # ticks
+CONNECT_TIMEOUT_S = 10
 
 
 class Job(NamedTuple):
@@ -112,8 +115,11 @@ def startup_ticks(rig: RigConfig, base_dir: Path) -> int:
     raise RigError([f"{rig.name}: not ACTIVE within {STARTUP_LIMIT} ticks of lockstep; try `hil sim`"])
 
 
-def jobs(rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int, hard: bool = False) -> list[Job]:
-    """The sweep's chunks. Raises RigError where `seconds` leave no steady window, or for a layout it cannot batch."""
+def jobs(
+    rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int, hard: bool = False, workers: int = 1
+) -> list[Job]:
+    """The sweep's chunks, at least one for each worker. Raises RigError where `seconds` leave no steady window, or for
+    a layout it cannot batch."""
     if rig.bus.protocol != "stage_fd" or rig.wire.jitter or rig.wire.drop_probability:
         raise RigError(
             ["hil sweep batches the layout stage_fd on a wire without jitter and loss (bus.protocol, [wire])"]
@@ -127,30 +133,45 @@ def jobs(rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int,
     if steady >= ticks:
         raise RigError([f"--seconds {seconds:g}: the steady window begins at {steady * rig.period_ns * 1e-9:.3f} s"])
     document = rig.model_dump_json()
+    chunk = min(CHUNK, math.ceil(plants / workers))
     return [
-        Job(document, seed, first, min(CHUNK, plants - first), ticks, steady, hard) for first in range(0, plants, CHUNK)
+        Job(document, seed, first, min(chunk, plants - first), ticks, steady, hard) for first in range(0, plants, chunk)
     ]
 
 
-def run_here(work: Sequence[Job], workers: int) -> Iterator[Figures]:
-    """Results in order, over `workers` processes."""
-    if workers == 1:
-        yield from map(run_chunk, work)
-        return
+class Crew(NamedTuple):
+    """Who runs the jobs. run: gives their results, in order. size: how many run at a time."""
+
+    run: Callable[[Sequence[Job]], Iterator[Figures]]
+    size: int
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Crew]:
+    """A crew of so many processes of this machine."""
     with ProcessPoolExecutor(workers) as pool:
-        yield from pool.map(run_chunk, work)
+        yield Crew(lambda work: pool.map(run_chunk, work), workers)
 
 
-def run_on_cluster(work: Sequence[Job], address: str) -> Iterator[Figures]:
-    """The same on a dask.distributed cluster; its workers need this package installed."""
+@contextmanager
+def cluster(address: str) -> Iterator[Crew]:
+    """The workers of a dask.distributed cluster, which need this package installed. Raises RigError."""
     try:
         from distributed import Client  # type: ignore[attr-defined,unused-ignore]
     except ImportError:
         raise RigError(["--scheduler needs the extra: pip install 'hil[cluster]'"]) from None
     connect: Any = Client
-    with connect(address) as client:
+    try:
+        client = connect(address, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError) as error:
+        raise RigError([f"--scheduler {address}: {error}"]) from None
+
+    def run(work: Sequence[Job]) -> Iterator[Figures]:
         for future in client.map(run_chunk, work, pure=False):
             yield future.result()
+
+    with client:
+        yield Crew(run, max(1, sum(client.ncores().values())))
 
 
 def collect(results: Iterable[Figures], done: Callable[[int], None]) -> Figures:
@@ -252,10 +273,7 @@ def sweep(
     json_target: Annotated[str, typer.Option("--json", help="write the figures there; - for standard output")] = "",
 ) -> None:
     """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
-    import time
-
     from rich.console import Console
-    from rich.progress import Progress
 
     from hil.sim import write_json
 
@@ -266,28 +284,41 @@ def sweep(
         list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]
     )
     document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
-    for name in names:
-        rig = load_rig(rig_file, [*(overrides or ()), f"law.name={name}"])
-        work = jobs(rig, rig_file.parent, plants, seconds, seed, hard)
-        results = run_on_cluster(work, scheduler) if scheduler else run_here(work, workers or os.cpu_count() or 1)
-        started = time.perf_counter()
-        with Progress(console=console, transient=True) as bar:
-            task = bar.add_task(f"{rig.name}: {name}", total=plants)
-            figures = collect(results, lambda count: bar.update(task, advance=count))  # noqa: B023
-        elapsed = time.perf_counter() - started
-        rate = plants * work[0].ticks / elapsed
-        plot(output / f"{name}.png", rig, figures)
-        chosen = worst_plants(figures, worst)
-        paths = save_worst(rig_file, rig, seed, hard, chosen, output)
-        cases = [
-            {"rig": str(path), "plant": number, "max_error": figures.max_error[number].tolist(),
-             "reproduced": reproduce(path, seconds, figures.max_error[number])}
-            for path, number in zip(paths, chosen, strict=True)
-        ]  # fmt: skip
-        document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
-        _show(console, rig, document["laws"][name], output / f"{name}.png")
+    with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
+        for name in names:
+            rig = load_rig(rig_file, [*(overrides or ()), f"law.name={name}"])
+            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
+            figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
+            plot(output / f"{name}.png", rig, figures)
+            chosen = worst_plants(figures, worst)
+            paths = save_worst(rig_file, rig, seed, hard, chosen, output)
+            cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
+            document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
+            _show(console, rig, document["laws"][name], output / f"{name}.png")
     if json_target:
         write_json(document, json_target)
+
+
+def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Figures, float]:
+    """All jobs under a progress bar: what they found, and plants times ticks per second."""
+    from rich.progress import Progress
+
+    plants = sum(job.plants for job in work)
+    started = time.perf_counter()
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(title, total=plants)
+        figures = collect(crew.run(work), lambda count: bar.update(task, advance=count))
+    return figures, plants * work[0].ticks / (time.perf_counter() - started)
+
+
+def _case(path: Path, seconds: float, number: int, figures: Figures) -> dict[str, Any]:
+    error = figures.max_error[number]
+    return {
+        "rig": str(path),
+        "plant": number,
+        "max_error": error.tolist(),
+        "reproduced": reproduce(path, seconds, error),
+    }
 
 
 def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) -> None:

@@ -31,6 +31,11 @@ class SingleAxis:
         self._effort = effort_of(axis)
         self._is_due = transition_of(axis) if axis.has_cell else None
 
+    @property
+    def state(self) -> State:
+        """Position, velocity, pierced."""
+        return State(self.position, self.velocity, self.pierced)
+
     def advance(self, pieces: int, h: float, drive: float) -> None:
         """Advance by `pieces` of h seconds each, `drive` (N, gravity included) held."""
         if self.velocity == 0.0 and self._is_held(drive):
@@ -56,8 +61,7 @@ class SingleAxis:
             if end * sign > 0.0 and not (self._is_due and self._is_due(position, self.pierced)):
                 self.position, self.velocity = position, end
                 return
-        state = State(self.position, velocity, self.pierced)
-        self.position, self.velocity, self.pierced = advance_piece(self.axis, state, drive, h)
+        self.position, self.velocity, self.pierced = advance_piece(self.axis, self.state, drive, h)
 
 
 def net_force_of(axis: Axis) -> NetForce:

@@ -17,6 +17,29 @@ TURN = 6.283185307179586  # rad, 2 pi rounded to double
 _TO_INTEGER = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
 
 
+# of the Taylor series, highest power first: what _sine and _cosine have written out
+_SINE = (
+    2.8114572543455206e-15,
+    -7.647163731819816e-13,
+    1.6059043836821613e-10,
+    -2.505210838544172e-08,
+    2.7557319223985893e-06,
+    -0.0001984126984126984,
+    0.008333333333333333,
+    -0.16666666666666666,
+)
+_COSINE = (
+    -1.5619206968586225e-16,
+    4.779477332387385e-14,
+    -1.1470745597729725e-11,
+    2.08767569878681e-09,
+    -2.755731922398589e-07,
+    2.48015873015873e-05,
+    -0.001388888888888889,
+    0.041666666666666664,
+)
+
+
 def _sine(angle: Number) -> Number:
     # Taylor series of sin up to x^17; on |x| <= pi/4 the remainder is below 1e-19.
     x2 = angle * angle
@@ -88,5 +111,49 @@ def sin_turns(turns: float) -> float:
 
 
 def sin_turns_array(turns: Array) -> Array:
-    """Sine of angles given in turns, any shape, bit-identical to sin_turns."""
-    return sincos_turns_array(turns)[0]
+    """Sine of angles given in turns, any shape, bit-identical to sin_turns; each polynomial only where it is needed."""
+    fraction = np.rint(turns)
+    np.subtract(turns, fraction, out=fraction)
+    quarter = np.rint(4.0 * fraction)
+    angle = 0.25 * quarter
+    np.subtract(fraction, angle, out=angle)
+    angle *= TURN
+    odd = np.nonzero(np.abs(quarter) == 1.0)
+    if odd[0].size == angle.size:
+        sine = _cosine_array(angle)
+    else:
+        sine = _sine_array(angle)
+        sine[odd] = _cosine_array(angle[odd])
+    np.negative(sine, out=sine, where=(quarter == -1.0) | (np.abs(quarter) == 2.0))
+    return sine
+
+
+def _sine_array(angle: Array) -> Array:
+    """As _sine, in one array."""
+    x2 = angle * angle
+    series = _series(x2, _SINE)
+    series *= x2
+    series *= angle
+    series += angle
+    return series
+
+
+def _cosine_array(angle: Array) -> Array:
+    """As _cosine, in one array."""
+    x2 = angle * angle
+    series = _series(x2, _COSINE)
+    series *= x2
+    series -= 0.5
+    series *= x2
+    series += 1.0
+    return series
+
+
+def _series(x2: Array, coefficients: tuple[float, ...]) -> Array:
+    first, *others = coefficients
+    series = first * x2
+    for coefficient in others[:-1]:
+        series += coefficient
+        series *= x2
+    series += others[-1]
+    return series

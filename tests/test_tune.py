@@ -15,7 +15,7 @@ from hil.compare import LEARNING, cases, run_case
 from hil.config import RigError, load_rig
 from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
-from hil.sweep import Job, jobs, plant_rig, reproduce, run_chunk, run_here, save_worst
+from hil.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
 from hil.tune import CORNERS, SPACE, Bench, corner_truths, front, knob_scale, search, write_gains
 from sim_plant.stage import Truth
 
@@ -51,7 +51,8 @@ def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
     rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
     document = rig.model_dump_json()
     whole = run_chunk(Job(document, 5, 0, 6, 500, 320, True))
-    parts = list(run_here([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)], 2))
+    with processes(2) as crew:
+        parts = list(crew.run([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)]))
     for together, first, second in zip(whole, *parts, strict=True):
         assert np.array_equal(together, np.concatenate([first, second]))
 
