@@ -5,14 +5,17 @@ the single run: filter, setpoints, law, force limits, encoder rounding, the comm
 same objects, called in the same order. All plants share the task, the sampling instants and the start at rest.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hil.belief import blank_inputs, force_limits, rig_model
 from hil.config import RigConfig
 from hil.estimation import MotionFilter, design_gains, per_axis
-from hil.gate import limit_force
+from hil.gate import ForceLimits
 from hil.laws import make_law
-from hil.laws.base import Law
+from hil.laws.base import Array, Law
+from hil.laws.per_axis import gather
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.trajectories import make_trajectory, task_repeat
 from sim_plant.stage import Stage, Truth
@@ -25,6 +28,21 @@ def rig_law(rig: RigConfig) -> Law:
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
     return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit, repeat)
+
+
+class Bounds:
+    """hil.gate.limit_force for many plants at once; a test holds the two equal. Arrays (n_axes,)."""
+
+    def __init__(self, limits: Sequence[ForceLimits]) -> None:
+        self._force, self._low, self._high, self._step = (np.array(values) for values in zip(*limits, strict=True))
+
+    def limit(self, request: Array, previous: Array, position: Array) -> Array:
+        """Bounded force (plants, n_axes), N."""
+        limited: Array = np.maximum(request, previous - self._step)
+        np.minimum(limited, previous + self._step, out=limited)
+        np.minimum(limited, self._force * (position < self._high), out=limited)
+        np.maximum(limited, -self._force * (position > self._low), out=limited)
+        return limited
 
 
 class BatchRun:
@@ -43,9 +61,9 @@ class BatchRun:
         self.index = 0
         self._period_ns = rig.period_ns
         self._model = rig_model(rig)
-        gains, variance = design_gains(rig)
-        self._filter = MotionFilter(gains, variance, self._model.mass, shape)
-        self._limits = force_limits(rig, shape)
+        gains, _ = design_gains(rig)
+        self._filter = MotionFilter(list(gains), self._model.mass)
+        self._bounds = Bounds(force_limits(rig))
         axes = rig.axes.values()
         self._law = law or rig_law(rig)
         self._belief = np.array([axis.encoder_resolution for axis in axes])
@@ -53,22 +71,16 @@ class BatchRun:
         initial = per_axis(rig.plant.initial_position, n)
         self._stage = Stage(truth, np.zeros(shape) + initial)
         self._origin = np.rint(initial / self._resolution) * self._belief
-        self._inputs = blank_inputs(shape)
-        self._share_reference(n)
-        self._setpoints = Setpoints(self._inputs, rig.period_ns)
-        self._net_last, self._net_before = np.zeros(shape), np.zeros(shape)
-        self._measured, self._scratch = np.zeros(shape), np.zeros(shape)
-        self._friction = np.zeros(n)
-        self._previous, self._applied = np.zeros(shape), np.zeros(shape)
-        self.force, self.error = np.zeros(shape), np.zeros(shape)
-
-    def _share_reference(self, n: int) -> None:
-        """What all plants have in common is kept once: (n_axes,), broadcast by the law."""
-        inputs = self._inputs
-        inputs.fresh = np.ones(n)
-        inputs.sample_interval = np.full(n, self._period_ns * 1e-9)
-        inputs.ahead = np.full(n, self._period_ns * 1e-9)
-        inputs.mean_velocity, inputs.mean_acceleration, inputs.mean_sign = np.zeros(n), np.zeros(n), np.zeros(n)
+        # What all plants have in common, on floats as in the cycle.
+        self._shared = [blank_inputs(()) for _ in range(n)]
+        for x in self._shared:
+            x.fresh = 1.0
+            x.sample_interval = x.ahead = self._period_ns * 1e-9
+        self._setpoints = Setpoints(self._shared, rig.period_ns)
+        zero = np.zeros(shape)
+        self._net_last, self._net_before = zero, zero
+        self._force_last, self._measured, self._applied = zero, zero, zero
+        self.force, self.error = zero, np.zeros(shape)
 
     def tick(self) -> None:
         """One control period of every plant."""
@@ -82,39 +94,30 @@ class BatchRun:
             self._setpoints.follow(make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns), [now] * n)
             self._setpoints.update([now - self._period_ns] * n, [now] * n)
         self._act()
-        np.subtract(self._stage.position, self._inputs.sample.position, out=self.error)
         if self.index:  # until the first command arrives the brakes hold the stage
             self._stage.advance(self._period_ns, self._applied)
-        self._applied[...] = self.force.astype(np.float32)
+        self._applied = self.force.astype(np.float32).astype(np.float64)
         self.index += 1
 
     def _estimate(self) -> None:
-        inputs, motion = self._inputs, self._filter
-        np.divide(self._stage.position, self._resolution, out=self._measured)
-        np.rint(self._measured, out=self._measured)
-        np.multiply(self._measured, self._belief, out=self._measured)
-        inputs.position = self._measured
-        motion.predict(self._net_before, inputs.sample_interval)
-        motion.innovate(self._measured)
-        motion.update(None)
-        motion.look_ahead(self._net_last, inputs.ahead)
-        inputs.position_estimate = motion.ahead_position
-        inputs.velocity_estimate = motion.ahead_velocity
-        inputs.disturbance_estimate = motion.disturbance
+        motion, interval = self._filter, self._period_ns * 1e-9
+        self._measured = np.rint(self._stage.position / self._resolution) * self._belief
+        motion.correct(self._net_before, interval, self._measured)
+        motion.look_ahead(self._net_last, interval)
 
     def _engage(self) -> None:
         self._filter.reseed(self._measured)
-        self._setpoints.hold(self._origin)
-        self._law.reset(self._measured.copy(), self._model.gravity)
+        self._setpoints.hold(self._origin.tolist())
+        self._law.reset(self._measured, self._model.gravity)
 
     def _act(self) -> None:
-        inputs = self._inputs
-        inputs.force_before, inputs.force_last = inputs.force_last, inputs.force_before
-        inputs.force_last[...] = self.force
+        inputs = gather(self._shared)
+        inputs.position = self._measured
+        self._filter.tell(inputs)
+        inputs.force_before, inputs.force_last = self._force_last, self.force
         requested = self._law.force(inputs)
-        self._previous[...] = self.force
-        limit_force(requested, self._previous, self._measured, self._limits, self.force, self._scratch)
-        self._net_before, self._net_last = self._net_last, self._net_before
-        nominal_net_force(
-            self.force, self._model, inputs.mean_velocity, inputs.mean_sign, self._net_last, self._friction
-        )
+        np.subtract(self._stage.position, inputs.sample.position, out=self.error)
+        self._force_last = self.force
+        self.force = self._bounds.limit(requested, self.force, self._measured)
+        self._net_before = self._net_last
+        self._net_last = nominal_net_force(self.force, self._model, inputs.mean_velocity, inputs.mean_sign)

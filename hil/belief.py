@@ -5,7 +5,8 @@ import numpy as np
 from hil.config import RigConfig
 from hil.faults import AxisLimits
 from hil.gate import ForceLimits
-from hil.laws.base import Array, LawInputs, Model, Reference
+from hil.laws.base import LawInputs, Model, Reference
+from hil.number import Number
 
 
 def rig_model(rig: RigConfig) -> Model:
@@ -23,10 +24,10 @@ def rig_model(rig: RigConfig) -> Model:
 
 
 def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
-    """LawInputs of zeros."""
+    """LawInputs of zeros, arrays of `shape`; of floats where the shape is ()."""
 
-    def zeros() -> Array:
-        return np.zeros(shape)
+    def zeros() -> Number:
+        return np.zeros(shape) if shape else 0.0
 
     def rest() -> Reference:
         return Reference(zeros(), zeros(), zeros())
@@ -38,17 +39,11 @@ def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
     )  # fmt: skip
 
 
-def force_limits(rig: RigConfig, shape: tuple[int, ...]) -> ForceLimits:
-    """The gate's bounds from the rig file; shape: of the forces to be limited, (..., n_axes)."""
+def force_limits(rig: RigConfig) -> list[ForceLimits]:
+    """The gate's bounds from the rig file, one an axis."""
     limits = [axis.limits for axis in rig.axes.values()]
     period = rig.period_ns * 1e-9
-    return ForceLimits(
-        [li.force for li in limits],
-        [li.position[0] for li in limits],
-        [li.position[1] for li in limits],
-        [li.force_rate * period for li in limits],
-        shape,
-    )
+    return [ForceLimits(li.force, li.position[0], li.position[1], li.force_rate * period) for li in limits]
 
 
 def axis_limits(rig: RigConfig) -> list[AxisLimits]:

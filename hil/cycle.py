@@ -20,8 +20,7 @@ from hil.faults import Fault, FaultMonitor, Reaction
 from hil.gate import TorqueGate
 from hil.homing import home_trajectory
 from hil.inbox import Inbox
-from hil.laws import make_law
-from hil.laws.base import Array
+from hil.laws import make_axis_laws
 from hil.sampling import Sampling
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
@@ -31,6 +30,7 @@ from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import make_trajectory, task_repeat
 
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
+ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
 ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
 
 
@@ -42,34 +42,33 @@ class ControlCycle:
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
         n = len(rig.axes)
-        period = self._period = rig.period_ns * 1e-9
-        self.model = rig_model(rig)
-        force = np.array([axis.limits.force for axis in rig.axes.values()])
-        speed = np.array([axis.limits.speed for axis in rig.axes.values()])
+        period = rig.period_ns * 1e-9
+        axes = list(rig.axes.values())
+        model = rig_model(rig)
+        self.models = [model.axis(index) for index in range(n)]
 
         self.protocol: HostProtocol = host_protocol(
-            rig.bus, n, [axis.rated_force for axis in rig.axes.values()], base_dir, rig.period_ns
+            rig.bus, n, [axis.rated_force for axis in axes], base_dir, rig.period_ns
         )
         self.machine = StateMachine()
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
         gains, variance = design_gains(rig)
-        self.filter = MotionFilter(gains, variance, self.model.mass, (n,))
+        self.filters = [MotionFilter(gains[:, i].tolist(), self.models[i].mass) for i in range(n)]
         innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, innovation_limit)
-        self.gate = TorqueGate(self.protocol, force_limits(rig, (n,)))
+        self.gate = TorqueGate(self.protocol, force_limits(rig))
         # Made here too, so that a task that cannot be done is refused now and not when the drives are live.
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
         repeat = repeat if rig.law.iterative_learning else None
-        self.law = make_law(rig.law, self.model, period, force, repeat)
+        force = np.array([axis.limits.force for axis in axes])
+        self.law = make_axis_laws(rig.law, model, period, force, repeat)
         self.commands = CommandDesk()
-        self.inputs = blank_inputs((n,))
-        self.inputs.position_estimate = self.filter.ahead_position
-        self.inputs.velocity_estimate = self.filter.ahead_velocity
-        self.inputs.disturbance_estimate = self.filter.disturbance
-        resolution = [axis.encoder_resolution for axis in rig.axes.values()]
+        self.inputs = [blank_inputs(()) for _ in range(n)]
+        resolution = [axis.encoder_resolution for axis in axes]
         self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, stamped=self.protocol.stamped)
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
-        self._stop = DampedStop(self.model, speed, period, rig.safety.stop_s)
+        speed = [axis.limits.speed for axis in axes]
+        self._stop = DampedStop(self.models, speed, period, rig.safety.stop_s)
         self._records = RecordBuilder(n)
 
         self.fault = Fault.NONE  # the one that latched
@@ -81,13 +80,9 @@ class ControlCycle:
         self._enabled_seen = False
         self._stopping_since_ns = 0
         self._sent_now_ns = 0
-        self._measured = self.inputs.position
-        self._net_last = np.zeros(n)
-        self._net_before = np.zeros(n)
-        self._scratch = np.zeros(n)
-        self._zero = np.zeros(n)
-        self._requested: Array = self._zero
-        self._motion = np.zeros((10, n))
+        self._zero = [0.0] * n
+        self._measured = self._requested = self._zero
+        self._net_last = self._net_before = self._zero  # the filters' known input, N
 
     @property
     def state(self) -> State:
@@ -103,48 +98,51 @@ class ControlCycle:
         monitor.check_timing(tick)
         monitor.check_grants(tick)
         monitor.check_samples(self.inbox, self._enabled_seen)
+        self._mark(ESTIMATE)
         self._estimate(tick)
+        self._mark(CONTROL)
         self._check_motion(tick)
         before = self.machine.state
         self._advance(tick)
         out = self._act(tick, before)
+        self._mark(RECORD)
         return CycleResult(out, self._record(tick, frames, out))
+
+    def _mark(self, stage: int) -> None:
+        """A stage begins; for who wants to know where the time goes. The cycle itself reads no clock."""
 
     # estimate ---------------------------------------------------------------------------------------------------------
 
     def _estimate(self, tick: Tick) -> None:
-        """Move the filter to the samples' instants, correct it, and look ahead to where the next force will act."""
-        inputs, motion, sampling = self.inputs, self.filter, self.sampling
-        fresh = sampling.take_instants(tick.now_ns, self._sent_now_ns)
-        motion.predict(self._net_before, inputs.sample_interval)
-        all_fresh = sampling.take_positions(fresh, motion.position, self.monitor)
-        if not sampling.tracked and all(self.inbox.heard):
-            sampling.tracked = True
-            motion.reseed(self._measured)
-        motion.innovate(self._measured)
-        inputs.fresh[:] = fresh
-        stretch = np.maximum(inputs.sample_interval / self._period, 1.0) if sampling.stretched else None
-        motion.update(None if all_fresh else inputs.fresh, stretch)
-        motion.look_ahead(self._net_last, inputs.ahead)
+        """Move the filters to the samples' instants, correct them, and look ahead to where the next force will act."""
+        sampling = self.sampling
+        sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
+        found = not sampling.tracked and all(self.inbox.heard)
+        forces = zip(self.inputs, self.filters, self._net_before, self._net_last, sampling.stretch, strict=True)
+        for x, motion, before, last, stretch in forces:
+            motion.correct(before, x.sample_interval, x.position, x.fresh, stretch)
+            if found:
+                motion.reseed(x.position)
+            elif not x.fresh and sampling.tracked:
+                x.position = motion.position
+            motion.look_ahead(last, x.ahead)
+            motion.tell(x)
+        sampling.tracked = sampling.tracked or found
+        self._measured = [x.position for x in self.inputs]
         self.setpoints.update(sampling.instants, sampling.starts)
 
     def _check_motion(self, tick: Tick) -> None:
         if self.machine.state not in TORQUE_STATES:
             return
-        inputs = self.inputs
-        self.monitor.check_filter(self.filter.innovation.tolist())
-        self.monitor.check_motion(
-            self._measured.tolist(),
-            self.filter.velocity.tolist(),
-            self.gate.force.tolist(),
-            inputs.sample.position.tolist(),
-            inputs.sample.velocity.tolist(),
-            inputs.end.position.tolist(),
-            following=self.machine.state is not State.STOPPING,
-        )
+        monitor, following = self.monitor, self.machine.state is not State.STOPPING
+        for axis, (x, motion, force) in enumerate(zip(self.inputs, self.filters, self.gate.force, strict=True)):
+            monitor.check_filter(axis, motion.innovation)
+            monitor.check_motion(
+                axis, x.position, motion.velocity, force, x.sample, x.end.position, following=following
+            )
         heartbeat = self.rig.safety.heartbeat_s
         if heartbeat and tick.now_ns - (self.commands.heartbeat_ns or 0) > heartbeat * 1e9:
-            self.monitor.see(Fault.HEARTBEAT_LOST)
+            monitor.see(Fault.HEARTBEAT_LOST)
 
     # advance ----------------------------------------------------------------------------------------------------------
 
@@ -215,11 +213,12 @@ class ControlCycle:
     def _engage(self) -> None:
         """Start at rest where the axes are: setpoint, filter and law know nothing of earlier runs."""
         self.monitor.restart()
-        self.filter.reseed(self._measured)
-        self._net_last[:] = 0.0
-        self._net_before[:] = 0.0
+        for x, motion in zip(self.inputs, self.filters, strict=True):
+            motion.reseed(x.position)
+            motion.tell(x)
+        self._net_last = self._net_before = self._zero
         self.setpoints.hold(self._measured)
-        self.law.reset(self._measured.copy(), self.model.gravity)
+        self.law.reset(self._measured, [model.gravity for model in self.models])
         self._waited_for_enable = 0
         self._enabled_seen = False
 
@@ -234,7 +233,7 @@ class ControlCycle:
                 self._handle(Event.HOMED, tick)
         elif state is State.STOPPING:
             elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
-            if self._stop.over(self.filter.ahead_velocity, elapsed):
+            if self._stop.over([motion.ahead_velocity for motion in self.filters], elapsed):
                 self._handle(self._after_stop(tick), tick)
 
     def _after_stop(self, tick: Tick) -> Event:
@@ -255,7 +254,7 @@ class ControlCycle:
         if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
             self._enabled_seen = True
             origin = [tick.now_ns + latency for latency in self.sampling.latency]
-            start = self.inputs.sample.position.copy()
+            start = np.array([x.sample.position for x in self.inputs])
             homing = self.machine.state is State.HOMING
             rig = self.rig
             task = (
@@ -277,24 +276,25 @@ class ControlCycle:
 
     def _act(self, tick: Tick, before: State) -> list[Frame]:
         """Law, gate, encode; nothing at all in silent states, save one last zero on the way into SHUTDOWN."""
-        state = self.machine.state
-        inputs, gate = self.inputs, self.gate
-        inputs.force_before[:] = inputs.force_last
+        state, gate = self.machine.state, self.gate
         self._requested = self._zero
+        for x in self.inputs:
+            x.force_before = x.force_last
         if self._silent or (state in SILENT_STATES and before in SILENT_STATES):
-            gate.force[:] = 0.0
+            gate.cut()
+            self._mark(GATE)
             self._remember_force(tick)
             return []
-        inputs.force_last[:] = gate.force
+        for x, force in zip(self.inputs, gate.force, strict=True):
+            x.force_last = force
         permitted = state in TORQUE_STATES
         if permitted:
-            self._requested = (
-                self._stop.force(self.filter.ahead_velocity) if state is State.STOPPING else self.law.force(inputs)
-            )
+            self._requested = self._ask(state)
             if not gate.finite(self._requested):
                 self.monitor.see(Fault.NOT_FINITE)
                 self._latch(Fault.NOT_FINITE, Reaction.ZERO, tick)
                 permitted = False
+        self._mark(GATE)
         self.sent_sequence += 1
         reset = self._reset_ticks > 0
         self._reset_ticks -= reset
@@ -304,36 +304,40 @@ class ControlCycle:
         self._remember_force(tick)
         return out
 
+    def _ask(self, state: State) -> list[float]:
+        """The force asked for, N per axis: of the damped stop, else of the law."""
+        if state is State.STOPPING:
+            return self._stop.force([motion.ahead_velocity for motion in self.filters])
+        return self.law.force(self.inputs)
+
     def _remember_force(self, tick: Tick) -> None:
         """The force just let out acts in the interval the setpoints' means belong to."""
         self._sent_now_ns = tick.now_ns
-        self._net_before, self._net_last = self._net_last, self._net_before
-        inputs = self.inputs
-        nominal_net_force(
-            self.gate.force, self.model, inputs.mean_velocity, inputs.mean_sign, self._net_last, self._scratch
-        )
+        self._net_before = self._net_last
+        self._net_last = [
+            nominal_net_force(force, model, x.mean_velocity, x.mean_sign)
+            for force, model, x in zip(self.gate.force, self.models, self.inputs, strict=True)
+        ]
 
     # record -----------------------------------------------------------------------------------------------------------
 
     def _record(self, tick: Tick, received: Sequence[Frame], sent: list[Frame]) -> np.void:
-        records, inbox, inputs, filt = self._records, self.inbox, self.inputs, self.filter
+        records, inbox, inputs, filters = self._records, self.inbox, self.inputs, self.filters
         flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | bool(sent) << 4
         records.head(
             tick.index, tick.scheduled_ns, tick.now_ns, self.machine.state, self.fault, self.monitor.active, flags,
             max(self.sent_sequence, 0), self.setpoints.task_ns,
         )  # fmt: skip
-        setpoint = inputs.sample
-        np.concatenate(
-            (
-                self._measured, filt.position, filt.velocity, filt.disturbance, filt.innovation, setpoint.position,
-                setpoint.velocity, self._measured - setpoint.position, self._requested, self.gate.force,
-            ),
-            out=self._motion.reshape(-1),
-        )  # fmt: skip
-        records.motion[:] = self._motion
+        measured, setpoint = self._measured, [x.sample.position for x in inputs]
+        records.motion((
+            measured, [f.position for f in filters], [f.velocity for f in filters], [f.disturbance for f in filters],
+            [f.innovation for f in filters], setpoint, [x.sample.velocity for x in inputs],
+            [q - qd for q, qd in zip(measured, setpoint, strict=True)], self._requested, self.gate.force,
+        ))  # fmt: skip
         status = [0 if s is None else s.status for s in inbox.samples]
         records.axes(self.sampling.instants, inbox.age, status, tick.port, inbox.rejects)
-        floors = getattr(self.law, "denominator_floors", 0)
-        records.counts(inbox.lost, self.machine.refused, self.commands.refused, floors, self.gate.saturations)
+        records.counts(
+            inbox.lost, self.machine.refused, self.commands.refused, self.law.denominator_floors, self.gate.saturations
+        )
         records.traffic(self.commands.handled, sent, received)
         return records.record

@@ -2,13 +2,13 @@
 
 Model per axis: mass * acceleration = input - disturbance, where the input is the force let out less the nominal
 friction at the setpoint's velocity. The gains are filterpy's (hil/estimation_design.py), constant; a test holds the two
-filters equal. Arrays have shape (..., n_axes); only exact element-wise operations, so a batch gives the same bits as
-its members one by one.
+filters equal.
 """
 
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.config import RigConfig
+from hil.laws.base import LawInputs
+from hil.number import Number
 
 Array = NDArray[np.float64]
 
@@ -80,67 +82,52 @@ class MotionFilter:
     """Constant-gain Kalman filter; `position`, `velocity`, `disturbance` are its state at the latest sample's time.
 
     `ahead_position` and `ahead_velocity` are the same predicted to the start of the interval in which the next force
-    will act.
+    will act. gains: of position, velocity and disturbance; mass: kg. All are floats (one axis) or all arrays (...,
+    n_axes): see hil/number.py. The object's arrays are new in every step.
     """
 
-    def __init__(self, gains: Array, innovation_variance: Array, mass: Array, shape: tuple[int, ...]) -> None:
-        self._gains = gains.reshape((3,) + (1,) * (len(shape) - 1) + shape[-1:])
-        self.innovation_variance = innovation_variance
+    __slots__ = (
+        "_disturbance_gain", "_inverse_mass", "_position_gain", "_velocity_gain", "ahead_position", "ahead_velocity",
+        "disturbance", "innovation", "position", "velocity",
+    )  # fmt: skip
+
+    def __init__(self, gains: Sequence[Number], mass: Number) -> None:
+        self._position_gain, self._velocity_gain, self._disturbance_gain = gains
         self._inverse_mass = 1.0 / mass
-        self._state: Array = np.zeros((3, *shape))
-        self.position, self.velocity, self.disturbance = self._state
-        self._correction: Array = np.zeros((3, *shape))
-        self.innovation: Array = np.zeros(shape)
-        self.ahead_position: Array = np.zeros(shape)
-        self.ahead_velocity: Array = np.zeros(shape)
-        self._acceleration: Array = np.zeros(shape)
-        self._scratch: Array = np.zeros(shape)
+        self.reseed(mass - mass)
 
-    def reseed(self, position: Array) -> None:
+    def reseed(self, position: Number) -> None:
         """At rest at `position`, without disturbance."""
-        self.position[...] = position
-        self.ahead_position[...] = position
-        for array in (self.velocity, self.disturbance, self.innovation, self.ahead_velocity):
-            array[...] = 0.0
+        self.position = self.ahead_position = position
+        self.velocity = self.disturbance = self.innovation = self.ahead_velocity = position - position
 
-    def predict(self, force: Array, interval: Array) -> None:
-        """Move the state `interval` s forward under a constant input `force` (N)."""
-        self._move(self.position, self.velocity, force, interval, self.position, self.velocity)
+    def correct(
+        self, force: Number, interval: Number, measured: Number, fresh: Number = 1.0, stretch: Number = 1.0
+    ) -> None:
+        """Move the state `interval` s forward under a constant input `force` (N); correct it by a sample (m).
 
-    def innovate(self, measured: Array) -> Array:
-        """Innovation of the samples (m): measured less predicted position. The state does not change yet."""
-        np.subtract(measured, self.position, out=self.innovation)
-        return self.innovation
-
-    def update(self, fresh: Array | None, stretch: Array | None = None) -> None:
-        """Correct the state by the innovation; `fresh` 1.0/0.0 per axis leaves axes without a trusted sample alone.
-
-        stretch: interval since the last sample over the period the gains were designed for, where it is far from 1. The
-        velocity's gain is then divided by it and the disturbance's by its square, as for an alpha-beta-gamma filter:
+        fresh: 1.0, or 0.0 where there is no trusted sample: the prediction stands, nothing is learnt, and the
+        innovation is 0. stretch: interval since the last sample over the period the gains were designed for, at least
+        1. The velocity's gain is divided by it and the disturbance's by its square, as for an alpha-beta-gamma filter:
         left as they are, they would make the filter run away.
         """
-        innovation = self.innovation
-        if fresh is not None:
-            np.multiply(innovation, fresh, out=innovation)
-        np.multiply(self._gains, innovation, out=self._correction)
-        if stretch is not None:
-            self._correction[1] /= stretch
-            self._correction[2] /= stretch * stretch
-        np.add(self._state, self._correction, out=self._state)
+        disturbance, velocity = self.disturbance, self.velocity
+        change = (force - disturbance) * self._inverse_mass * interval
+        position = self.position + (change * 0.5 + velocity) * interval
+        self.innovation = innovation = (measured - position) * fresh
+        self.position = position + self._position_gain * innovation
+        self.velocity = velocity + change + self._velocity_gain * innovation / stretch
+        self.disturbance = disturbance + self._disturbance_gain * innovation / (stretch * stretch)
 
-    def look_ahead(self, force: Array, ahead: Array) -> None:
+    def look_ahead(self, force: Number, ahead: Number) -> None:
         """Compensate the period between sample and force: predict `ahead` s under `force` (N), into ahead_*."""
-        self._move(self.position, self.velocity, force, ahead, self.ahead_position, self.ahead_velocity)
+        velocity = self.velocity
+        change = (force - self.disturbance) * self._inverse_mass * ahead
+        self.ahead_position = self.position + (change * 0.5 + velocity) * ahead
+        self.ahead_velocity = velocity + change
 
-    def _move(
-        self, position: Array, velocity: Array, force: Array, time: Array, to_position: Array, to_velocity: Array
-    ) -> None:
-        change, scratch = self._acceleration, self._scratch
-        np.subtract(force, self.disturbance, out=change)
-        np.multiply(change, self._inverse_mass, out=change)
-        np.multiply(change, time, out=change)  # change of velocity
-        np.multiply(change, 0.5, out=scratch)
-        np.add(scratch, velocity, out=scratch)  # mean velocity
-        np.multiply(scratch, time, out=scratch)
-        np.add(position, scratch, out=to_position)
-        np.add(velocity, change, out=to_velocity)
+    def tell(self, inputs: LawInputs) -> None:
+        """What a law sees of this."""
+        inputs.position_estimate = self.ahead_position
+        inputs.velocity_estimate = self.ahead_velocity
+        inputs.disturbance_estimate = self.disturbance

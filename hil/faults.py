@@ -14,6 +14,7 @@ from typing import NamedTuple
 from drivers.protocols.base import DriveStatus
 from hil.config import SafetyConfig
 from hil.inbox import Inbox
+from hil.laws.base import Reference
 from hil.state_machine import TORQUE_STATES, State
 from hil.tick import BusState, PortCounters, Tick
 
@@ -297,53 +298,43 @@ class FaultMonitor:
         self.see(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH)
         return True
 
-    def check_filter(self, innovation: Sequence[float]) -> None:
-        """Innovations (m) that stay beyond their limit, or are not finite."""
-        for axis, value in enumerate(innovation):
-            if -self._innovation_limit[axis] <= value <= self._innovation_limit[axis]:
-                self._diverging[axis] = 0
-                continue
-            self._diverging[axis] += 1
-            if value != value:
-                self.see(Fault.NOT_FINITE)
-            if self._diverging[axis] >= self._safety.nis_ticks:
-                self.see(Fault.FILTER_DIVERGED)
+    def check_filter(self, axis: int, innovation: float) -> None:
+        """An innovation (m) that stays beyond its limit, or is not finite."""
+        limit = self._innovation_limit[axis]
+        if -limit <= innovation <= limit:
+            self._diverging[axis] = 0
+            return
+        self._diverging[axis] += 1
+        if innovation != innovation:
+            self.see(Fault.NOT_FINITE)
+        if self._diverging[axis] >= self._safety.nis_ticks:
+            self.see(Fault.FILTER_DIVERGED)
 
     def check_motion(
-        self,
-        position: Sequence[float],
-        velocity: Sequence[float],
-        force: Sequence[float],
-        setpoint: Sequence[float],
-        setpoint_velocity: Sequence[float],
-        end_position: Sequence[float],
-        *,
-        following: bool,
+        self, axis: int, q: float, v: float, force: float, sample: Reference, planned: float, *, following: bool
     ) -> None:
-        """Travel, speed, following error, stuck encoder; measured and planned. Lists per axis, SI units.
+        """Travel, speed, following error, stuck encoder of one axis; measured and planned. SI units.
 
-        setpoint and setpoint_velocity belong to the sample's instant, end_position to the end of the coming interval.
-        following: the axes are meant to follow the setpoint (not in a damped stop).
+        q: measured position. v: estimated velocity. sample: setpoint at the sample's instant. planned: setpoint
+        position at the end of the coming interval. following: the axis is meant to follow the setpoint (not in a damped
+        stop).
         """
-        for axis, limits in enumerate(self._axes):
-            q, v, vd = position[axis], velocity[axis], setpoint_velocity[axis]
-            if not limits.position_low <= q <= limits.position_high:
-                self.see(Fault.TRAVEL)
-            if abs(v) > limits.speed or v != v:
-                self.see(Fault.SPEED)
-            stopped_at = q + v * abs(v) / (2.0 * limits.braking)
-            if abs(vd) > limits.speed:
-                self.see(Fault.SPEED_PLANNED)
-            self._check_stuck(axis, q, force[axis], limits.stuck_force)
-            if not following:
-                continue
-            planned = end_position[axis]
-            if not (limits.position_low <= planned <= limits.position_high) or not (
-                limits.position_low <= stopped_at <= limits.position_high
-            ):
-                self.see(Fault.TRAVEL_PLANNED)
-            if abs(q - setpoint[axis]) > limits.following_error * (1.0 + abs(vd) / limits.speed):
-                self.see(Fault.FOLLOWING_ERROR)
+        limits, vd = self._axes[axis], sample.velocity
+        low, high = limits.position_low, limits.position_high
+        if not low <= q <= high:
+            self.see(Fault.TRAVEL)
+        if abs(v) > limits.speed or v != v:
+            self.see(Fault.SPEED)
+        if abs(vd) > limits.speed:
+            self.see(Fault.SPEED_PLANNED)
+        self._check_stuck(axis, q, force, limits.stuck_force)
+        if not following:
+            return
+        stopped_at = q + v * abs(v) / (2.0 * limits.braking)
+        if not (low <= planned <= high and low <= stopped_at <= high):
+            self.see(Fault.TRAVEL_PLANNED)
+        if abs(q - sample.position) > limits.following_error * (1.0 + abs(vd) / limits.speed):
+            self.see(Fault.FOLLOWING_ERROR)
 
     def _check_stuck(self, axis: int, position: float, force: float, threshold: float) -> None:
         if -threshold < force < threshold or position != self._stuck_position[axis]:

@@ -5,94 +5,85 @@ of laws and trajectories and trusts neither. Anything not finite, or not permitt
 never delays zero.
 """
 
+import math
 from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols.base import Command, HostProtocol
 
-Array = NDArray[np.float64]
+
+class ForceLimits(NamedTuple):
+    """Bounds of one axis: N, m, m, and N per tick."""
+
+    force: float
+    position_low: float
+    position_high: float
+    step: float
 
 
-def limit_force(
-    request: Array, previous: Array, position: Array, limits: "ForceLimits", out: Array, scratch: Array
-) -> None:
-    """Bound `request` by position, magnitude and rate of change; arrays (..., n_axes), N. Exact element-wise
-    operations.
+def limit_force(request: float, previous: float, position: float, limits: ForceLimits) -> float:
+    """Bound `request` (N) by rate of change, magnitude and position (m); all finite.
 
     Beyond a travel limit only force that points back inside is let through. The rate limit gives way to the bounds: at
-    a travel limit the outward force is zero in the same tick. Neither input array is changed.
+    a travel limit the outward force is zero in the same tick.
     """
-    np.subtract(previous, limits.step, out=scratch)
-    np.maximum(request, scratch, out=out)
-    np.add(previous, limits.step, out=scratch)
-    np.minimum(out, scratch, out=out)
-    np.less(position, limits.position_high, out=limits.mask)
-    np.multiply(limits.force, limits.mask, out=scratch)
-    np.minimum(out, scratch, out=out)
-    np.greater(position, limits.position_low, out=limits.mask)
-    np.multiply(limits.minus_force, limits.mask, out=scratch)
-    np.maximum(out, scratch, out=out)
-
-
-class ForceLimits:
-    """Bounds of every axis; arrays (n_axes,): N, m, m, and N per tick."""
-
-    def __init__(self, force: Any, position_low: Any, position_high: Any, step: Any, shape: tuple[int, ...]) -> None:
-        self.force: Array = np.asarray(force, dtype=np.float64)
-        self.minus_force: Array = -self.force
-        self.position_low: Array = np.asarray(position_low, dtype=np.float64)
-        self.position_high: Array = np.asarray(position_high, dtype=np.float64)
-        self.step: Array = np.asarray(step, dtype=np.float64)
-        self.mask = np.zeros(shape, dtype=np.bool_)
+    force, low, high, step = limits
+    limited = max(request, previous - step)
+    limited = min(limited, previous + step)
+    limited = min(limited, force if position < high else 0.0)
+    return max(limited, -force if position > low else 0.0)
 
 
 class TorqueGate:
-    """Holds the last force let out, per axis, and counts what it had to change."""
+    """Holds the last force let out, per axis (N), and counts what it had to change."""
 
-    def __init__(self, protocol: HostProtocol, limits: ForceLimits) -> None:
+    def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits]) -> None:
         self._protocol = protocol
-        self._limits = limits
+        self._limits = list(limits)
         n = protocol.n_axes
-        self.force: Array = np.zeros(n)  # let out in the latest tick
-        self._limited: Array = np.zeros(n)
-        self._scratch: Array = np.zeros(n)
         self._zero = [0.0] * n
+        self.force = self._zero  # let out in the latest tick
         self._all_axes = (1 << n) - 1
         self.saturations = [0] * n
 
     def release(
-        self, request: Array, position: Array, *, permitted: bool, sequence: int, reset: bool = False
+        self,
+        request: Sequence[float],
+        position: Sequence[float],
+        *,
+        permitted: bool,
+        sequence: int,
+        reset: bool = False,
     ) -> list[Frame]:
         """Command frames of one tick.
 
-        request: force asked for (n_axes,), N. position: newest trusted position (n_axes,), m. permitted: the state
-        allows torque; if not, or if anything is not finite, the force is zero and every drive is disabled.
+        request: force asked for, N per axis. position: newest trusted positions, m. permitted: the state allows torque;
+        if not, or if anything is not finite, the force is zero and every drive is disabled.
         """
         if not permitted or not self.finite(request) or not self.finite(position):
             return self.zero(sequence, reset)
-        limited = self._limited
-        limit_force(request, self.force, position, self._limits, limited, self._scratch)
-        force: Sequence[float] = limited.tolist()
-        asked: Sequence[float] = request.tolist()
-        if force != asked:
-            for axis, (let_out, wanted) in enumerate(zip(force, asked, strict=True)):
-                self.saturations[axis] += let_out != wanted
-        self.force[:] = limited
+        force = []
+        for axis, (wanted, previous, q, limits) in enumerate(
+            zip(request, self.force, position, self._limits, strict=True)
+        ):
+            let_out = limit_force(wanted, previous, q, limits)
+            force.append(let_out)
+            if let_out != wanted:
+                self.saturations[axis] += 1
+        self.force = force
         return self._protocol.encode(Command(sequence, force, self._all_axes, False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""
-        self.force[:] = 0.0
+        self.cut()
         return self._protocol.encode(Command(sequence, self._zero, 0, reset))
 
+    def cut(self) -> None:
+        """No force, and nothing said of it: the bus is to stay silent."""
+        self.force = self._zero
+
     @staticmethod
-    def finite(values: Array) -> bool:
-        """True where no value is NaN or infinite: a finite number less itself is zero, any other is NaN."""
-        total = 0.0
-        for value in values.tolist():
-            total += value - value
-        return total == 0.0
+    def finite(values: Sequence[float]) -> bool:
+        """True where no value is NaN or infinite."""
+        return all(map(math.isfinite, values))

@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 from drivers.bus import Port
 from drivers.counters import BusState
 from hil.clock import Pacer, own_share
+from hil.cycle import CONTROL, ESTIMATE, GATE, RECORD
 from hil.notify import Notifier
 from hil.realtime import Claim
-from hil.stage_clock import CONTROL, ESTIMATE, GATE, RECORD, TimedCycle
+from hil.stage_clock import TimedCycle
 from hil.state_machine import TORQUE_STATES, State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.record import RECORD as RECORD_DTYPE

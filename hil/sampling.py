@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from hil.faults import FaultMonitor
 from hil.inbox import Inbox
-from hil.laws.base import Array, LawInputs
+from hil.laws.base import LawInputs
 
 LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
 LATENCY_STEP_NS = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
@@ -22,14 +22,15 @@ class Sampling:
     """Instants (integer ns on the samples' clock) and trusted positions of the newest samples.
 
     instants: of the filter's state. starts: expected start of the coming force's interval. latency: from the tick's
-    start to the drives' sampling, averaged. tracked: there is a position to start from.
+    start to the drives' sampling, averaged. stretch: interval since the last sample in periods, where slots were
+    skipped, else 1. tracked: there is a position to start from.
     """
 
     def __init__(
-        self, inputs: LawInputs, inbox: Inbox, resolution: Sequence[float], period_ns: int, *, stamped: bool
+        self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int, *, stamped: bool
     ) -> None:
         n = len(resolution)
-        self._inputs = inputs
+        self._inputs = list(inputs)
         self._inbox = inbox
         self._resolution = resolution
         self._period_ns = period_ns
@@ -37,44 +38,52 @@ class Sampling:
         self.instants = [0] * n
         self.starts = [0] * n
         self.latency = [0] * n
+        self.stretch = [1.0] * n
         self._average = [0] * n
         self._latency_known = [False] * n
         self._usual_delay = [0] * n  # lower envelope of estimated delays
         self._trusted = [0.0] * n  # last believed position, m, and its instant
         self._trusted_ns = [0] * n
         self.tracked = False
-        self.stretched = False  # some interval is much longer than a period: slots were skipped
 
     def restart(self) -> None:
         """After a reset: what was learnt about the drives' clocks and positions counts no more."""
         self.tracked = False
         self._latency_known = [False] * len(self.latency)
 
-    def take_instants(self, now_ns: int, sent_ns: int) -> list[float]:
-        """Fill the inputs' intervals (s), for a tick that began at now_ns and a last command sent in the tick that
-        began at sent_ns. Returns 1.0 per axis where a sample came, else 0.0.
+    def take(self, now_ns: int, sent_ns: int, monitor: FaultMonitor) -> None:
+        """Fill the inputs' intervals (s) and `fresh`, and `position` (m) where a believable sample came; for a tick
+        that began at now_ns and a last command sent in the tick that began at sent_ns.
         """
-        period, intervals, ahead, fresh = self._period_ns, [], [], []
-        arrived, instants = self._inbox.fresh, self.instants
-        for axis, sample in enumerate(self._inbox.samples):
-            previous = instants[axis]
-            elapsed = period
-            if arrived[axis] and sample is not None:
+        inbox, instants, period, answered = self._inbox, self.instants, self._period_ns, 0.0
+        for axis, (x, sample) in enumerate(zip(self._inputs, inbox.samples, strict=True)):
+            previous, elapsed = instants[axis], period
+            x.fresh = 0.0
+            if inbox.fresh[axis] and sample is not None:
                 instant = sent_ns + self._delay(axis, sample.stamp_ns - sent_ns)
                 if self.tracked:
                     elapsed = min(max(instant - previous, 0), LONGEST_PERIODS * period)
-                fresh.append(1.0)
+                position = sample.position * self._resolution[axis]
+                if self._believed(axis, position, instant, monitor):
+                    x.position, x.fresh = position, 1.0
+                    answered = 1.0
             else:
                 instant = previous + period
-                fresh.append(0.0)
             instants[axis] = instant
             self.starts[axis] = start = now_ns + self.latency[axis]
-            intervals.append(elapsed * 1e-9)
-            ahead.append((start - instant) * 1e-9)
-        self.stretched = max(intervals) > 1.5e-9 * period
-        self._inputs.sample_interval[:] = intervals
-        self._inputs.ahead[:] = ahead
-        return fresh
+            x.sample_interval = elapsed * 1e-9
+            x.ahead = (start - instant) * 1e-9
+            self.stretch[axis] = elapsed / period if 2 * elapsed > 3 * period else 1.0
+        for x in self._inputs:
+            x.answered = answered
+
+    def _believed(self, axis: int, position: float, instant: int, monitor: FaultMonitor) -> bool:
+        """Whether a sample can be true; the first ones must be."""
+        periods = (instant - self._trusted_ns[axis]) / self._period_ns
+        if self.tracked and monitor.implausible(axis, position - self._trusted[axis], periods):
+            return False
+        self._trusted[axis], self._trusted_ns[axis] = position, instant
+        return True
 
     def _delay(self, axis: int, delay: int) -> int:
         """From the tick's start to the sampling, ns; keeps the average up to date."""
@@ -96,23 +105,3 @@ class Sampling:
             usual = delay
         self._usual_delay[axis] = usual + DELAY_LEAK_NS
         return usual if delay > usual + DELAY_SPREAD_NS else delay
-
-    def take_positions(self, fresh: list[float], predicted: Array, monitor: FaultMonitor) -> bool:
-        """Fill the inputs' positions (m) from samples that can be true, else from `predicted`; clears `fresh` where a
-        sample is not believed. True where every axis has a trusted sample.
-        """
-        position, complete = self._inputs.position, True
-        for axis, sample in enumerate(self._inbox.samples):
-            if fresh[axis] and sample is not None:
-                measured = sample.position * self._resolution[axis]
-                instant = self.instants[axis]
-                periods = (instant - self._trusted_ns[axis]) / self._period_ns
-                if not (self.tracked and monitor.implausible(axis, measured - self._trusted[axis], periods)):
-                    position[axis] = self._trusted[axis] = measured
-                    self._trusted_ns[axis] = instant
-                    continue
-                fresh[axis] = 0.0
-            complete = False
-            if self.tracked:
-                position[axis] = predicted[axis]
-        return complete

@@ -108,8 +108,8 @@ class _Loop:
         n = model.mass.size
         self._mass = model.mass / plant_gain
         self._period = rig.period_ns * 1e-9
-        gains, variance = design_gains(rig)
-        self._filter = MotionFilter(gains, variance, model.mass, (n, n))
+        gains, _ = design_gains(rig)
+        self._filter = MotionFilter(list(gains), model.mass)
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
         plain = rig.law.model_copy(update={"iterative_learning": False})
         self._law = make_law(plain, model, self._period, limit)
@@ -143,9 +143,7 @@ class _Loop:
         seen = self._error + pulse
         inputs.position = inputs.sample.position + seen
         # The rig's filter works on the error here: the loop is linear, and the reference moves without acceleration.
-        motion.predict(before, inputs.sample_interval)
-        motion.innovate(seen)
-        motion.update(None)
+        motion.correct(before, inputs.sample_interval, seen)
         motion.look_ahead(last, inputs.ahead)
         inputs.position_estimate = motion.ahead_position + inputs.start.position
         inputs.velocity_estimate = motion.ahead_velocity + inputs.start.velocity

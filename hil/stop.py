@@ -1,8 +1,8 @@
 """The damped stop of STOPPING: brake towards rest on the filter's velocity, hold gravity, and be over in time."""
 
-import numpy as np
+from collections.abc import Sequence
 
-from hil.laws.base import Array, Model
+from hil.laws.base import Model
 
 TIME_CONSTANT_S = (
     0.008  # six of them fit into the default 50 ms; eight periods of the loop, so the delay does not matter
@@ -10,23 +10,20 @@ TIME_CONSTANT_S = (
 
 
 class DampedStop:
-    """Force = -mass * velocity / time constant, plus what holds the axis against gravity; arrays (n_axes,)."""
+    """Force = -mass * velocity / time constant, plus what holds the axis against gravity; lists, one float an axis."""
 
-    def __init__(self, model: Model, speed_limit: Array, period: float, stop_s: float) -> None:
-        self._gain = -model.mass / max(TIME_CONSTANT_S, 4.0 * period)
-        self._gravity = model.gravity
-        self._rest = 1e-3 * speed_limit
+    def __init__(self, models: Sequence[Model], speed_limits: Sequence[float], period: float, stop_s: float) -> None:
+        self._gains = [-model.mass / max(TIME_CONSTANT_S, 4.0 * period) for model in models]
+        self._gravity = [model.gravity for model in models]
+        self._rest = [1e-3 * limit for limit in speed_limits]
         self._stop_s = stop_s
-        self._force: Array = np.zeros_like(model.mass)
 
-    def force(self, velocity: Array) -> Array:
-        """Force asked for, N, at the given estimated velocity, m/s."""
-        np.multiply(self._gain, velocity, out=self._force)
-        np.add(self._force, self._gravity, out=self._force)
-        return self._force
+    def force(self, velocity: Sequence[float]) -> list[float]:
+        """Force asked for, N, at the given estimated velocities, m/s."""
+        return [gain * v + gravity for gain, v, gravity in zip(self._gains, velocity, self._gravity, strict=True)]
 
-    def over(self, velocity: Array, elapsed_s: float) -> bool:
+    def over(self, velocity: Sequence[float], elapsed_s: float) -> bool:
         """Whether the axes are at rest, or the time allowed is up."""
-        return elapsed_s >= self._stop_s or (
-            elapsed_s >= 0.2 * self._stop_s and bool((abs(velocity) <= self._rest).all())
-        )
+        if elapsed_s < 0.2 * self._stop_s:
+            return False
+        return elapsed_s >= self._stop_s or all(abs(v) <= rest for v, rest in zip(velocity, self._rest, strict=True))

@@ -81,7 +81,7 @@ SPACE: dict[str, dict[str, Knob]] = {
 def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array) -> Array:
     """What a knob's number is multiplied by, (n_axes,)."""
     one = np.ones_like(model.mass)
-    return {
+    scale: Array = {
         "1": one,
         "1/T": one / period,
         "m/T": model.mass / period,
@@ -89,6 +89,7 @@ def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array) -> A
         "m/T3": model.mass / period**3,
         "F": force_limit * one,
     }[knob.scale]
+    return scale
 
 
 @dataclass(frozen=True)

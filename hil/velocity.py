@@ -14,6 +14,7 @@ from hil.belief import rig_model
 from hil.config import RigConfig
 from hil.estimation import filter_parameters
 from hil.laws.base import Array, Model
+from hil.laws.per_axis import gather
 from hil.lockstep import LockstepRun, steady_from
 
 DERIVATIVE_CORNER_HZ = 40.0
@@ -32,7 +33,7 @@ class Data:
         rows: list[Array] = []
         for _ in range(round(seconds * rig.rate_hz)):
             run.tick()
-            inputs = run.cycle.inputs
+            inputs = gather(run.cycle.inputs)
             rows.append(
                 np.stack(
                     [inputs.position, inputs.sample.position, inputs.sample.velocity, run.true_velocity,

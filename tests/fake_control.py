@@ -3,11 +3,10 @@
 python -m tests.fake_control RIG_FILE [TICKS]: runs until SIGTERM, or for so many ticks. Prints "up" when it writes.
 """
 
+import math
 import signal
 import sys
 from pathlib import Path
-
-import numpy as np
 
 from drivers.frame import Frame
 from hil.clock import Pacer
@@ -17,7 +16,7 @@ from hil.state_machine import Event, State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
 from hil.telemetry.provenance import describe_run
-from hil.telemetry.record import RecordBuilder
+from hil.telemetry.record import MOTION_FIELDS, RecordBuilder
 from hil.telemetry.ring import RingWriter
 from hil.tick import PortCounters
 
@@ -53,7 +52,7 @@ def main(rig_file: str, ticks: int) -> None:
             desk.handle(mailbox.poll(), pacer.now_ns, act)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
             builder.head(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
-            builder.motion[:] = np.sin(pacer.index * 1e-3)
+            builder.motion([[math.sin(pacer.index * 1e-3)] * len(rig.axes)] * len(MOTION_FIELDS))
             builder.axes([0] * len(rig.axes), [0] * len(rig.axes), [1] * len(rig.axes), PortCounters(), [0] * 10)
             builder.traffic(desk.handled, [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4)
             ring.append(builder.record)

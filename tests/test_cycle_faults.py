@@ -137,7 +137,7 @@ def test_a_drives_clock_that_jumps_keeps_the_stage_on_its_task_or_stops_it(jump_
     for _ in range(300):
         run.tick()
         if run.cycle.state is State.ACTIVE:
-            assert abs(float(run.true_position[0] - run.cycle.inputs.sample.position[0])) < limit
+            assert abs(float(run.true_position[0] - run.cycle.inputs[0].sample.position)) < limit
         else:
             assert run.cycle.fault is not Fault.NONE
     assert run.cycle.state in (State.ACTIVE, State.FAULT)

@@ -19,61 +19,66 @@ def settled_filterpy(parameters: dict[str, float]):  # type: ignore[no-untyped-d
 def test_the_hot_path_equals_filterpy_once_the_covariance_has_settled(paper: RigConfig, axis: int) -> None:
     parameters = filter_parameters(paper)[axis]
     reference = settled_filterpy(parameters)
-    gains, variance = design_gains(paper)
+    gains, _ = design_gains(paper)
     mass = np.array([a.model.mass for a in paper.axes.values()])
-    ours = MotionFilter(gains, variance, mass, (2,))
-    interval = np.full(2, parameters["period"])
+    ours = MotionFilter(gains[:, axis].tolist(), float(mass[axis]))
     rng = np.random.Generator(np.random.PCG64(4))
     for _ in range(500):
         force, measured = rng.normal(0, 1), rng.normal(0, 1e-4)
         reference.predict(u=np.array([[force]]))
         reference.update(np.array([[measured]]))
-        ours.predict(np.full(2, force), interval)
-        ours.innovate(np.full(2, measured))
-        ours.update(None)
-        state = [ours.position[axis], ours.velocity[axis], ours.disturbance[axis]]
+        ours.correct(force, parameters["period"], measured)
+        state = [ours.position, ours.velocity, ours.disturbance]
         scale = np.abs(reference.x[:, 0]) + np.array([1e-4, 1e-1, 1.0])
         assert np.all(np.abs(state - reference.x[:, 0]) <= 1e-6 * scale)
 
 
 def test_the_one_period_delay_is_compensated_exactly_for_a_known_force(paper: RigConfig) -> None:
-    gains, variance = design_gains(paper)
-    mass = np.array([0.02, 0.01])
-    ours = MotionFilter(gains, variance, mass, (2,))
-    ours.reseed(np.array([0.5, -0.5]))
-    force, ahead = np.array([1.0, -2.0]), np.array([1e-3, 2e-3])
-    ours.look_ahead(force, ahead)
-    assert np.allclose(ours.ahead_position, [0.5 + 0.5 * 50 * 1e-6, -0.5 - 0.5 * 200 * 4e-6], rtol=1e-15)
-    assert np.allclose(ours.ahead_velocity, [50 * 1e-3, -200 * 2e-3], rtol=1e-15)
-    assert ours.position.tolist() == [0.5, -0.5]
+    gains, _ = design_gains(paper)
+    ours = MotionFilter(gains[:, 0].tolist(), 0.02)
+    ours.reseed(0.5)
+    ours.look_ahead(1.0, 2e-3)
+    assert ours.ahead_position == pytest.approx(0.5 + 0.5 * 50 * 4e-6, rel=1e-15)
+    assert ours.ahead_velocity == pytest.approx(50 * 2e-3, rel=1e-15)
+    assert ours.position == 0.5
 
 
 def test_an_axis_without_a_sample_is_predicted_and_not_corrected(paper: RigConfig) -> None:
-    gains, variance = design_gains(paper)
-    ours = MotionFilter(gains, variance, np.array([0.02, 0.01]), (2,))
-    ours.innovate(np.array([1e-3, 1e-3]))
-    ours.update(np.array([1.0, 0.0]))
-    assert ours.position[0] > 0.0
-    assert ours.position[1] == 0.0
-    assert ours.disturbance[1] == 0.0
+    gains, _ = design_gains(paper)
+    heard, silent = (MotionFilter(gains[:, 0].tolist(), 0.02) for _ in range(2))
+    heard.correct(1.0, 1e-3, 1e-3, fresh=1.0)
+    silent.correct(1.0, 1e-3, 1e-3, fresh=0.0)
+    assert heard.position > silent.position == pytest.approx(0.5 * 50 * 1e-6)
+    assert silent.disturbance == silent.innovation == 0.0
 
 
-def test_a_batch_gives_the_same_bits_as_its_members(paper: RigConfig) -> None:
-    gains, variance = design_gains(paper)
+def test_after_a_long_interval_the_filter_does_not_run_away(paper: RigConfig) -> None:
+    """Eight periods without a tick: the gains' shares of the innovation per second stay what they were."""
+    gains, _ = design_gains(paper)
+    short, long = (MotionFilter(gains[:, 0].tolist(), 0.02) for _ in range(2))
+    short.correct(0.0, 1e-3, 1e-6)
+    long.correct(0.0, 8e-3, 1e-6, stretch=8.0)
+    assert long.position == short.position
+    assert long.velocity == short.velocity / 8.0
+    assert long.disturbance == short.disturbance / 64.0
+
+
+def test_a_batch_of_arrays_gives_the_same_bits_as_its_members_on_floats(paper: RigConfig) -> None:
+    gains, _ = design_gains(paper)
     mass = np.array([0.02, 0.01])
     rng = np.random.Generator(np.random.PCG64(5))
-    batch = MotionFilter(gains, variance, mass, (3, 2))
-    singles = [MotionFilter(gains, variance, mass, (2,)) for _ in range(3)]
+    batch = MotionFilter(list(gains), mass)
+    batch.reseed(np.zeros((3, 2)))
+    singles = {
+        (k, axis): MotionFilter(gains[:, axis].tolist(), float(mass[axis])) for k in range(3) for axis in range(2)
+    }
     for _ in range(50):
         force, measured = rng.normal(size=(3, 2)), rng.normal(scale=1e-5, size=(3, 2))
-        interval = np.full((3, 2), 1e-3)
-        for filt, f, m, i in [(batch, force, measured, interval)] + [
-            (s, force[k], measured[k], interval[k]) for k, s in enumerate(singles)
-        ]:
-            filt.predict(f, i)
-            filt.innovate(m)
-            filt.update(None)
-            filt.look_ahead(f, i)
-    for k, single in enumerate(singles):
-        assert batch.ahead_position[k].tobytes() == single.ahead_position.tobytes()
-        assert batch.disturbance[k].tobytes() == single.disturbance.tobytes()
+        batch.correct(force, 1e-3, measured)
+        batch.look_ahead(force, 1e-3)
+        for place, single in singles.items():
+            single.correct(float(force[place]), 1e-3, float(measured[place]))
+            single.look_ahead(float(force[place]), 1e-3)
+    for place, single in singles.items():
+        assert batch.ahead_position[place] == single.ahead_position
+        assert batch.disturbance[place] == single.disturbance

@@ -14,22 +14,23 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command
-from hil.gate import ForceLimits, TorqueGate
+from hil.batch import Bounds
+from hil.gate import ForceLimits, TorqueGate, limit_force
 
 ROOT = Path(__file__).parent.parent
 LIMIT, STEP, LOW, HIGH = 5.0, 2.0, -1.0, 1.0
+LIMITS = ForceLimits(LIMIT, LOW, HIGH, STEP)
 BUS = BusConfig()
 DEVICE = device_protocol(BUS, 2, [LIMIT, LIMIT], ROOT)
 
 
 def make_gate() -> TorqueGate:
-    limits = ForceLimits([LIMIT] * 2, [LOW] * 2, [HIGH] * 2, [STEP] * 2, (2,))
-    return TorqueGate(host_protocol(BUS, 2, [LIMIT, LIMIT], ROOT), limits)
+    return TorqueGate(host_protocol(BUS, 2, [LIMIT, LIMIT], ROOT), [LIMITS] * 2)
 
 
 def let_out(gate: TorqueGate, request: list[float], position: list[float], *, permitted: bool = True) -> Command:
     """The command as a drive would read it."""
-    (frame,) = gate.release(np.array(request), np.array(position), permitted=permitted, sequence=7)
+    (frame,) = gate.release(request, position, permitted=permitted, sequence=7)
     command = DEVICE.decode_command(frame)
     assert isinstance(command, Command)
     return command
@@ -91,6 +92,13 @@ def test_at_the_boundaries(request_: float, position: float, expected: float) ->
     assert let_out(make_gate(), [request_, 0.0], [position, 0.0]).force[0] == expected
 
 
+@given(st.lists(st.tuples(st.floats(-20, 20), st.floats(-5, 5), near), min_size=1, max_size=20))
+def test_a_batch_of_plants_is_bounded_as_the_gate_bounds_one(cases: list[tuple[float, float, float]]) -> None:
+    request, previous, position = (np.array(values)[:, None] for values in zip(*cases, strict=True))
+    many = Bounds([LIMITS]).limit(request, previous, position)
+    assert many[:, 0].tolist() == [limit_force(*case, LIMITS) for case in cases]
+
+
 def test_the_limit_is_reached_in_steps_and_not_passed() -> None:
     gate = make_gate()
     forces = [let_out(gate, [100.0, -100.0], [0.0, 0.0]).force for _ in range(4)]
@@ -112,7 +120,7 @@ def test_without_permission_zero_comes_at_once_not_along_the_rate_limit() -> Non
     command = let_out(gate, [5.0, 5.0], [0.0, 0.0], permitted=False)
     assert list(command.force) == [0.0, 0.0]
     assert command.enable == 0
-    assert gate.force.tolist() == [0.0, 0.0]
+    assert gate.force == [0.0, 0.0]
     assert let_out(gate, [5.0, 5.0], [0.0, 0.0]).force[0] == STEP  # and it starts from zero again
 
 
@@ -144,63 +152,62 @@ class Listener:
 def listened(n_axes: int = 2) -> tuple[TorqueGate, list[Command]]:
     """A gate, and all commands it gives from now on."""
     listener = Listener(n_axes)
-    limits = ForceLimits([LIMIT] * n_axes, [LOW] * n_axes, [HIGH] * n_axes, [STEP] * n_axes, (n_axes,))
-    return TorqueGate(listener, limits), listener.heard  # type: ignore[arg-type]
+    return TorqueGate(listener, [LIMITS] * n_axes), listener.heard  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("where", ["request", "position"])
 def test_one_value_that_is_no_number_disables_every_axis(value: float, axis: int, where: str) -> None:
-    arrays = {"request": np.array([1.0, 1.0]), "position": np.array([0.0, 0.0])}
-    arrays[where][axis] = value
+    values = {"request": [1.0, 1.0], "position": [0.0, 0.0]}
+    values[where][axis] = value
     gate, heard = listened()
-    gate.release(**arrays, permitted=True, sequence=7)
+    gate.release(**values, permitted=True, sequence=7)
     assert heard == [Command(7, [0.0, 0.0], 0, False)]
-    assert gate.force.tolist() == [0.0, 0.0]
+    assert gate.force == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("n_axes", [1, 2, 3, 4])
 def test_the_command_enables_exactly_the_axes_there_are(n_axes: int) -> None:
     gate, heard = listened(n_axes)
-    gate.release(np.ones(n_axes), np.zeros(n_axes), permitted=True, sequence=9)
+    gate.release([1.0] * n_axes, [0.0] * n_axes, permitted=True, sequence=9)
     assert heard == [Command(9, [1.0] * n_axes, 2**n_axes - 1, False)]
 
 
 def test_a_reset_is_sent_only_when_asked_for() -> None:
     gate, heard = listened()
     gate.zero(1)
-    gate.release(np.zeros(2), np.zeros(2), permitted=False, sequence=2)
-    gate.release(np.zeros(2), np.zeros(2), permitted=False, sequence=3, reset=True)
-    gate.release(np.zeros(2), np.zeros(2), permitted=True, sequence=4, reset=True)
+    gate.release([0.0, 0.0], [0.0, 0.0], permitted=False, sequence=2)
+    gate.release([0.0, 0.0], [0.0, 0.0], permitted=False, sequence=3, reset=True)
+    gate.release([0.0, 0.0], [0.0, 0.0], permitted=True, sequence=4, reset=True)
     assert [command.reset for command in heard] == [False, False, True, False]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_saturation_is_counted_on_the_axis_it_happens_to_in_either_direction(sign: float) -> None:
     gate, _ = listened()
-    gate.release(np.array([sign * 3.0, 1.0]), np.zeros(2), permitted=True, sequence=1)
+    gate.release([sign * 3.0, 1.0], [0.0, 0.0], permitted=True, sequence=1)
     assert gate.saturations == [1, 0]
 
 
 def test_permission_is_never_given_by_an_argument_in_the_wrong_place() -> None:
     gate, heard = listened()
     with pytest.raises(TypeError):
-        gate.release(np.ones(2), np.zeros(2), True, 1)  # type: ignore[misc]
+        gate.release([1.0, 1.0], [0.0, 0.0], True, 1)  # type: ignore[misc]
     assert heard == []
 
 
 def test_a_request_for_fewer_axes_than_there_are_is_an_error_and_nothing_goes_out() -> None:
     gate, heard = listened()
     with pytest.raises(ValueError, match="zip"):
-        gate.release(np.array([1.0]), np.zeros(2), permitted=True, sequence=1)
+        gate.release([1.0], [0.0, 0.0], permitted=True, sequence=1)
     assert heard == []
 
 
 def test_the_gate_knows_neither_laws_nor_trajectories() -> None:
     tree = ast.parse((ROOT / "hil/gate.py").read_text())
     imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert imported <= {"collections.abc", "typing", "numpy.typing", "drivers.frame", "drivers.protocols.base"}
+    assert imported <= {"collections.abc", "typing", "drivers.frame", "drivers.protocols.base"}
 
 
 def test_nothing_else_in_hil_builds_a_command_frame() -> None:

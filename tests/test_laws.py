@@ -1,5 +1,6 @@
 """Every control law: feedforward alone at rest, bounded, symmetric, and a batch is its members one by one."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from hil.batch import BatchRun
 from hil.belief import blank_inputs
 from hil.config import LawConfig, load_rig
-from hil.laws import LAWS, make_law
+from hil.laws import LAWS, make_axis_laws, make_law
 from hil.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.laws.iterative_learning import IterativeLearning
 from hil.laws.structured_filter import sign_array, sign_float
@@ -147,6 +148,36 @@ def test_a_batch_is_its_members_one_by_one(name: str) -> None:
         assert np.array_equal(together[:, member], play(law(name), scene, member))
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_on_plain_floats_axis_by_axis_a_law_asks_for_the_same_bits_as_on_arrays(name: str) -> None:
+    learning = name == "learning"
+    config = LawConfig(name="pd-feedforward" if learning else name, iterative_learning=learning)
+    arrays = law(name)
+    floats = make_axis_laws(config, model(), PERIOD, LIMIT, repeat=(50_000_000, 0))
+    scene = Scene(150, seed=11)
+    arrays.reset(scene.reference(0).position, GRAVITY)
+    floats.reset(scene.reference(0).position.tolist(), GRAVITY.tolist())
+    forces = (np.zeros(2), np.zeros(2))
+    for k in range(150):
+        inputs = scene.inputs(k, forces)
+        inputs.answered = float(k % 17 != 0)  # a command is lost now and then
+        inputs.fresh = np.full(2, inputs.answered)
+        out = arrays.force(inputs).copy()
+        assert floats.force([one_axis(inputs, axis) for axis in range(2)]) == out.tolist()
+        forces = (np.clip(out, -LIMIT, LIMIT), forces[0])
+
+
+def one_axis(inputs: LawInputs, axis: int) -> LawInputs:
+    """The inputs of one axis, as floats."""
+
+    def pick(value: Any) -> Any:
+        if isinstance(value, Reference):
+            return Reference(*(float(getattr(value, field)[axis]) for field in Reference.__slots__))
+        return float(value[axis]) if isinstance(value, np.ndarray) else value
+
+    return LawInputs(**{field.name: pick(getattr(inputs, field.name)) for field in dataclasses.fields(LawInputs)})
+
+
 def test_structured_kalman_shares_one_covariance_but_not_with_missing_samples() -> None:
     scene = Scene(80, batch=(2,), seed=3)
     fresh = np.random.default_rng(4).integers(0, 2, size=(80, 2, 2)).astype(float)
@@ -158,10 +189,12 @@ def test_structured_kalman_shares_one_covariance_but_not_with_missing_samples() 
     for k in range(80):
         inputs = scene.inputs(k, forces)
         inputs.fresh = fresh[k]
+        inputs.answered = fresh[k].max(axis=-1, keepdims=True)
         out = together.force(inputs)
         for member, one in enumerate(alone):
             single = scene.inputs(k, (np.zeros(2), np.zeros(2)))
             single.position, single.fresh = inputs.position[member].copy(), fresh[k, member]
+            single.answered = fresh[k, member].max(keepdims=True)
             assert np.array_equal(one.force(single), out[member])
 
 

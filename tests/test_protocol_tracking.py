@@ -27,7 +27,7 @@ def test_the_rig_tracks_the_same_under_every_layout(protocol: str, lockstep: Cal
     for _ in range(2500):
         run.tick()
         if run.activated_at >= 0 and run.index > run.activated_at + 1000 and all(run.cycle.inbox.fresh):
-            errors.append(np.abs(run.true_position - run.cycle.inputs.sample.position))
+            errors.append(np.abs(run.true_position - [x.sample.position for x in run.cycle.inputs]))
     assert len(errors) > 800
     assert run.cycle.monitor.named_counts() == {} or not any(run.cycle.monitor.named_counts().values())
     assert max(error.max() for error in errors) < ALLOWED[protocol]

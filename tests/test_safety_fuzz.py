@@ -281,4 +281,4 @@ def test_any_rig_that_validates_runs_safely_or_is_refused(
     with contextlib.suppress(PlantError):  # the emulated stage itself is nonsense
         for _ in range(50):
             run.tick()
-    assert all(math.isfinite(force) for force in run.cycle.gate.force.tolist())
+    assert all(math.isfinite(force) for force in run.cycle.gate.force)

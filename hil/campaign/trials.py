@@ -5,7 +5,8 @@ that may be detected. Where it must be detected, and how hard the reaction must 
 independently of that table: a row changed by mistake must make the campaign fail.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from drivers.frame import FD, Frame
 from drivers.protocols.base import DriveStatus, Sample
 from drivers.wire_faults import FaultKind, WireFault
 from hil.faults import Fault, Reaction
-from hil.laws.base import LawInputs, Reference
+from hil.laws.base import LawInputs
 from hil.lockstep import LockstepRun
 from hil.state_machine import State
 from hil.tick import CommandKind
@@ -114,32 +115,32 @@ def _fail(run: LockstepRun, axis: int) -> None:
     run.stage.drives[axis].fail()
 
 
-def _law_asks(change: Callable[[np.ndarray, int], None]) -> Step:
+def _law_asks(change: Callable[[list[float], int], None]) -> Step:
     """Falsify what the law asks for, on one axis."""
 
     def act(run: LockstepRun, axis: int) -> None:
         law = run.cycle.law
         honest = law.force
 
-        def force(inputs: LawInputs) -> np.ndarray:
-            asked = honest(inputs).copy()
+        def force(inputs: Sequence[LawInputs]) -> list[float]:
+            asked = honest(inputs)
             change(asked, axis)
             return asked
 
-        law.force = force  # type: ignore[method-assign]
+        law.force = force  # type: ignore[method-assign, assignment]
 
     return _once(act)
 
 
-def _set(value: float) -> Callable[[np.ndarray, int], None]:
-    def change(asked: np.ndarray, axis: int) -> None:
+def _set(value: float) -> Callable[[list[float], int], None]:
+    def change(asked: list[float], axis: int) -> None:
         asked[axis] = value
 
     return change
 
 
 def _filter_nan(run: LockstepRun, axis: int) -> None:
-    run.cycle.filter.velocity[axis] = np.nan
+    run.cycle.filters[axis].velocity = math.nan
 
 
 class _Bent:
@@ -151,12 +152,11 @@ class _Bent:
     def __getattr__(self, name: str) -> object:
         return getattr(self._honest, name)
 
-    def at(self, times: tuple[int, ...]) -> Reference:
-        true = self._honest.at(times)  # type: ignore[attr-defined]
-        bent = Reference(true.position.copy(), true.velocity.copy(), true.acceleration.copy())
-        bent.position[self._axis] += self._position
-        bent.velocity[self._axis] += self._velocity
-        return bent
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        position, velocity, acceleration = self._honest.at(axis, t_ns)  # type: ignore[attr-defined]
+        if axis != self._axis:
+            return position, velocity, acceleration
+        return position + self._position, velocity + self._velocity, acceleration
 
 
 def _bend(position_widths: float, speeds: float) -> Step:
@@ -168,7 +168,7 @@ def _bend(position_widths: float, speeds: float) -> Step:
         setpoints = run.cycle.setpoints
         if setpoints.trajectory is not None:
             bent = _Bent(setpoints.trajectory, axis, position_widths * width, speeds * limits.speed)
-            setpoints.trajectory = bent  # type: ignore[assignment]
+            setpoints.follow(bent, setpoints.origin)  # type: ignore[arg-type]
 
     return _once(act)
 

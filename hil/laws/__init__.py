@@ -11,14 +11,16 @@ from hil.laws.computed_torque import ComputedTorque
 from hil.laws.disturbance_observer import DisturbanceObserver
 from hil.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.laws.pd_feedforward import PdFeedforward
+from hil.laws.per_axis import Coupled, PerAxis
 from hil.laws.pid import Pid
 from hil.laws.robust_pd import RobustPd
 from hil.laws.sliding_mode import SlidingMode
 from hil.laws.slotine_li import SlotineLi
 from hil.laws.structured_kalman import StructuredKalman
 from hil.laws.super_twisting import SuperTwisting
+from hil.number import Number
 
-__all__ = ["LAWS", "make_law"]
+__all__ = ["LAWS", "make_axis_laws", "make_law"]
 
 LAWS: dict[str, type[Law]] = {
     law.name: law
@@ -63,20 +65,54 @@ def _checked_gains(law: LawConfig, known: dict[str, Any], n_axes: int) -> dict[s
 def make_law(
     law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
 ) -> Law:
-    """The rig's law with its effective gains; period in s, force_limit (n_axes,) in N.
+    """The rig's law on arrays (..., n_axes), with its effective gains; period in s, force_limit (n_axes,) in N.
 
     repeat: (period, first start) of a repeated task in ns of task time, needed where law.iterative_learning is set; see
     hil.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
+    return _construct(law, _known_gains(law, model), model, period, force_limit, repeat)
+
+
+def make_axis_laws(
+    law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
+) -> PerAxis:
+    """As make_law, for one rig on plain floats; the same bits at a fraction of the cost."""
+    whole = make_law(law, model, period, force_limit, repeat)
+    if whole.coupled:
+        return Coupled([whole])
+    gains = _known_gains(law, model)
+    return PerAxis(
+        [
+            _construct(law, _axis_gains(gains, axis), model.axis(axis), period, float(force_limit[axis]), repeat)
+            for axis in range(model.mass.size)
+        ]
+    )
+
+
+def _known_gains(law: LawConfig, model: Model) -> dict[str, Any]:
     if law.name not in LAWS:
         raise ValueError(f"law.name = {law.name!r}: the laws are {', '.join(LAWS)}")
-    kind = LAWS[law.name]
-    gains = _checked_gains(law, {**kind.GAINS, **LEARNING_GAINS}, model.mass.shape[-1])
-    learning = {key: gains.pop(key) for key in LEARNING_GAINS if key in gains}
-    inner = kind(model, period, force_limit, **gains)
+    return _checked_gains(law, {**LAWS[law.name].GAINS, **LEARNING_GAINS}, model.mass.shape[-1])
+
+
+def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
+    return {key: value if isinstance(value, str) else float(value[axis]) for key, value in gains.items()}
+
+
+def _construct(
+    law: LawConfig,
+    gains: dict[str, Any],
+    model: Model,
+    period: float,
+    force_limit: Number,
+    repeat: tuple[int, int] | None,
+) -> Law:
+    learning = {key: gains[key] for key in LEARNING_GAINS if key in gains}
+    own = {key: value for key, value in gains.items() if key not in learning}
+    inner = LAWS[law.name](model, period, force_limit, **own)
     if not law.iterative_learning:
         return inner
-    learning = {f"learning_{key}": gains[key] for key in ("kp", "kd") if key in gains} | learning
+    learning = {f"learning_{key}": own[key] for key in ("kp", "kd") if key in own} | learning
     if repeat is None:
         raise ValueError(
             "law.iterative_learning = true: the task does not repeat (circle, lissajous, point_to_point do)"

@@ -11,40 +11,48 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.number import Number
+
 Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class Reference:
-    """Setpoints at given instants, each array (..., n_axes): m, m/s, m/s^2 (rad for rotary axes)."""
+    """Setpoints at an instant: m, m/s, m/s^2 (rad for rotary axes); a float each, or arrays (..., n_axes)."""
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    position: Number
+    velocity: Number
+    acceleration: Number
 
 
 @dataclass(slots=True)
 class Model:
-    """Nominal belief about the plant, each array (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
+    """Nominal belief about the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
 
     Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
     supply to hold the axis.
     """
 
-    mass: Array
-    coulomb: Array
-    viscous: Array
-    quadratic: Array
-    gravity: Array
+    mass: Number
+    coulomb: Number
+    viscous: Number
+    quadratic: Number
+    gravity: Number
+
+    def axis(self, index: int) -> "Model":
+        """One axis of a model of arrays (n_axes,), as floats."""
+        values = (self.mass, self.coulomb, self.viscous, self.quadratic, self.gravity)
+        return Model(*(float(value[index]) for value in values))
 
 
 @dataclass(slots=True)
 class LawInputs:
-    """All a law may look at in one tick; arrays (..., n_axes), preallocated and reused: copy what you keep.
+    """All a law may look at in one tick: of one axis, floats; or of all, arrays (..., n_axes). The objects are reused
+    from tick to tick, their arrays as well: copy what you keep.
 
     position: newest sample (as measured, m). fresh: 1.0 where a trusted sample came this tick, else 0.0; where none
     came, `position` is the rig filter's prediction for the instant the sample should have had, and nothing must be
-    learnt from it.
+    learnt from it. answered: 1.0 where any axis of the rig answered this tick, else 0.0.
     sample: reference at the samples' own time stamps (or that instant).
     sample_interval: s from the previous sample instant to this one, by their stamps (one period where none came).
     ahead: s from the sample instant to the start of the interval in which the force asked for now will act.
@@ -58,43 +66,50 @@ class LawInputs:
     runs); laws that learn over repeats need it.
     """
 
-    position: Array
-    fresh: Array
+    position: Number
+    fresh: Number
     sample: Reference
-    sample_interval: Array
-    ahead: Array
-    position_estimate: Array
-    velocity_estimate: Array
-    disturbance_estimate: Array
+    sample_interval: Number
+    ahead: Number
+    position_estimate: Number
+    velocity_estimate: Number
+    disturbance_estimate: Number
     start: Reference
     end: Reference
-    mean_velocity: Array
-    mean_acceleration: Array
-    mean_sign: Array
-    force_last: Array
-    force_before: Array
+    mean_velocity: Number
+    mean_acceleration: Number
+    mean_sign: Number
+    force_last: Number
+    force_before: Number
+    answered: Number = 1.0
     task_ns: int = 0
 
 
 class Law(ABC):
     """A control law: asks for force, decides nothing about safety (the gate does).
 
-    Gains arrive as keyword arguments, each a float or an array (..., n_axes); the class attribute `GAINS` names them
-    with their defaults. Batched and single use give bit-identical results: only element-wise IEEE operations (+ - * /
-    sqrt, minimum, maximum, where, abs, sign, rint), no BLAS, no transcendental function, no reduction whose order
-    depends on memory layout.
+    Written once for floats and arrays (hil/number.py). All that it is given is of one kind: floats, one law object an
+    axis, as the control cycle does (hil/laws/per_axis.py), or arrays (..., n_axes), one object for all, as batches do.
+    Gains arrive as keyword arguments of the same kind; the class attribute `GAINS` names them with their defaults. Both
+    ways give bit-identical results: only element-wise IEEE operations (+ - * / sqrt, minimum, maximum, where, abs), no
+    BLAS, no transcendental function, no reduction whose order depends on memory layout.
+
+    coupled: it looks at all axes at once and takes arrays alone. denominator_floors: how often a denominator was held
+    at its floor.
     """
 
     name: str
     GAINS: ClassVar[dict[str, Any]]
+    coupled: bool = False
+    denominator_floors: int = 0
 
     @abstractmethod
-    def __init__(self, model: Model, period: float, force_limit: Array, **gains: Any) -> None: ...
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None: ...
 
     @abstractmethod
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """Bumpless start at rest at `position` (m) with `force` (N) now applied: integrators and estimates restart."""
 
     @abstractmethod
-    def force(self, inputs: LawInputs) -> Array:
-        """Force asked for, (..., n_axes), N; the returned array is the law's own and valid until the next call."""
+    def force(self, inputs: LawInputs) -> Number:
+        """Force asked for, N."""

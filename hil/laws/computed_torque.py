@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded, error, error_rate
+from hil.laws.base import Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate
 from hil.laws.feedforward import default_damping, default_stiffness
+from hil.number import Number, at_least, bounded
 
 
 class ComputedTorque(Law):
@@ -23,25 +22,25 @@ class ComputedTorque(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        kp: Array | None = None,
-        kd: Array | None = None,
-        sign_width: Array | float = 0.01,
+        kp: Number = None,
+        kd: Number = None,
+        sign_width: Number = 0.01,
     ) -> None:
         self._model = model
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd
-        self._width = np.maximum(sign_width, 1e-12)
+        self._width = at_least(sign_width, 1e-12)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """It remembers nothing."""
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         model = self._model
         # The speed in the middle of the interval: the estimate at its start, moved on as the reference moves.
         v = inputs.velocity_estimate + (inputs.mean_velocity - inputs.start.velocity)
-        friction = model.coulomb * bounded(v / self._width, 1.0) + model.viscous * v + model.quadratic * (v * np.abs(v))
+        friction = model.coulomb * bounded(v / self._width, 1.0) + model.viscous * v + model.quadratic * (v * abs(v))
         feedback = self._kp * error(inputs) + self._kd * error_rate(inputs)
         return model.mass * inputs.mean_acceleration + friction + model.gravity - feedback

@@ -2,11 +2,9 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded
+from hil.laws.base import Law, LawInputs, Model
 from hil.laws.feedforward import Feedforward, default_damping, default_stiffness
+from hil.number import Number, bounded
 
 
 class DisturbanceObserver(Law):
@@ -24,15 +22,15 @@ class DisturbanceObserver(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        kp: Array | None = None,
-        kd: Array | None = None,
-        bandwidth: Array | None = None,
+        kp: Number = None,
+        kd: Number = None,
+        bandwidth: Number = None,
     ) -> None:
         self._kp = 0.5 * default_stiffness(model, period) if kp is None else kp
         self._kd = 0.7 * default_damping(model, period) if kd is None else kd
-        omega = np.full_like(model.mass, 0.4 / period) if bandwidth is None else bandwidth
+        omega = 0.4 / period if bandwidth is None else bandwidth
         pole = 1.0 / (1.0 + omega * period)
         slow = 1.0 - pole
         self._gain_error = 1.0 - pole * pole * pole
@@ -42,22 +40,22 @@ class DisturbanceObserver(Law):
         self._gravity = model.gravity
         self._limit = force_limit
         self._feedforward = Feedforward(model)
-        self.reset(np.zeros_like(model.mass), model.gravity)
+        self.reset(model.mass - model.mass, model.gravity)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """No error; what `force` has beyond the gravity hold counts as disturbance."""
-        zero = np.zeros(position.shape)
+        zero = position - position
         self._error, self._rate = zero, zero
         self._disturbance = bounded(zero + (force - self._gravity), self._limit)
         self._known_before = zero + self._gravity  # feedforward that belongs to force_before
         self._known_last = self._known_before
 
-    def _move(self, net: Array, interval: Array) -> tuple[Array, Array]:
+    def _move(self, net: Number, interval: Number) -> tuple[Number, Number]:
         """Error and rate after `interval` s under the net force on the error (N)."""
         change = net * self._inverse_mass * interval
         return self._error + (self._rate + 0.5 * change) * interval, self._rate + change
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         net = inputs.force_before - self._known_before - self._disturbance
         self._error, self._rate = self._move(net, inputs.sample_interval)

@@ -1,26 +1,20 @@
-"""What several laws share: the error where the force starts to act, bounds, and anti-windup."""
+"""What several laws share: the error where the force starts to act, and anti-windup."""
 
-import numpy as np
+from hil.laws.base import LawInputs
+from hil.number import Number, select
 
-from hil.laws.base import Array, LawInputs
 
-
-def error(inputs: LawInputs) -> Array:
+def error(inputs: LawInputs) -> Number:
     """e = q - qd at the start of the force's interval (m), estimated."""
     return inputs.position_estimate - inputs.start.position
 
 
-def error_rate(inputs: LawInputs) -> Array:
+def error_rate(inputs: LawInputs) -> Number:
     """de/dt at the start of the force's interval (m/s), estimated."""
     return inputs.velocity_estimate - inputs.start.velocity
 
 
-def bounded(value: Array, bound: Array | float) -> Array:
-    """value limited to [-bound, bound]."""
-    return np.minimum(np.maximum(value, -bound), bound)
-
-
-def unless_saturated(change: Array, force: Array, limit: Array) -> Array:
+def unless_saturated(change: Number, force: Number, limit: Number) -> Number:
     """An integrator's change, zero where it would push a saturated force further out (conditional integration)."""
-    outward = (np.abs(force) >= limit) & (change * force > 0.0)
-    return np.where(outward, 0.0, change)
+    outward = (abs(force) >= limit) & (change * force > 0.0)
+    return select(outward, 0.0, change)

@@ -1,20 +1,19 @@
 """Model feedforward shared by the laws: M q_dd + N(q_d) q_d of eq. (15), averaged over the interval it acts in."""
 
-import numpy as np
-
-from hil.laws.base import Array, LawInputs, Model
+from hil.laws.base import LawInputs, Model
+from hil.number import Number
 
 DEFAULT_BANDWIDTH = 0.25  # rad per period: natural frequency of a PD loop that is well damped under one period of delay
 DEFAULT_DAMPING = 0.7
 
 
-def default_stiffness(model: Model, period: float) -> Array:
+def default_stiffness(model: Model, period: float) -> Number:
     """Kp (N/m) that gives a delayed PD loop a safe bandwidth at this rate."""
     omega = DEFAULT_BANDWIDTH / period
     return model.mass * (omega * omega)
 
 
-def default_damping(model: Model, period: float) -> Array:
+def default_damping(model: Model, period: float) -> Number:
     """Kd (N s/m) that goes with default_stiffness."""
     return model.mass * (2.0 * DEFAULT_DAMPING * DEFAULT_BANDWIDTH / period)
 
@@ -28,15 +27,9 @@ class Feedforward:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._quadratic = bool(np.any(model.quadratic != 0.0))
 
-    def __call__(self, inputs: LawInputs) -> Array:
-        """Mean force over the interval, shape of the reference (..., n_axes); a new array."""
+    def __call__(self, inputs: LawInputs) -> Number:
+        """Mean force over the interval."""
         model, v = self._model, inputs.mean_velocity
-        force = model.mass * inputs.mean_acceleration
-        force += model.coulomb * inputs.mean_sign
-        force += model.viscous * v
-        if self._quadratic:
-            force += model.quadratic * (v * np.abs(v))
-        force += model.gravity
-        return force
+        moving = model.mass * inputs.mean_acceleration + model.coulomb * inputs.mean_sign + model.viscous * v
+        return moving + model.quadratic * (v * abs(v)) + model.gravity

@@ -9,10 +9,8 @@ between two samples) is learnt too, without phase error.
 
 from typing import Any
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded
+from hil.laws.base import Law, LawInputs, Model
+from hil.number import Number, bounded
 
 LEARNING_GAINS: dict[str, Any] = {
     "learning_rate": 0.9,
@@ -45,15 +43,15 @@ class IterativeLearning(Law):
         inner: Law,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         repeat_ns: int,
         repeat_from_ns: int,
         *,
-        learning_rate: Array | float = 0.9,
-        learning_decay: Array | float = 0.02,
-        learning_kp: Array | float = 0.0,
-        learning_kd: Array | float = 0.0,
-        learning_inertia: Array | float = 1.0,
+        learning_rate: Number = 0.9,
+        learning_decay: Number = 0.02,
+        learning_kp: Number = 0.0,
+        learning_kd: Number = 0.0,
+        learning_inertia: Number = 1.0,
     ) -> None:
         self._inner = inner
         self._period_ns = round(period * 1e9)
@@ -68,44 +66,42 @@ class IterativeLearning(Law):
         self._limit = force_limit
         # Weights of e(i-1), e(i), e(i+1), e(i+2) for the interval from sample i to i+1.
         inertia = learning_inertia * model.mass / (2.0 * period * period)
-        damping = np.multiply(learning_kd, 1.0 / period)
-        stiffness = np.multiply(learning_kp, 0.5)
+        damping = learning_kd * (1.0 / period)
+        stiffness = learning_kp * 0.5
         self._weights = (inertia, stiffness - damping - inertia, stiffness + damping - inertia, inertia)
-        self.reset(np.zeros_like(model.mass), np.zeros_like(model.mass))
+        self.coupled = inner.coupled
+        self.reset(model.mass - model.mass, model.mass - model.mass)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """Everything learnt is forgotten."""
         self._inner.reset(position, force)
-        shape = position.shape
-        self._learnt = np.zeros((self._count, *shape))
-        self._errors = [np.zeros(shape) for _ in range(SAMPLES)]
-        self._good = [np.zeros(shape) for _ in range(SAMPLES)]
-        self._last, self._before = np.zeros(shape), np.zeros(shape)
-        self._without_last, self._without_before = np.zeros(shape), np.zeros(shape)
+        zero = position - position
+        self._learnt = [zero] * self._count
+        self._errors, self._good = [zero] * SAMPLES, [zero] * SAMPLES
+        self._last, self._before = zero, zero
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The inner law's force and what has been learnt for this tick."""
-        tick = (inputs.task_ns - self._from_ns) // self._period_ns
+        # To the nearest tick: the latency that stamps are measured by moves by a microsecond now and then.
+        tick = (inputs.task_ns - self._from_ns + self._period_ns // 2) // self._period_ns
         self._learn(inputs, tick)
         last, before = inputs.force_last, inputs.force_before
-        np.subtract(last, self._last, out=self._without_last)
-        np.subtract(before, self._before, out=self._without_before)
-        inputs.force_last, inputs.force_before = self._without_last, self._without_before
+        inputs.force_last, inputs.force_before = last - self._last, before - self._before
         try:
             asked = self._inner.force(inputs)
         finally:
             inputs.force_last, inputs.force_before = last, before
-        self._before, self._last = self._last, self._before
-        self._last[...] = self._learnt[tick % self._count] if tick >= 0 else 0.0
+        self.denominator_floors = self._inner.denominator_floors
+        self._before = self._last
+        self._last = self._learnt[tick % self._count] if tick >= 0 else self._last - self._last
         return asked + self._last
 
     def _learn(self, inputs: LawInputs, tick: int) -> None:
         """The newest sample is that of the tick before; with it the interval three ticks back has its four errors."""
         errors, good = self._errors, self._good
-        errors.append(errors.pop(0))
-        good.append(good.pop(0))
-        np.subtract(inputs.position, inputs.sample.position, out=errors[-1])
-        good[-1][...] = inputs.fresh * (np.abs(inputs.force_before) < self._limit)
+        del errors[0], good[0]
+        errors.append(inputs.position - inputs.sample.position)
+        good.append(inputs.fresh * (abs(inputs.force_before) < self._limit))
         index = tick - 3
         if index < 1:
             return

@@ -2,10 +2,9 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
+from hil.laws.base import Law, LawInputs, Model
 from hil.laws.feedforward import Feedforward, default_damping, default_stiffness
+from hil.number import Number
 
 
 class PdFeedforward(Law):
@@ -19,25 +18,17 @@ class PdFeedforward(Law):
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None}
 
     def __init__(
-        self, model: Model, period: float, force_limit: Array, *, kp: Array | None = None, kd: Array | None = None
+        self, model: Model, period: float, force_limit: Number, *, kp: Number = None, kd: Number = None
     ) -> None:
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd
         self._feedforward = Feedforward(model)
-        self.reset(np.zeros_like(model.mass), np.zeros_like(model.mass))
 
-    def reset(self, position: Array, force: Array) -> None:
-        """It remembers nothing; only the batch's shape is taken."""
-        self._force = np.zeros(position.shape)
-        self._scratch = np.zeros(position.shape)
+    def reset(self, position: Number, force: Number) -> None:
+        """It remembers nothing."""
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """Eq. (15)."""
-        out, scratch = self._force, self._scratch
-        np.subtract(inputs.start.position, inputs.position_estimate, out)
-        np.multiply(out, self._kp, out)
-        np.subtract(inputs.start.velocity, inputs.velocity_estimate, scratch)
-        np.multiply(scratch, self._kd, scratch)
-        np.add(out, scratch, out)
-        np.add(out, self._feedforward(inputs), out=out)
-        return out
+        start = inputs.start
+        position, velocity = start.position - inputs.position_estimate, start.velocity - inputs.velocity_estimate
+        return position * self._kp + velocity * self._kd + self._feedforward(inputs)

@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded, error, error_rate, unless_saturated
+from hil.laws.base import Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate, unless_saturated
 from hil.laws.feedforward import default_damping, default_stiffness
+from hil.number import Number, bounded
 
 
 class Pid(Law):
@@ -23,11 +22,11 @@ class Pid(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        kp: Array | None = None,
-        ki: Array | None = None,
-        kd: Array | None = None,
+        kp: Number = None,
+        ki: Number = None,
+        kd: Number = None,
     ) -> None:
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd
@@ -35,13 +34,13 @@ class Pid(Law):
         self._gravity = model.gravity
         self._period = period
         self._limit = force_limit
-        self.reset(np.zeros_like(model.mass), model.gravity)
+        self.reset(model.mass - model.mass, model.gravity)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """The integral takes over what `force` has beyond the gravity hold."""
-        self._integral = bounded(np.zeros(position.shape) + (force - self._gravity), self._limit)
+        self._integral = bounded(position - position + (force - self._gravity), self._limit)
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         e = error(inputs)
         change = unless_saturated(-self._ki * e * self._period, inputs.force_last, self._limit)

@@ -4,9 +4,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hil.laws.base import Array, Law, LawInputs, Model
+from hil.laws.base import Law, LawInputs, Model
 from hil.laws.feedback import error, error_rate
 from hil.laws.feedforward import Feedforward, default_damping, default_stiffness
+from hil.number import Number, root, select
 
 READINGS = ("printed", "filtered-error", "alpha-brackets")
 NORMS = ("vector", "per-axis")
@@ -43,15 +44,15 @@ class RobustPd(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        kp: Array | None = None,
-        kd: Array | None = None,
-        alpha: Array | float = 60.0,
-        epsilon: Array | float = 0.001,
-        beta: Array | float = 100.0,
-        rho: Array | float = 0.3,
-        floor: Array | float = 1e-4,
+        kp: Number = None,
+        kd: Number = None,
+        alpha: Number = 60.0,
+        epsilon: Number = 0.001,
+        beta: Number = 100.0,
+        rho: Number = 0.3,
+        floor: Number = 1e-4,
         reading: str = "printed",
         norm: str = "vector",
     ) -> None:
@@ -65,40 +66,35 @@ class RobustPd(Law):
         inside = reading == "alpha-brackets"
         self._stiffness = alpha * kp if inside else kp
         self._damping = alpha * (model.mass + kd) if inside else alpha * model.mass + kd
-        self._slope = np.multiply(alpha, 1.0 if reading == "filtered-error" else 0.0)
-        self._vector = norm == "vector"
-        self._epsilon, self._beta = np.asarray(epsilon), np.asarray(beta)
-        self._rho, self._floor = np.asarray(rho), np.asarray(floor)
-        self._rho2 = self._rho * self._rho
+        self._slope = alpha if reading == "filtered-error" else 0.0
+        self.coupled = norm == "vector"
+        self._epsilon, self._beta, self._rho, self._floor = epsilon, beta, rho, floor
+        self._rho2 = rho * rho
         self._feedforward = Feedforward(model)
         self.denominator_floors = 0
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """It remembers nothing; the count goes on."""
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         e, rate = error(inputs), error_rate(inputs)
         s = rate + self._slope * e
         denominator = self._size(s) * self._rho + self._epsilon - self._beta * self._squared(e)
         low = denominator < self._floor
-        if low.any():
-            self.denominator_floors += int(np.count_nonzero(low))
-        nu = s * self._rho2 / np.where(low, self._floor, denominator)
-        asked: Array = self._feedforward(inputs) - self._damping * rate - self._stiffness * e - nu
-        return asked
+        self.denominator_floors += low if isinstance(low, bool) else int(np.count_nonzero(low))
+        nu = s * self._rho2 / select(low, self._floor, denominator)
+        return self._feedforward(inputs) - self._damping * rate - self._stiffness * e - nu
 
-    def _squared(self, value: Array) -> Array:
+    def _squared(self, value: Number) -> Number:
         """|value|^2; over the axes in their order, so that a batch adds up as one plant does."""
         squares = value * value
-        if not self._vector:
+        if not self.coupled:
             return squares
-        total: Array = squares[..., 0]
+        total = squares[..., 0]
         for axis in range(1, squares.shape[-1]):
             total = total + squares[..., axis]
-        spread: Array = total[..., None] + np.zeros(squares.shape[-1])
-        return spread
+        return total[..., None] + np.zeros(squares.shape[-1])
 
-    def _size(self, value: Array) -> Array:
-        size: Array = np.sqrt(self._squared(value)) if self._vector else np.abs(value)
-        return size
+    def _size(self, value: Number) -> Number:
+        return root(self._squared(value)) if self.coupled else abs(value)

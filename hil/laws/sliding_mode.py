@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded, error, error_rate
+from hil.laws.base import Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate
 from hil.laws.feedforward import Feedforward
+from hil.number import Number, at_least, bounded
 
 
 class SlidingMode(Law):
@@ -25,23 +24,23 @@ class SlidingMode(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        rate: Array | None = None,
-        reach: Array | None = None,
-        layer: Array | None = None,
+        rate: Number = None,
+        reach: Number = None,
+        layer: Number = None,
     ) -> None:
         self._feedforward = Feedforward(model)
-        self._rate = np.full_like(model.mass, 0.15 / period) if rate is None else rate
+        self._rate = 0.15 / period if rate is None else rate
         self._reach = 0.2 * force_limit if reach is None else reach
         layer = self._reach * period / (0.2 * model.mass) if layer is None else layer
-        self._inverse_layer = 1.0 / np.maximum(layer, 1e-12)
+        self._inverse_layer = 1.0 / at_least(layer, 1e-12)
         self._damping = model.mass * self._rate
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """It remembers nothing."""
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         rate = error_rate(inputs)
         s = rate + self._rate * error(inputs)

@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded, error, error_rate, unless_saturated
+from hil.laws.base import Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate, unless_saturated
 from hil.laws.feedforward import Feedforward, default_damping
+from hil.number import Number, bounded, select
 
 
 class SlotineLi(Law):
@@ -32,45 +31,44 @@ class SlotineLi(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        rate: Array | None = None,
-        kd: Array | None = None,
-        mass_gain: Array | float = 1e-3,
-        coulomb_gain: Array | float = 10.0,
-        viscous_gain: Array | float = 1.0,
-        bias_gain: Array | float = 10.0,
+        rate: Number = None,
+        kd: Number = None,
+        mass_gain: Number = 1e-3,
+        coulomb_gain: Number = 10.0,
+        viscous_gain: Number = 1.0,
+        bias_gain: Number = 10.0,
     ) -> None:
         self._feedforward = Feedforward(model)
         self._mass = model.mass
         self._gravity = model.gravity
-        self._rate = np.full_like(model.mass, 0.15 / period) if rate is None else rate
+        self._rate = 0.15 / period if rate is None else rate
         self._kd = 0.5 * default_damping(model, period) if kd is None else kd
         self._limit = force_limit
         third = force_limit / 3.0
         self._bounds = (0.5 * model.mass, third, third, third)
-        self._gains = tuple(np.asarray(gain) * period for gain in (mass_gain, coulomb_gain, viscous_gain, bias_gain))
-        self.reset(np.zeros_like(model.mass), model.gravity)
+        self._gains = tuple(gain * period for gain in (mass_gain, coulomb_gain, viscous_gain, bias_gain))
+        self.reset(model.mass - model.mass, model.gravity)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """Estimates restart; the bias takes over what `force` has beyond the gravity hold."""
-        zero = np.zeros(position.shape)
+        zero = position - position
         bias = bounded(zero + (force - self._gravity), self._bounds[3])
         self._estimates = [zero, zero, zero, bias]
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         e, rate = error(inputs), error_rate(inputs)
         s = rate + self._rate * e
         correction = self._rate * rate
-        one = np.ones(())
-        regressors = (inputs.mean_acceleration - correction, inputs.mean_sign, inputs.mean_velocity, one)
+        regressors = (inputs.mean_acceleration - correction, inputs.mean_sign, inputs.mean_velocity, 1.0)
         out = self._feedforward(inputs) - self._mass * correction - self._kd * s
         for index, regressor in enumerate(regressors):
             change = -self._gains[index] * regressor * s
             # What the change would add to the force decides whether it pushes outwards.
             push = unless_saturated(change * regressor, inputs.force_last, self._limit)
-            change = np.where(push == 0.0, 0.0, change)
+            change = select(push == 0.0, 0.0, change)
             self._estimates[index] = bounded(self._estimates[index] + change, self._bounds[index])
             out = out + self._estimates[index] * regressor
         return out

@@ -6,13 +6,12 @@ covariance step is two rows and, by symmetry, one 2 x 2 block.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hil.laws.base import Array
-
-Number = Any  # float, or an array; every function maps one kind to the same kind
+from hil.number import Number
 
 TINY = 1e-300  # keeps 0 / 0 from happening where the reference rests
 INSTANT = 1e-15  # s, likewise for intervals of no length
@@ -21,69 +20,41 @@ NOTHING = np.zeros(())
 # than with the new one taken at once: f = (1 - f)^2 + (1 - f).
 LATE = 0.5857864376269049
 
+# Plain tuples: naming their fields would cost more time than the arithmetic.
 
-class Interval(NamedTuple):
-    """The reference over an interval: length (s), increments (m, m/s), first velocity, the regressors' means.
+# The reference over an interval: length (s), increments (m, m/s), first velocity, the means of sgn(velocity), velocity
+# and acceleration, mean force (N) that stiction takes beyond Coulomb's, and position (m) lost to the reversal's course.
+Interval = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]
 
-    stuck: mean force (N) that stiction takes beyond Coulomb's. shift: position (m) lost to the reversal's own course.
-    """
+Disturbance = tuple[Number, Number, Number, Number]  # d0 (N), theta1 (N), theta2 (N s/m), theta3 (kg)
 
-    time: Number
-    moved: Number
-    gained: Number
-    velocity: Number
-    mean_sign: Number
-    mean_velocity: Number
-    mean_acceleration: Number
-    stuck: Number
-    shift: Number
+# Upper triangle of P over [e, ė, d0, theta1, theta2, theta3], by rows: p00 p01 ... p05 p11 ... p15 p22 ... p55.
+Covariance = tuple[Number, ...]
 
 
-class Disturbance(NamedTuple):
-    """d0 (N), theta1 (N), theta2 (N s/m), theta3 (kg)."""
-
-    bias: Number
-    coulomb: Number
-    viscous: Number
-    mass: Number
-
-
-class Covariance(NamedTuple):
-    """Upper triangle of P over [e, ė, d0, theta1, theta2, theta3]."""
-
-    p00: Number
-    p01: Number
-    p02: Number
-    p03: Number
-    p04: Number
-    p05: Number
-    p11: Number
-    p12: Number
-    p13: Number
-    p14: Number
-    p15: Number
-    p22: Number
-    p23: Number
-    p24: Number
-    p25: Number
-    p33: Number
-    p34: Number
-    p35: Number
-    p44: Number
-    p45: Number
-    p55: Number
+def diagonal(p00: Number, p11: Number, p22: Number, p33: Number, p44: Number, p55: Number) -> Covariance:
+    """A covariance without correlations."""
+    o = p00 - p00
+    return (p00, o, o, o, o, o, p11, o, o, o, o, p22, o, o, o, p33, o, o, p44, o, p55)
 
 
 def interval(
-    sign: Any, mass: Number, coulomb: Number, time: Number, position: Number, velocity: Number,
-    to_position: Number, to_velocity: Number,
+    mass: Number, coulomb: Number, time: Number, position: Number, velocity: Number, to_position: Number,
+    to_velocity: Number,
 ) -> Interval:  # fmt: skip
-    """Between two instants of the reference, for that mass and Coulomb friction; sign: sign_float or sign_array."""
+    """Between two instants of the reference, for that mass and Coulomb friction."""
     time = time + INSTANT
     moved = to_position - position
     gained = to_velocity - velocity
-    mean_sign, stuck, shift = sign(velocity, to_velocity, time, mass, coulomb)
-    return Interval(time, moved, gained, velocity, mean_sign, moved / time, gained / time, stuck, shift)
+    mean_sign, stuck, shift = mean_sign_over(velocity, to_velocity, time, mass, coulomb)
+    return time, moved, gained, velocity, mean_sign, moved / time, gained / time, stuck, shift
+
+
+def mean_sign_over(
+    v0: Number, v1: Number, time: Number, mass: Number, coulomb: Number
+) -> tuple[Number, Number, Number]:
+    """sign_float or sign_array, whichever fits."""
+    return (sign_float if isinstance(coulomb, float) else sign_array)(v0, v1, time, mass, coulomb)
 
 
 def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -> tuple[float, float, float]:
@@ -141,7 +112,8 @@ def _late_shift(v0: Number, a1: Number, both: Number, time: Number) -> Number:
 
 def force_of(d: Disturbance, mean_sign: Number, mean_velocity: Number, mean_acceleration: Number) -> Number:
     """d0 + theta1 sgn(v) + theta2 v + theta3 a, N."""
-    return d.bias + d.coulomb * mean_sign + d.viscous * mean_velocity + d.mass * mean_acceleration
+    bias, coulomb, viscous, mass = d
+    return bias + coulomb * mean_sign + viscous * mean_velocity + mass * mean_acceleration
 
 
 def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: Interval) -> tuple[Number, Number]:
@@ -149,9 +121,10 @@ def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: I
 
     The plant moves as a double integrator, the reference by its exact increments.
     """
-    speed = net * inverse_mass * over.time
-    error = error + ((rate + over.velocity + 0.5 * speed) * over.time - over.moved + over.shift)
-    return error, rate + (speed - over.gained)
+    time, moved, gained, velocity, _, _, _, _, shift = over
+    speed = net * inverse_mass * time
+    error = error + ((rate + velocity + 0.5 * speed) * time - moved + shift)
+    return error, rate + (speed - gained)
 
 
 def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval) -> Covariance:
@@ -189,7 +162,7 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
     near = squared * (squared / (before * before + after * after + TINY))
     rate = rate * time + reversal * near
     moving = s * s * time
-    return Covariance(
+    return (
         n00, n01, n02, n03, n04, n05, n11 + rate, n12, n13, n14, n15, p22 + bias * time, p23, p24, p25,
         p33 + coulomb * moving, p34, p35, p44 + viscous * moving, p45, p55 + mass * moving,
     )  # fmt: skip
@@ -200,7 +173,7 @@ def update(p: Covariance, measurement: Number, fresh: Number) -> tuple[Covarianc
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
     scale = fresh / (p00 + measurement)
     k0, k1, k2, k3, k4, k5 = scale * p00, scale * p01, scale * p02, scale * p03, scale * p04, scale * p05
-    return Covariance(
+    return (
         p00 - k0 * p00, p01 - k0 * p01, p02 - k0 * p02, p03 - k0 * p03, p04 - k0 * p04, p05 - k0 * p05,
         p11 - k1 * p01, p12 - k1 * p02, p13 - k1 * p03, p14 - k1 * p04, p15 - k1 * p05,
         p22 - k2 * p02, p23 - k2 * p03, p24 - k2 * p04, p25 - k2 * p05,

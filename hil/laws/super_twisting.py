@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
-from hil.laws.base import Array, Law, LawInputs, Model
-from hil.laws.feedback import bounded, error, error_rate, unless_saturated
+from hil.laws.base import Law, LawInputs, Model
+from hil.laws.feedback import error, error_rate, unless_saturated
 from hil.laws.feedforward import Feedforward
+from hil.number import Number, at_least, bounded, root
 
 
 class SuperTwisting(Law):
@@ -26,37 +25,37 @@ class SuperTwisting(Law):
         self,
         model: Model,
         period: float,
-        force_limit: Array,
+        force_limit: Number,
         *,
-        rate: Array | None = None,
-        k1: Array | None = None,
-        k2: Array | None = None,
-        linear: Array | None = None,
-        smooth: Array | float = 1e-3,
+        rate: Number = None,
+        k1: Number = None,
+        k2: Number = None,
+        linear: Number = None,
+        smooth: Number = 1e-3,
     ) -> None:
         self._feedforward = Feedforward(model)
         self._gravity = model.gravity
         self._period = period
         self._limit = force_limit
         self._bound = 0.5 * force_limit
-        self._rate = np.full_like(model.mass, 0.1 / period) if rate is None else rate
+        self._rate = 0.1 / period if rate is None else rate
         self._k1 = 0.1 * force_limit if k1 is None else k1
         self._k2 = 2.0 * force_limit if k2 is None else k2
         self._linear = model.mass * (0.1 / period) if linear is None else linear
-        self._smooth = np.maximum(smooth, 1e-12)
+        self._smooth = at_least(smooth, 1e-12)
         self._damping = model.mass * self._rate
-        self.reset(np.zeros_like(model.mass), model.gravity)
+        self.reset(model.mass - model.mass, model.gravity)
 
-    def reset(self, position: Array, force: Array) -> None:
+    def reset(self, position: Number, force: Number) -> None:
         """The integral term takes over what `force` has beyond the gravity hold."""
-        self._w = bounded(np.zeros(position.shape) + (force - self._gravity), self._bound)
+        self._w = bounded(position - position + (force - self._gravity), self._bound)
 
-    def force(self, inputs: LawInputs) -> Array:
+    def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""
         rate = error_rate(inputs)
         s = rate + self._rate * error(inputs)
         sign = bounded(s / self._smooth, 1.0)
         change = unless_saturated(-self._k2 * sign * self._period, inputs.force_last, self._limit)
         self._w = bounded(self._w + change, self._bound)
-        root = self._k1 * np.sqrt(np.abs(s)) * sign
-        return self._feedforward(inputs) - self._damping * rate - self._linear * s - root + self._w
+        reaching = self._k1 * root(abs(s)) * sign
+        return self._feedforward(inputs) - self._damping * rate - self._linear * s - reaching + self._w

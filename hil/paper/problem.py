@@ -77,4 +77,5 @@ class ContinuousLaw:
         inputs.mean_velocity, inputs.mean_acceleration = target.velocity, target.acceleration
         inputs.mean_sign = np.sign(target.velocity)
         self.evaluations += 1
-        return self.law.force(inputs)
+        force: Array = self.law.force(inputs)
+        return force

@@ -98,6 +98,7 @@ MOTION_FIELDS = (
 )
 _OFFSET = {name: int(offset[1]) for name, offset in (RECORD.fields or {}).items()}
 _HEAD = struct.Struct("<qqqIIQIIq")
+_MOTION = struct.Struct(f"<{len(MOTION_FIELDS) * MAX_AXES}d")
 _COUNTERS = struct.Struct(f"<{MAX_AXES}q{MAX_AXES}I{MAX_AXES}I12Q{REJECT_REASONS}Q")
 _TAIL = struct.Struct("<7Q")
 _FRAME = struct.Struct("<qIBBH64s")
@@ -112,16 +113,22 @@ class RecordBuilder:
     def __init__(self, n_axes: int) -> None:
         self.buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
-        motion = np.frombuffer(
-            self.buffer, dtype="<f8", count=len(MOTION_FIELDS) * MAX_AXES, offset=_OFFSET["position"]
-        )
-        self.motion = motion.reshape(len(MOTION_FIELDS), MAX_AXES)[:, :n_axes]
         self._saturations = struct.Struct(f"<{n_axes}Q")
         self._pad = [0] * (MAX_AXES - n_axes)
+        self._zeros = [0.0] * (MAX_AXES - n_axes)
 
     def head(self, *values: int) -> None:
         """index, scheduled_ns, now_ns, state, fault, faults_active, flags, sequence, task_ns."""
         _HEAD.pack_into(self.buffer, 0, *values)
+
+    def motion(self, columns: Sequence[Sequence[float]]) -> None:
+        """The fields MOTION_FIELDS, each a list of one value an axis."""
+        pad = self._zeros
+        values: list[float] = []
+        for column in columns:
+            values += column
+            values += pad
+        _MOTION.pack_into(self.buffer, _OFFSET["position"], *values)
 
     def axes(
         self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from hil.laws.base import Array, Reference
 
 Times = NDArray[np.int64]
-MEMO_LIMIT = 64  # instants kept; a tick revisits the last few
 SMALL = 32  # values up to which plain floats beat array calls
 
 
@@ -28,7 +27,6 @@ class Trajectory(ABC):
 
     def __init__(self, n_axes: int) -> None:
         self._n = n_axes
-        self._memo: dict[tuple[int, ...], Reference] = {}
 
     def sample(self, t_ns: Times) -> Reference:
         """Reference at task times `t_ns` (ns, int64, (..., n_axes), each axis at its own; below 0 counts as 0).
@@ -43,28 +41,14 @@ class Trajectory(ABC):
             out[0, ..., axis], out[1, ..., axis], out[2, ..., axis] = self._axis_array(axis, clamped[..., axis])
         return Reference(out[0], out[1], out[2])
 
-    def at(self, times: tuple[int, ...]) -> Reference:
-        """Reference at one instant per axis (ns), arrays (n_axes,).
-
-        Remembered, as a tick's end is the next tick's start: do not write to it.
-        """
-        reference = self._memo.get(times)
-        if reference is None:
-            rows = np.array([self._axis(axis, max(time, 0)) for axis, time in enumerate(times)])
-            reference = Reference(rows[:, 0], rows[:, 1], rows[:, 2])
-            if len(self._memo) >= MEMO_LIMIT:
-                self._memo.clear()
-            self._memo[times] = reference
-        return reference
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """Position (m), velocity and acceleration of one axis at task time `t_ns`; below 0 counts as 0."""
+        return self._axis(axis, t_ns if t_ns > 0 else 0)
 
     def _sample_few(self, t_ns: Times) -> Reference:
-        rows = [self.at(tuple(times)) for times in (t_ns.tolist() if t_ns.ndim == 2 else [t_ns.tolist()])]
-        shape = t_ns.shape
-        position, velocity, acceleration = np.empty(shape), np.empty(shape), np.empty(shape)
-        for i, row in enumerate(rows):
-            index = i if t_ns.ndim == 2 else ...
-            position[index], velocity[index], acceleration[index] = row.position, row.velocity, row.acceleration
-        return Reference(position, velocity, acceleration)
+        rows = [[self.at(axis, t) for axis, t in enumerate(times)] for times in t_ns.reshape(-1, self._n).tolist()]
+        values = np.array(rows).reshape(*t_ns.shape, 3)
+        return Reference(values[..., 0].copy(), values[..., 1].copy(), values[..., 2].copy())
 
     def phase_at(self, t_ns: int) -> int:
         """Index into `phase_names` of the phase at task time `t_ns`."""

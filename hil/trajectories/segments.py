@@ -66,6 +66,7 @@ class Segments(Trajectory):
         self._starts_array = np.array(self._starts, dtype=np.int64)
         self._table = np.stack(tables)  # (segments, 6, n_axes)
         self._lists = self._table.transpose(2, 0, 1).tolist()  # [axis][segment][power]
+        self._still = (self._table[:, 1:] == 0.0).all(axis=1).T.tolist()  # [axis][segment]
         self._phases = [segment.phase for segment in segments] + [len(phase_names) - 1] * (not repeat)
         self._repeats = repeat
         self.phase_names = phase_names
@@ -83,6 +84,8 @@ class Segments(Trajectory):
             t_ns %= self._total
         index = bisect_right(self._starts, t_ns) - 1
         c0, c1, c2, c3, c4, c5 = self._lists[axis][index]
+        if self._still[axis][index]:
+            return c0, 0.0, 0.0
         t = (t_ns - self._starts[index]) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
