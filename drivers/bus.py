@@ -8,6 +8,7 @@ import errno
 import socket
 import struct
 from collections.abc import Callable, Sequence
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -110,30 +111,30 @@ class Port:
         """
         earliest_ns, self._drained_ns = self._drained_ns, now_ns
         sources = self._ready()
-        if not sources:
-            return []
         wall_ns = time_ns()
         latest_ns = monotonic_ns()
         offset_ns = wall_ns - latest_ns if latest_ns - now_ns < _CLOCKS_READ_NS else _wall_offset()
-        frames: list[Frame] = []
-        for fd in sources:
-            try:
-                found = self._block.frames(fd, offset_ns, earliest_ns, latest_ns)
-            except OSError as error:
-                found = None if self._note_receive_error(error) else []
-            if found is None:
-                found = self._read(fd, offset_ns, earliest_ns)
-            frames = frames + found if frames else found
+        if len(sources) == 1:
+            frames = self._read(sources[0], offset_ns, earliest_ns, latest_ns)
+        else:
+            every = (self._read(fd, offset_ns, earliest_ns, latest_ns) for fd in sources)
+            frames = sorted(chain.from_iterable(every), key=attrgetter("timestamp_ns"))
         count = len(frames)
         self._counts[_RECEIVED] += count
-        if len(sources) > 1:
-            frames.sort(key=attrgetter("timestamp_ns"))
         if count > self._receive_limit:
             self._counts[_DISCARDED] += count - self._receive_limit
             del frames[: -self._receive_limit]
         return frames
 
-    def _read(self, fd: int, offset_ns: int, earliest_ns: int) -> list[Frame]:
+    def _read(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame]:
+        """All that one socket has."""
+        try:
+            frames = self._block.frames(fd, offset_ns, earliest_ns, latest_ns)
+        except OSError as error:
+            frames = None if self._note_receive_error(error) else []
+        return self._sort_out(fd, offset_ns, earliest_ns) if frames is None else frames
+
+    def _sort_out(self, fd: int, offset_ns: int, earliest_ns: int) -> list[Frame]:
         """The long way: what the block holds, message by message, and then whatever else the socket has."""
         block, frames = self._block, list[Frame]()
         for _ in range(_READS_PER_DRAIN):

@@ -21,6 +21,7 @@ COMMAND_LENGTH = 24
 FEEDBACK_LENGTH = 16
 COMMAND_CHECKED = COMMAND_LENGTH - 4  # bytes the checksum covers
 FEEDBACK_CHECKED = FEEDBACK_LENGTH - 4
+RESIDUE = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
 
 _WRAP = 1 << 32  # sample_time, ns
 _HALF = 1 << 31
@@ -60,34 +61,39 @@ class StageFdHost(_Layout):
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         super().__init__(bus, n_axes, rated_force)
         self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
-        self._rated = [*rated_force, *[0.0] * (MAX_AXES - n_axes)]
+        self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
+        self._unpack_feedback, self._pack_command = self._feedback.unpack, self._command.pack
         self._padding = (0.0,) * (MAX_AXES - n_axes)
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
-        can_id, data, flags, received = frame
+        data, can_id, received = frame.data, frame.can_id, frame.timestamp_ns
         axis = self._axis.get(can_id)
         if axis is None:
             return reject_id(can_id, self._axis, self._command_id)
-        if not flags & FD:
+        if not frame.flags & FD:
             return Reject.WRONG_FORMAT
         if len(data) != FEEDBACK_LENGTH:
             return Reject.WRONG_LENGTH
-        position, stamp, status, sequence, checksum = self._feedback.unpack(data)
-        if crc32(data[:FEEDBACK_CHECKED], can_id) != checksum:
+        if crc32(data, can_id) != RESIDUE:
             return Reject.BAD_CHECKSUM
-        if status & ~STATUS_MASK:
+        position, stamp, status, sequence, _ = self._unpack_feedback(data)
+        if status > STATUS_MASK:
             return Reject.INVALID_VALUE
-        return Sample(axis, position, status, sequence, received + (stamp - received + _HALF) % _WRAP - _HALF)
+        earliest = received - _HALF
+        return tuple.__new__(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
-        force = (*command.force, *self._padding)
-        check_force(force, self._rated)
-        flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
-        data = self._command.pack(*force, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
+        sequence, force, enable, reset = command[:]  # a true tuple is unpacked quicker
+        a, b, c, d = (*force, *self._padding)
+        la, lb, lc, ld = self._rated
+        if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
+            check_force((a, b, c, d), self._rated)  # says which
+        flags = enable & self._enable_mask | (RESET if reset else 0)
+        data = self._pack_command(a, b, c, d, sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
-        return [Frame(self._command_id, data, FD | BRS)]
+        return [tuple.__new__(Frame, (self._command_id, data, FD | BRS, 0))]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""
