@@ -5,6 +5,7 @@ Output depends on the rig, the inputs and this object's own state alone; time co
 """
 
 from collections.abc import Sequence
+from operator import sub
 from pathlib import Path
 
 import numpy as np
@@ -329,11 +330,11 @@ class ControlCycle:
             max(self.sent_sequence, 0), self.setpoints.task_ns,
         )  # fmt: skip
         measured, setpoint = self._measured, [x.sample.position for x in inputs]
-        records.motion((
-            measured, [f.position for f in filters], [f.velocity for f in filters], [f.disturbance for f in filters],
-            [f.innovation for f in filters], setpoint, [x.sample.velocity for x in inputs],
-            [q - qd for q, qd in zip(measured, setpoint, strict=True)], self._requested, self.gate.force,
-        ))  # fmt: skip
+        records.motion(
+            *measured, *[f.position for f in filters], *[f.velocity for f in filters],
+            *[f.disturbance for f in filters], *[f.innovation for f in filters], *setpoint,
+            *[x.sample.velocity for x in inputs], *map(sub, measured, setpoint), *self._requested, *self.gate.force,
+        )  # fmt: skip
         status = [0 if s is None else s.status for s in inbox.samples]
         records.axes(self.sampling.instants, inbox.age, status, tick.port, inbox.rejects)
         records.counts(

@@ -29,10 +29,10 @@ def limit_force(request: float, previous: float, position: float, limits: ForceL
     a travel limit the outward force is zero in the same tick.
     """
     force, low, high, step = limits
-    limited = max(request, previous - step)
-    limited = min(limited, previous + step)
-    limited = min(limited, force if position < high else 0.0)
-    return max(limited, -force if position > low else 0.0)
+    least, most = previous - step, previous + step
+    limited = least if request < least else most if request > most else request
+    least, most = -force if position > low else 0.0, force if position < high else 0.0
+    return most if limited > most else least if limited < least else limited
 
 
 class TorqueGate:

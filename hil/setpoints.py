@@ -2,23 +2,9 @@
 
 from collections.abc import Sequence
 
-from hil.laws.base import LawInputs, Model, Reference
+from hil.laws.base import LawInputs, Model
 from hil.number import Number
 from hil.trajectories import Trajectory
-
-
-def average_reference(inputs: LawInputs, period: float) -> None:
-    """Means over [start, end] of velocity, acceleration and sgn(velocity), of one axis (floats).
-
-    The sign's mean takes the velocity as linear in the interval: (v0 + v1) / (|v0| + |v1|), 0 at rest. Evaluating the
-    feedforward at the sample's instant instead costs 45-55 um on the paper's task (PAPER.md, Pitfalls).
-    """
-    start, end = inputs.start, inputs.end
-    v0, v1 = start.velocity, end.velocity
-    inputs.mean_velocity = (end.position - start.position) / period
-    inputs.mean_acceleration = (v1 - v0) / period
-    total = abs(v0) + abs(v1)
-    inputs.mean_sign = (v0 + v1) / total if total > 0.0 else 0.0
 
 
 def nominal_net_force(force: Number, model: Model, mean_velocity: Number, mean_sign: Number) -> Number:
@@ -27,10 +13,6 @@ def nominal_net_force(force: Number, model: Model, mean_velocity: Number, mean_s
     """
     wet = (abs(mean_velocity) * model.quadratic + model.viscous) * mean_velocity
     return force - model.coulomb * mean_sign - wet - model.gravity
-
-
-def _fill(reference: Reference, values: tuple[float, float, float]) -> None:
-    reference.position, reference.velocity, reference.acceleration = values
 
 
 class Setpoints:
@@ -58,7 +40,7 @@ class Setpoints:
         for x, q in zip(self._inputs, position, strict=True):
             x.task_ns = -1
             for reference in (x.sample, x.start, x.end):
-                _fill(reference, (q, 0.0, 0.0))
+                reference.position, reference.velocity, reference.acceleration = q, 0.0, 0.0
             x.mean_velocity = x.mean_acceleration = x.mean_sign = 0.0
 
     def follow(self, trajectory: Trajectory, origin_ns: Sequence[int]) -> None:
@@ -78,17 +60,23 @@ class Setpoints:
 
     def _update_axis(self, axis: int, sampled: int, begins: int) -> None:
         """An interval mostly begins where the last one ended: then the objects change places and keep their values."""
-        x, at = self._inputs[axis], self.trajectory.at  # type: ignore[union-attr]
+        x, at, period = self._inputs[axis], self.trajectory.at, self._period  # type: ignore[union-attr]
+        sample, start, end = x.sample, x.start, x.end
         if sampled == self._starts[axis]:
-            x.sample, x.start = x.start, x.sample
+            sample, start = start, sample
         else:
-            _fill(x.sample, at(axis, sampled))
+            sample.position, sample.velocity, sample.acceleration = at(axis, sampled)
         if begins == self._ends[axis]:
-            x.start, x.end = x.end, x.start
+            start, end = end, start
         else:
-            _fill(x.start, at(axis, begins))
-        ends = begins + self._period_ns
-        _fill(x.end, at(axis, ends))
-        self._starts[axis], self._ends[axis] = begins, ends
-        x.task_ns = begins
-        average_reference(x, self._period)
+            start.position, start.velocity, start.acceleration = at(axis, begins)
+        self._starts[axis], self._ends[axis] = begins, begins + self._period_ns
+        q1, v1, _ = end.position, end.velocity, end.acceleration = at(axis, begins + self._period_ns)
+        x.sample, x.start, x.end, x.task_ns = sample, start, end, begins
+        x.mean_velocity = (q1 - start.position) / period
+        v0 = start.velocity
+        x.mean_acceleration = (v1 - v0) / period
+        # The velocity taken as linear in the interval. The feedforward at the sample's instant instead would cost 45-55
+        # um on the paper's task (PAPER.md, Pitfalls).
+        total = abs(v0) + abs(v1)
+        x.mean_sign = (v0 + v1) / total if total > 0.0 else 0.0

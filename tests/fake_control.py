@@ -52,7 +52,7 @@ def main(rig_file: str, ticks: int) -> None:
             desk.handle(mailbox.poll(), pacer.now_ns, act)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
             builder.head(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
-            builder.motion([[math.sin(pacer.index * 1e-3)] * len(rig.axes)] * len(MOTION_FIELDS))
+            builder.motion(*[math.sin(pacer.index * 1e-3)] * len(rig.axes) * len(MOTION_FIELDS))
             builder.axes([0] * len(rig.axes), [0] * len(rig.axes), [1] * len(rig.axes), PortCounters(), [0] * 10)
             builder.traffic(desk.handled, [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4)
             ring.append(builder.record)

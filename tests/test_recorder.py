@@ -35,7 +35,7 @@ def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorComm
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
         builder.head(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
-        builder.motion((np.arange(len(MOTION_FIELDS) * 3).reshape(-1, 3) + index).tolist())
+        builder.motion(*(np.arange(len(MOTION_FIELDS) * 3) + index).tolist())
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
         builder.axes([index, -5, 2**60], [0, 1, 2], [1, 2, 4], port, [0] * 10)
         builder.traffic(commands, sent, received)

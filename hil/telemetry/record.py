@@ -97,11 +97,13 @@ MOTION_FIELDS = (
     "force",
 )
 _OFFSET = {name: int(offset[1]) for name, offset in (RECORD.fields or {}).items()}
+_MOTION_AT, _COUNTERS_AT, _TAIL_AT = _OFFSET["position"], _OFFSET["stamp_ns"], _OFFSET["samples_lost"]
+_SATURATIONS_AT, _COUNTS_AT, _COMMANDS_AT = _OFFSET["saturations"], _OFFSET["n_commands"], _OFFSET["commands"]
+_SENT_AT, _RECEIVED_AT = _OFFSET["sent"], _OFFSET["received"]
 _HEAD = struct.Struct("<qqqIIQIIq")
-_MOTION = struct.Struct(f"<{len(MOTION_FIELDS) * MAX_AXES}d")
-_COUNTERS = struct.Struct(f"<{MAX_AXES}q{MAX_AXES}I{MAX_AXES}I12Q{REJECT_REASONS}Q")
 _TAIL = struct.Struct("<7Q")
 _FRAME = struct.Struct("<qIBBH64s")
+_pack_frame, _FRAME_SIZE = _FRAME.pack_into, _FRAME.size
 _COMMAND = struct.Struct("<IIQq")
 _COUNTS = struct.Struct("<4H")
 _MAX_U32, _MAX_U64, _MAX_I64 = 2**32 - 1, 2**64 - 1, 2**63 - 1
@@ -113,52 +115,49 @@ class RecordBuilder:
     def __init__(self, n_axes: int) -> None:
         self.buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
+        rest = MAX_AXES - n_axes
+        self._motion = struct.Struct("<" + f"{n_axes}d{8 * rest}x" * len(MOTION_FIELDS))
+        ages = f"{n_axes}I{4 * rest}x"
+        self._counters = struct.Struct(f"<{n_axes}q{8 * rest}x{ages}{ages}12Q{REJECT_REASONS}Q")
         self._saturations = struct.Struct(f"<{n_axes}Q")
-        self._pad = [0] * (MAX_AXES - n_axes)
-        self._zeros = [0.0] * (MAX_AXES - n_axes)
 
     def head(self, *values: int) -> None:
         """index, scheduled_ns, now_ns, state, fault, faults_active, flags, sequence, task_ns."""
         _HEAD.pack_into(self.buffer, 0, *values)
 
-    def motion(self, columns: Sequence[Sequence[float]]) -> None:
-        """The fields MOTION_FIELDS, each a list of one value an axis."""
-        pad = self._zeros
-        values: list[float] = []
-        for column in columns:
-            values += column
-            values += pad
-        _MOTION.pack_into(self.buffer, _OFFSET["position"], *values)
+    def motion(self, *values: float) -> None:
+        """The fields MOTION_FIELDS one after another, one value an axis."""
+        self._motion.pack_into(self.buffer, _MOTION_AT, *values)
 
     def axes(
         self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]
     ) -> None:
         """Per-axis integers and the counters of port and inbox."""
-        pad = self._pad
-        _COUNTERS.pack_into(
-            self.buffer, _OFFSET["stamp_ns"], *stamps, *pad, *ages, *pad, *status, *pad, *port, *rejects
-        )
+        self._counters.pack_into(self.buffer, _COUNTERS_AT, *stamps, *ages, *status, *port, *rejects)
 
     def counts(self, lost: int, illegal: int, refused: int, floors: int, saturations: list[int]) -> None:
         """Counters of the cycle; the shell's own (missed_*, longest_streak) become zero until it writes them."""
-        _TAIL.pack_into(self.buffer, _OFFSET["samples_lost"], lost, 0, 0, 0, illegal, refused, floors)
-        self._saturations.pack_into(self.buffer, _OFFSET["saturations"], *saturations)
+        _TAIL.pack_into(self.buffer, _TAIL_AT, lost, 0, 0, 0, illegal, refused, floors)
+        self._saturations.pack_into(self.buffer, _SATURATIONS_AT, *saturations)
 
     def traffic(
         self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
     ) -> None:
         """All that went in and out of the tick."""
         buffer = self.buffer
-        _COUNTS.pack_into(buffer, _OFFSET["n_commands"], len(commands), len(received), len(sent), 0)
-        offset = _OFFSET["commands"]
+        _COUNTS.pack_into(buffer, _COUNTS_AT, len(commands), len(received), len(sent), 0)
+        offset = _COMMANDS_AT
         for command, accepted in commands:
             # Cut to the fields' widths: no sender's number, however absurd, may raise in the control process.
             expires_ns = min(max(command.expires_ns, -_MAX_I64 - 1), _MAX_I64)
             kind, sequence = command.kind & _MAX_U32, command.sequence & _MAX_U64
             _COMMAND.pack_into(buffer, offset, kind, accepted, sequence, expires_ns)
             offset += _COMMAND.size
-        for start, frames in ((_OFFSET["sent"], sent), (_OFFSET["received"], received)):
-            offset = start
-            for can_id, data, flags, stamp in frames:
-                _FRAME.pack_into(buffer, offset, stamp, can_id, len(data), flags, 0, data)
-                offset += _FRAME.size
+        offset = _SENT_AT
+        for can_id, data, flags, stamp in sent:
+            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, 0, data)
+            offset += _FRAME_SIZE
+        offset = _RECEIVED_AT
+        for can_id, data, flags, stamp in received:
+            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, 0, data)
+            offset += _FRAME_SIZE

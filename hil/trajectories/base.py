@@ -41,10 +41,6 @@ class Trajectory(ABC):
             out[0, ..., axis], out[1, ..., axis], out[2, ..., axis] = self._axis_array(axis, clamped[..., axis])
         return Reference(out[0], out[1], out[2])
 
-    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
-        """Position (m), velocity and acceleration of one axis at task time `t_ns`; below 0 counts as 0."""
-        return self._axis(axis, t_ns if t_ns > 0 else 0)
-
     def _sample_few(self, t_ns: Times) -> Reference:
         rows = [[self.at(axis, t) for axis, t in enumerate(times)] for times in t_ns.reshape(-1, self._n).tolist()]
         values = np.array(rows).reshape(*t_ns.shape, 3)
@@ -55,9 +51,9 @@ class Trajectory(ABC):
         return 0
 
     @abstractmethod
-    def _axis(self, axis: int, t_ns: int) -> tuple[float, float, float]:
-        """Position, velocity, acceleration of one axis at one time >= 0."""
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """Position (m), velocity and acceleration of one axis at task time `t_ns`; below 0 counts as 0."""
 
     @abstractmethod
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
-        """As `_axis` for many times; bit-identical to it."""
+        """As `at` for many times; bit-identical to it."""

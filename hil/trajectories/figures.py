@@ -67,10 +67,12 @@ class Figure(Trajectory):
         """0 while approaching, 1 on the figure."""
         return int(t_ns >= self._approach_ns)
 
-    def _axis(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """See Trajectory."""
         oscillation = self._oscillations.get(axis)
         if oscillation is None:
             return self._start[axis], 0.0, 0.0
+        t_ns = max(t_ns, 0)
         p, m = oscillation.cycle
         sine, cosine = sincos_turns((t_ns % m * p % m) / m + oscillation.offset)
         figure = self._derivatives(oscillation, sine, cosine)

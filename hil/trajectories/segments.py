@@ -65,7 +65,11 @@ class Segments(Trajectory):
             tables.append(rest(0, final).coefficients)
         self._starts_array = np.array(self._starts, dtype=np.int64)
         self._table = np.stack(tables)  # (segments, 6, n_axes)
-        self._lists = self._table.transpose(2, 0, 1).tolist()  # [axis][segment][power]
+        c2, c3, c4, c5 = (self._table[:, power] for power in range(2, 6))
+        derived = [2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5]
+        whole = np.concatenate([self._table, np.stack(derived, axis=1)], axis=1)
+        # [axis][segment]: coefficients of position, then those of velocity and acceleration that follow from them
+        self._lists = whole.transpose(2, 0, 1).tolist()
         self._still = (self._table[:, 1:] == 0.0).all(axis=1).T.tolist()  # [axis][segment]
         self._phases = [segment.phase for segment in segments] + [len(phase_names) - 1] * (not repeat)
         self._repeats = repeat
@@ -79,18 +83,20 @@ class Segments(Trajectory):
             t_ns %= self._total
         return self._phases[max(bisect_right(self._starts, t_ns) - 1, 0)]
 
-    def _axis(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """See Trajectory."""
+        t_ns = max(t_ns, 0)
         if self._repeats:
             t_ns %= self._total
         index = bisect_right(self._starts, t_ns) - 1
-        c0, c1, c2, c3, c4, c5 = self._lists[axis][index]
+        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = self._lists[axis][index]
         if self._still[axis][index]:
             return c0, 0.0, 0.0
         t = (t_ns - self._starts[index]) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
-            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5)))),
-            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5))),
+            c1 + t * (v2 + t * (v3 + t * (v4 + t * v5))),
+            a2 + t * (a3 + t * (a4 + t * a5)),
         )
 
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
