@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-slow lint lock proto profile
+.PHONY: help setup run test test-slow lint lock proto profile hashes
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -52,6 +52,9 @@ docs: setup  ## renew the pages that are made from tables in code
 
 mutants: setup  ## branch coverage and every mutant of the gate and the state machine
 	@tests/mutation/mutants.sh
+
+hashes: setup  ## a run of TICKS (10^6) has one hash: idle, loaded, other hash seeds, old processors, Python 3.11 to 3.13
+	@$(BIN)/python -m tests.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"
 
 profile: setup  ## where a tick's time goes, function by function; see docs/what-costs-what.md
 	@$(BIN)/hil bench profile

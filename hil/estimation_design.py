@@ -53,8 +53,13 @@ def steady_gains(kf: Any, tolerance: float = 1e-12, limit: int = 100_000) -> tup
 
 
 def design(axes: list[dict[str, float]]) -> list[tuple[list[float], float]]:
-    """Gains and innovation variance per axis; each entry holds make_filter's keyword arguments."""
-    return [steady_gains(make_filter(**axis)) for axis in axes]
+    """Gains and innovation variance per axis; each entry holds make_filter's keyword arguments.
+
+    Rounded to nine digits: filterpy multiplies matrices through BLAS, whose last bits depend on the processor (2e-12
+    was seen), and a run must not.
+    """
+    settled = (steady_gains(make_filter(**axis)) for axis in axes)
+    return [([float(f"{gain:.8e}") for gain in gains], float(f"{variance:.8e}")) for gains, variance in settled]
 
 
 if __name__ == "__main__":

@@ -64,8 +64,8 @@ def make_axis(
     """Axis with its derived rates; mass in kg, ripple_period in m."""
     inverse_mass = 1.0 / mass
     wavenumber = 1.0 / ripple_period
-    ripple_rate = (ripple_amplitude * wavenumber * TURN * inverse_mass) ** 0.5
-    membrane_rate = (3.0 * membrane.stiffness * membrane.puncture_depth**2 * inverse_mass) ** 0.5 * (
+    ripple_rate = np.sqrt(ripple_amplitude * wavenumber * TURN * inverse_mass)
+    membrane_rate = np.sqrt(3.0 * membrane.stiffness * membrane.puncture_depth**2 * inverse_mass) * (
         membrane.stiffness > 0
     )
     rate = (abs(friction.viscous) + membrane.drag) * inverse_mass + ripple_rate + membrane_rate
