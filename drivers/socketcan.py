@@ -104,9 +104,12 @@ class SocketCanMedium:
         """Drop every frame that waits for the wire, by taking the interface down and up again.
 
         Linux has no other way to recall a queued frame. It needs CAP_NET_ADMIN: False without it. Milliseconds.
+        An interface that is down holds none, and stays down: whoever took it down may be working on the bus.
         """
         try:
             flags = self._flags()
+            if not flags & _IFF_UP:
+                return True
             self._set_flags(flags & ~_IFF_UP)
             self._set_flags(flags | _IFF_UP)
         except OSError:

@@ -150,11 +150,18 @@ def command(name: str, rig: Path, overrides: Sequence[str]) -> list[str]:
 
 @contextlib.contextmanager
 def live_rig(
-    channel: str, *more: str, rig: Path = RIGS / "paper.toml", stage_prefix: Sequence[str] = ()
+    channel: str,
+    *more: str,
+    rig: Path = RIGS / "paper.toml",
+    stage_prefix: Sequence[str] = (),
+    stage_channel: str | None = None,
 ) -> Iterator[LiveRig]:
-    """Start both processes on `channel`. stage_prefix: command before the emulator's (`ip netns exec NAME`)."""
+    """Start both processes on `channel`.
+
+    stage_prefix: command before the emulator's (`ip netns exec NAME`). stage_channel: the emulator's, if another.
+    """
     overrides = (*PATIENT, f"bus.channel={channel}", *more)
-    stage_overrides = (*overrides, "bus.channel=can1") if stage_prefix else overrides
+    stage_overrides = (*overrides, f"bus.channel={stage_channel or channel}")
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with (
         subprocess.Popen([*stage_prefix, *command("emulate", rig, stage_overrides)], env=environment) as emulator,
@@ -166,3 +173,16 @@ def live_rig(
             for process in (control, emulator):
                 if process.poll() is None:
                     process.kill()
+
+
+def assert_closed_loop(rig: LiveRig) -> None:
+    """Activate, hold for a while, and see that torque goes out, samples come back and the position is held."""
+    rig.activate()
+    records = rig.wait_ticks(100)
+    active = records[records["state"] == State.ACTIVE]
+    assert len(active) > 50
+    assert (active["n_sent"] > 0).all()
+    assert (active["age_ticks"][:, :2] == 0).mean() > 0.5, "most ticks have a fresh sample of every axis"
+    assert abs(active["following_error"][-1, :2]).max() < 0.02
+    rig.order(CommandKind.STOP)
+    rig.wait_for(State.READY)

@@ -33,6 +33,7 @@ class SerialAdapter:
         answer = fcntl.ioctl(self._line, SIOCGIFNAME, bytes(16))
         self.name = answer.partition(b"\0")[0].decode()
         self._text = ""
+        self._text_lock = threading.Lock()
         self._open = True
         self._attentive = threading.Event()  # reading what the driver says, without which it says no more
         self._attentive.set()
@@ -41,9 +42,24 @@ class SerialAdapter:
 
     def _listen(self) -> None:
         while self._open:
-            if self._attentive.wait(0.1) and select.select([self._adapter], [], [], 0.1)[0]:
-                with contextlib.suppress(OSError):  # the line hangs up when it is closed
-                    self._text += os.read(self._adapter, 65536).decode()
+            if not self._attentive.wait(0.1) or not select.select([self._adapter, *self.other_side()], [], [], 0.1)[0]:
+                continue
+            with contextlib.suppress(OSError):  # nothing there; or the line hangs up when it is closed
+                told = os.read(self._adapter, 65536).decode()
+                with self._text_lock:
+                    self._text += told
+                self.told(told)
+            self.carry_back()
+
+    def other_side(self) -> list[int]:
+        """Descriptors of what an adapter relays to, if it does; `carry_back` is called when they are readable."""
+        return []
+
+    def told(self, text: str) -> None:
+        """The driver has told the adapter this, in pieces as they come."""
+
+    def carry_back(self) -> None:
+        """Take what has come from the other side."""
 
     def stall(self) -> None:
         """Read nothing more: the line fills up, as with a controller that gets nothing onto the wire."""
@@ -72,7 +88,8 @@ class SerialAdapter:
     def heard(self, wanted: str) -> str:
         """Wait until the driver has told the adapter `wanted` (a command or a frame); what it told before that."""
         links.eventually(lambda: wanted + "\r" in self._text, f"the adapter is told {wanted!r}")
-        before, _, self._text = self._text.partition(wanted + "\r")
+        with self._text_lock:
+            before, _, self._text = self._text.partition(wanted + "\r")
         return before
 
     def close(self) -> None:

@@ -1,7 +1,10 @@
 """Two emulated SJA1000 controllers behind their real driver on one bus: can0 is the host's, can1 the stage's."""
 
 import configparser
+import contextlib
+import os
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,13 +12,18 @@ import pytest
 
 from drivers.bus import BusState
 from drivers.frame import Frame
+from hil.config import load_rig
+from hil.install import network_files
+from hil.state_machine import State
 from tests.vm import links
+from tests.vm.live import RIGS, assert_closed_loop, live_rig
 from tests.vm.ports import drained_until, port_on, receive
 
 pytestmark = pytest.mark.controller
 
 NETWORK = Path(__file__).parents[2] / "deploy/systemd/network"
 STAGE_NAMESPACE = "hilstage"
+CLASSIC = ("bus.protocol=stage_classic", "bus.bitrate=500000", "bus.transmit_queue=4")
 
 
 def deployed() -> configparser.SectionProxy:
@@ -23,6 +31,16 @@ def deployed() -> configparser.SectionProxy:
     parser = configparser.ConfigParser(strict=False)
     parser.read(NETWORK / "can-classic.network")
     return parser["CAN"]
+
+
+def installed(channel: str) -> dict[str, str]:
+    """Bit rate and transmit queue that `hil install` would configure for the paper's rig on this channel."""
+    rig = load_rig(RIGS / "paper.toml", [*CLASSIC, f"bus.channel={channel}"])
+    parser = configparser.ConfigParser(strict=False)
+    for text in network_files(rig.bus, fd=False).values():
+        parser.read_string(text)
+    assert parser["Match"]["Name"] == parser["Match"]["OriginalName"] == channel
+    return {**parser["CAN"], **parser["Link"]}
 
 
 @pytest.fixture
@@ -111,3 +129,70 @@ def test_a_stage_in_another_network_namespace_is_reached_over_the_bus_alone(stag
     links.ip("netns", "exec", stage_elsewhere, "cansend", "can1", "100#BEEF")
     assert receive(host, 1)[0][:2] == (0x100, b"\xbe\xef")
     host.close()
+
+
+def test_the_whole_loop_runs_over_two_controllers_as_installed(stage_elsewhere: str) -> None:
+    """Host and stage in different network namespaces, at the bit rate and with the queue that `hil install` writes."""
+    wanted = installed("can0")
+    links.ip("link", "set", "can0", "down")
+    links.ip("-n", stage_elsewhere, "link", "set", "can1", "down")
+    links.ip("link", "set", "can0", "txqueuelen", wanted["transmitqueuelength"])
+    links.ip("link", "set", "can0", "up", "type", "can", "bitrate", wanted["bitrate"])
+    links.ip("-n", stage_elsewhere, "link", "set", "can1", "up", "type", "can", "bitrate", wanted["bitrate"])
+    found = links.details("can0")
+    assert (found["linkinfo"]["info_data"]["bittiming"]["bitrate"], found["txqlen"]) == (500_000, 4)
+
+    prefix = ("ip", "netns", "exec", stage_elsewhere)
+    with live_rig("can0", *CLASSIC, stage_prefix=prefix, stage_channel="can1") as rig:
+        assert_closed_loop(rig)
+        rig.activate()
+        links.ip("link", "set", "can0", "down")
+        rig.wait_for(State.FAULT)
+        links.ip("link", "set", "can0", "up")
+        rig.to_ready()
+        assert_closed_loop(rig)
+        assert rig.stop() == 0
+        assert rig.applied_forces() == [0.0, 0.0]
+
+
+@contextlib.contextmanager
+def before_the_drivers_interrupts(name: str) -> Iterator[None]:
+    """For the length of the block this thread runs, and the threads that serve the interface's interrupts do not.
+
+    With PREEMPT_RT these are FIFO 50 and follow the interrupt's CPU: we take the same CPU at FIFO 90.
+    """
+    numbers = [line.split(":")[0].strip() for line in Path("/proc/interrupts").read_text().splitlines() if name in line]
+    assert numbers, f"{name} has an interrupt"
+    masks = {Path(f"/proc/irq/{number}/smp_affinity"): "" for number in numbers}
+    cpus = os.sched_getaffinity(0)
+    for path in masks:
+        masks[path] = path.read_text()
+        path.write_text("1")
+    links.run("cangen", name, "-n", "5", "-g", "1")  # interrupts and their threads move with the next ones
+    os.sched_setaffinity(0, {0})
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, cpus)
+        for path, mask in masks.items():
+            path.write_text(mask)
+
+
+def test_a_transmit_queue_of_one_refuses_the_rest_of_a_burst_and_loses_nothing_it_took(pair: tuple[str, str]) -> None:
+    links.ip("link", "set", "can0", "down")
+    links.ip("link", "set", "can0", "txqueuelen", "1", "up")
+    host, stage = (port_on(name, fd=False) for name in pair)
+    with before_the_drivers_interrupts("can0"):
+        stage.drain(time.monotonic_ns())
+        taken = [number for number in range(20) if host.send(Frame(0x080, bytes([number])))]
+    assert 1 <= len(taken) < 20, "one frame in the controller, one in the queue"
+    assert host.counters().refused == 20 - len(taken)
+    assert [frame.data[0] for frame in receive(stage, len(taken))] == taken
+    assert host.send(Frame(0x081, b"next")), "the queue is free again"
+    assert receive(stage, 1)[0].can_id == 0x081
+    host.close()
+    stage.close()
+    links.ip("link", "set", "can0", "down")
+    links.ip("link", "set", "can0", "txqueuelen", "10", "up")

@@ -7,9 +7,8 @@ import pytest
 
 from hil.faults import Fault
 from hil.state_machine import State
-from hil.tick import CommandKind
 from tests.vm import links
-from tests.vm.live import RIGS, LiveRig, live_rig
+from tests.vm.live import RIGS, assert_closed_loop, live_rig
 
 pytestmark = pytest.mark.vcan
 
@@ -19,19 +18,6 @@ LAYOUTS = {
     "cia402": ("paper.toml", "cia402"),
     "dbc": ("paper-dbc.toml", "dbc:example_drive.dbc"),
 }
-
-
-def assert_closed_loop(rig: LiveRig) -> None:
-    """Activate, hold for a while, and see that torque goes out, samples come back and the position is held."""
-    rig.activate()
-    records = rig.wait_ticks(100)
-    active = records[records["state"] == State.ACTIVE]
-    assert len(active) > 50
-    assert (active["n_sent"] > 0).all()
-    assert (active["age_ticks"][:, :2] == 0).mean() > 0.5, "most ticks have a fresh sample of every axis"
-    assert abs(active["following_error"][-1, :2]).max() < 0.02
-    rig.order(CommandKind.STOP)
-    rig.wait_for(State.READY)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -236,6 +236,15 @@ def test_purge_leaves_nothing_waiting_to_be_sent(vcan: str) -> None:
     device.close()
 
 
+def test_purge_leaves_an_interface_down_that_somebody_took_down(vcan: str) -> None:
+    host = port_on(vcan)
+    links.ip("link", "set", vcan, "down")
+    assert host.purge() is True
+    assert host.rebind() is False
+    assert host.counters().state is BusState.DOWN
+    host.close()
+
+
 def test_random_foreign_traffic_in_every_format_is_survived(vcan: str) -> None:
     host = port_on(vcan)
     for options in (["-f", "-b", "-R"], ["-f", "-E"], ["-e", "-8"], ["-i"]):

@@ -160,3 +160,10 @@ def test_removing_the_module_removes_every_interface(vcan: str, new_vcan: Callab
             assert error_of(lambda: bound.send(bytes(16))) in (errno.ENXIO, errno.ENODEV)
         finally:
             subprocess.run(["modprobe", "vcan"], check=True, timeout=links.PATIENCE_S)
+
+
+def test_a_virtual_bus_has_no_transmit_queue_that_could_be_short(vcan: str) -> None:
+    """vcan delivers within the sender's system call: txqueuelen 1 refuses nothing there. On a controller it does."""
+    links.ip("link", "set", vcan, "txqueuelen", "1")
+    with raw_socket(vcan) as sender:
+        assert [error_of(lambda: sender.send(bytes(16))) for _ in range(200)] == [None] * 200
