@@ -9,9 +9,12 @@ from hypothesis import settings
 
 from hil.config import RigConfig, load_rig
 from hil.invariants import Invariants
+from tests.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
 
 if TYPE_CHECKING:
     from hil.lockstep import LockstepRun
+
+__all__ = ["pytest_collection_modifyitems", "pytest_configure", "pytest_terminal_summary"]  # hooks
 
 settings.register_profile("repository", deadline=None, derandomize=True)
 settings.load_profile("repository")
