@@ -204,15 +204,20 @@ def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> No
         place.chmod(0o644)
 
 
-def _reload(root: Path) -> None:
-    """Let the running system see the new files; nothing is started or stopped."""
+def _reload(root: Path, channel: str = "") -> None:
+    """Let the running system see the new files; nothing is started or stopped.
+
+    channel: an interface to which udev is to apply its .link file (the transmit queue) now, if it is there.
+    """
     if root != Path("/") or not Path("/run/systemd/system").is_dir():
         return
+    devices = ["/dev/cpu_dma_latency", f"/sys/class/net/{channel}"]
+    present = [device for device in devices[: 2 if channel else 1] if Path(device).exists()]
     for command in (
         ["systemd-sysusers"],
         ["systemd-tmpfiles", "--create", "--prefix=/run/hil", "--prefix=/var/lib/hil", "--prefix=/etc/hil"],
         ["udevadm", "control", "--reload"],
-        ["udevadm", "trigger", "--settle", "/dev/cpu_dma_latency"],
+        ["udevadm", "trigger", "--settle", "--action=add", *present],
         ["systemctl", "daemon-reload"],
         ["systemctl", "try-reload-or-restart", "systemd-networkd.service"],
     ):
@@ -319,7 +324,7 @@ def install(
         )
     except (InstallError, OSError) as error:
         _fail(error)
-    _reload(root)
+    _reload(root, installed.bus.channel)
     print(f"rig {installed.name} on {installed.bus.channel}: {root / RIGS / installed.name}.toml")
     print("start: systemctl start hil.target    at every boot: systemctl enable hil.target")
 

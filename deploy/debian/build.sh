@@ -22,7 +22,7 @@ trap 'rm -rf "$stage"' EXIT
 chmod 755 "$stage"
 root=$stage/root
 packages=opt/hil/lib/python$minor/site-packages
-pip() { $PYTHON -m pip --quiet --disable-pip-version-check "$@"; }
+pip() { $PYTHON -m pip -qq --disable-pip-version-check "$@"; }
 
 # --- /opt/hil: a virtual environment on the system's Python
 mkdir -p "$root/opt/hil/bin" "$root/$packages"

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the Debian package on a fresh guest with systemd as init, and tests the service there as a rig's PC would run it.
 # Results come out to .vm/results-systemd. Exit status 0 only if the guest ran tests and all passed.
+# usage: test_systemd.sh [TEST FILES, in the story's order; all]
 set -euo pipefail
 
 PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
@@ -19,8 +20,12 @@ dpkg-deb -R "$SHARE"/packages/hil_*.deb "$SHARE/later"
 sed -i 's/^Version:.*/Version: 99.0/' "$SHARE/later/DEBIAN/control"
 dpkg-deb --root-owner-group -Zzstd -z3 --build "$SHARE/later" "$SHARE/packages/upgrade/hil_99.0.deb" >/dev/null
 rm -rf "$SHARE/later"
-cp -r "$PROJECT/tests/vm/systemd" "$SHARE/tests"
+mkdir -p "$SHARE/tests/vm" "$SHARE/docs"
+cp "$PROJECT/tests/__init__.py" "$SHARE/tests/"
+cp -r "$PROJECT"/tests/vm/{__init__,links,slcan,doctor_truth}.py "$PROJECT/tests/vm/systemd" "$SHARE/tests/vm/"
+cp "$PROJECT/docs/at-the-rig.md" "$SHARE/docs/"
 cp "$PROJECT/deploy/vm/guest_systemd.sh" "$SHARE/guest.sh"
+echo "${*:-tests/vm/systemd}" > "$SHARE/arguments"
 
 kernel=$(cat "$VM/kernel/ready")
 echo "vm: booting $kernel with systemd in software emulation; limit $LIMIT s"
