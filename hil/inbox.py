@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from drivers.frame import Frame
 from drivers.protocols.base import HostProtocol, Reject, Sample
 
@@ -19,6 +17,9 @@ SUSPICIOUS = frozenset(
 )
 
 
+_NOT_EXPECTED = -2  # no sample has this sequence number
+
+
 class Inbox:
     """The newest sample of every axis, and counters for everything that was not one.
 
@@ -28,6 +29,7 @@ class Inbox:
 
     def __init__(self, protocol: HostProtocol, leak_ticks: int) -> None:
         n = protocol.n_axes
+        self._none_fresh = (False,) * n
         self._protocol = protocol
         self._modulus = protocol.sequence_modulus
         self._leak_ticks = leak_ticks
@@ -54,17 +56,24 @@ class Inbox:
     def collect(self, frames: Sequence[Frame], sent_sequence: int) -> None:
         """Sort one tick's frames; `sent_sequence` is that of the newest command sent, -1 before the first."""
         self.useless_now = 0
-        fresh = self.fresh
-        for axis in range(len(fresh)):
-            fresh[axis] = False
-        decode = self._protocol.decode
+        fresh, samples, last = self.fresh, self.samples, self._last_sequence
+        fresh[:] = self._none_fresh
+        decode, modulus = self._protocol.decode, self._modulus
+        expected = sent_sequence % modulus if modulus and sent_sequence >= 0 else _NOT_EXPECTED
         for frame in frames:
             outcome = decode(frame)
             if isinstance(outcome, Sample):
-                self._accept(outcome, sent_sequence)
+                axis, sequence = outcome.axis, outcome.sequence
+                if sequence == expected and last[axis] != expected:  # what is due, nearly always
+                    samples[axis] = outcome
+                    last[axis] = sequence
+                    fresh[axis] = True
+                else:
+                    self._accept(outcome, sent_sequence)
             else:
                 self._reject(outcome)
-        self._grow_older(sent_sequence)
+        if sent_sequence >= 0:
+            self._grow_older()
 
     def _accept(self, sample: Sample, sent_sequence: int) -> None:
         axis = sample.axis
@@ -98,26 +107,17 @@ class Inbox:
         if reason in SUSPICIOUS:
             self.bad_frames += 1
 
-    def _grow_older(self, sent_sequence: int) -> None:
-        if sent_sequence < 0:
-            return
-        age = self.age
+    def _grow_older(self) -> None:
+        age, heard = self.age, self.heard
         for axis, fresh in enumerate(self.fresh):
             if fresh:
                 age[axis] = 0
-                self.heard[axis] = True
+                heard[axis] = True
             else:
                 age[axis] += 1
-                self.lost += self.heard[axis]
+                self.lost += heard[axis]
         self._since_leak += 1
         if self._since_leak >= self._leak_ticks:
             self._since_leak = 0
             if self.bad_frames:
                 self.bad_frames -= 1
-
-
-def positions(samples: Sequence[Sample | None], resolution: np.ndarray, out: np.ndarray) -> None:
-    """Encoder counts to metres; axes without a sample keep their value."""
-    for axis, sample in enumerate(samples):
-        if sample is not None:
-            out[axis] = sample.position * resolution[axis]

@@ -55,13 +55,14 @@ class Sampling:
         """Fill the inputs' intervals (s) and `fresh`, and `position` (m) where a believable sample came; for a tick
         that began at now_ns and a last command sent in the tick that began at sent_ns.
         """
-        inbox, instants, period, answered = self._inbox, self.instants, self._period_ns, 0.0
-        for axis, (x, sample) in enumerate(zip(self._inputs, inbox.samples, strict=True)):
+        inbox, instants, period, tracked, answered = self._inbox, self.instants, self._period_ns, self.tracked, 0.0
+        arrivals = zip(self._inputs, inbox.samples, inbox.fresh, strict=True)
+        for axis, (x, sample, arrived) in enumerate(arrivals):
             previous, elapsed = instants[axis], period
             x.fresh = 0.0
-            if inbox.fresh[axis] and sample is not None:
+            if arrived and sample is not None:
                 instant = sent_ns + self._delay(axis, sample.stamp_ns - sent_ns)
-                if self.tracked:
+                if tracked:
                     elapsed = min(max(instant - previous, 0), LONGEST_PERIODS * period)
                 position = sample.position * self._resolution[axis]
                 if self._believed(axis, position, instant, monitor):
@@ -90,9 +91,10 @@ class Sampling:
         if not self._stamped:
             delay = self._believable(axis, delay)
         if self._latency_known[axis]:
-            self._average[axis] += (delay - self._average[axis]) >> LATENCY_SHIFT
-            if abs(self._average[axis] - self.latency[axis]) > LATENCY_STEP_NS:
-                self.latency[axis] = self._average[axis]
+            average = self._average[axis]
+            self._average[axis] = average = average + ((delay - average) >> LATENCY_SHIFT)
+            if not -LATENCY_STEP_NS <= average - self.latency[axis] <= LATENCY_STEP_NS:
+                self.latency[axis] = average
         else:
             self.latency[axis] = self._average[axis] = delay
             self._latency_known[axis] = True

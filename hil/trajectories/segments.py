@@ -85,7 +85,7 @@ class Segments(Trajectory):
 
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """See Trajectory."""
-        t_ns = max(t_ns, 0)
+        t_ns = t_ns if t_ns > 0 else 0  # a third of what max() costs
         if self._repeats:
             t_ns %= self._total
         index = bisect_right(self._starts, t_ns) - 1
