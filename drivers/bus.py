@@ -19,7 +19,7 @@ import can
 from drivers.config import BusConfig
 from drivers.counters import BusState, PortCounters
 from drivers.error_frames import decode_error
-from drivers.frame import ERROR, FD, Frame
+from drivers.frame import ECHO, ERROR, FD, Frame
 from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
 from drivers.local_medium import LocalMedium
 from drivers.receive_block import SLOTS, STAMPED, ReceiveBlock
@@ -78,11 +78,15 @@ class Medium(Protocol):
 class Port:
     """A place on a CAN bus, for one thread. Once it is open, nothing the bus does raises an exception."""
 
-    def __init__(self, open_medium: Callable[[], Medium], *, fd: bool, receive_limit: int) -> None:
+    def __init__(
+        self, open_medium: Callable[[], Medium], *, fd: bool, receive_limit: int, echo_id: int | None = None
+    ) -> None:
         """Open the medium; raises what `open_medium` raises.
 
         fd: takes and sends FD frames (then classic ones too). receive_limit: frames one drain returns at most.
+        echo_id: own frames with this identifier are returned by the next drain, marked ECHO, as the medium echoes them.
         """
+        self._echo_id = echo_id
         self._open_medium = open_medium
         self._size = CANFD_MTU if fd else CAN_MTU  # an FD frame is an error to a classic controller
         self._receive_limit = receive_limit
@@ -107,7 +111,7 @@ class Port:
         now_ns: CLOCK_MONOTONIC just before the call. timestamp_ns of each frame is the kernel's time stamp, brought
         from CLOCK_REALTIME to CLOCK_MONOTONIC and kept between the previous drain and the present: setting the wall
         clock cannot move a stamp out of the interval in which the frame must have come.
-        Error frames and own echoes are counted, not returned.
+        Error frames and own echoes are counted, not returned (but see `echo_id`).
         """
         earliest_ns, self._drained_ns = self._drained_ns, now_ns
         sources = self._ready()
@@ -161,22 +165,25 @@ class Port:
             classic = size == CAN_MTU
             if not (classic or size == self._size) or length > size - _HEADER:
                 self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
-            elif can_id & ERROR or message_flags & _OWN_ECHO:
-                self._note_special(can_id, data[:length])
+            elif can_id & ERROR:
+                self._note_error(can_id, data[:length])
+            elif message_flags & _OWN_ECHO and can_id != self._echo_id:
+                self._counts[_ECHO] += 1
             else:
                 stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else latest_ns
                 stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
-                frames.append(Frame(can_id, data[:length], 0 if classic else flags | FD, stamp_ns))
+                kind = 0 if classic else flags & ~ECHO | FD
+                if message_flags & _OWN_ECHO:
+                    self._counts[_ECHO] += 1
+                    kind |= ECHO
+                frames.append(Frame(can_id, data[:length], kind, stamp_ns))
                 if first and size == self._size:
                     block.expect(length, flags)
                 first = False
         return True
 
-    def _note_special(self, can_id: int, data: bytes) -> None:
-        """Count an error frame or an own echo."""
-        if not can_id & ERROR:
-            self._counts[_ECHO] += 1
-            return
+    def _note_error(self, can_id: int, data: bytes) -> None:
+        """Count an error frame and what it says."""
         report = decode_error(can_id, data)
         self._counts[_ERRORS] += 1
         self._counts[_NO_ACK] += report.no_ack
@@ -258,6 +265,34 @@ class Port:
         self._medium.close()
 
 
+class EchoingPort(Port):
+    """A Port on a medium that gives nobody his own frames back: the clock of the sender stamps their echoes.
+
+    On the local bus, where no wire takes time, a frame is out when it has been sent.
+    """
+
+    def _use(self, medium: Medium) -> None:
+        super()._use(medium)
+        self._echoes: list[Frame] = []
+
+    def send(self, frame: Frame) -> bool:
+        """As Port.send."""
+        sent = super().send(frame)
+        if sent and frame.can_id == self._echo_id:
+            self._echoes.append(frame._replace(flags=frame.flags | ECHO, timestamp_ns=monotonic_ns()))
+        return sent
+
+    def drain(self, now_ns: int) -> list[Frame]:
+        """As Port.drain, with the echoes where they belong in time; none takes the place of a frame received."""
+        frames = super().drain(now_ns)
+        if self._echoes:
+            self._counts[_ECHO] += len(self._echoes)
+            frames = self._echoes[: self._receive_limit - len(frames)] + frames
+            frames.sort(key=attrgetter("timestamp_ns"))
+            self._echoes = []
+        return frames
+
+
 def _wall_offset() -> int:
     """CLOCK_REALTIME - CLOCK_MONOTONIC, ns; read until nothing has come between the readings."""
     for _ in range(3):
@@ -276,10 +311,13 @@ def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:
     return bus.interface
 
 
-def open_port(bus: BusConfig, *, role: Role, fd: bool, filters: Filters | None = None) -> Port:
+def open_port(
+    bus: BusConfig, *, role: Role, fd: bool, filters: Filters | None = None, echo_id: int | None = None
+) -> Port:
     """Open the bus of a rig for its host or for its devices.
 
     fd: the layout uses CAN FD. filters: (id, mask) pairs; SocketCAN then keeps everything else from the socket.
+    echo_id: of own frames that are to be given back, marked ECHO and stamped with when they were out.
     Raises PortError. "auto" falls back to the local bus only where no CAN interface of that name exists: one that
     exists and cannot be opened is an error, as a rig must not talk to an empty local bus by mistake.
     """
@@ -289,13 +327,16 @@ def open_port(bus: BusConfig, *, role: Role, fd: bool, filters: Filters | None =
         return LocalMedium(bus.channel, depth=depth)
 
     def socketcan() -> Medium:
-        return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, filters=filters)
+        echo = echo_id is not None
+        return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, filters=filters, echo=echo)
 
     kind = resolve_interface(bus)
     try:
         if kind == "socketcan":
             _require_fd(bus.channel, fd)
-        return Port(socketcan if kind == "socketcan" else local, fd=fd, receive_limit=bus.receive_limit)
+            return Port(socketcan, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
+        port = Port if echo_id is None else EchoingPort
+        return port(local, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
     except (OSError, can.CanError, RuntimeDirectoryError) as error:
         raise PortError(f"bus.channel = '{bus.channel}' ({kind}): {_explain(error)}") from error
 

@@ -11,6 +11,7 @@ EXTENDED_MASK = 0x1FFFFFFF
 BRS = 0x01  # CANFD_BRS, in flags: data phase at the data bit rate
 ESI = 0x02  # CANFD_ESI, in flags: the sender is error-passive
 FD = 0x04  # CANFD_FDF, in flags: an FD frame
+ECHO = 0x80  # in flags, on no wire: an own frame given back by the bus, stamped with when it was out (MSG_CONFIRM)
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
@@ -20,7 +21,7 @@ class Frame(NamedTuple):
 
     can_id: 11- or 29-bit identifier, with EXTENDED, REMOTE and ERROR as Linux sets them.
     data: 0 to 8 bytes, or one of FD_LENGTHS for an FD frame.
-    flags: BRS, ESI, FD.
+    flags: BRS, ESI, FD, ECHO.
     timestamp_ns: reception time on the receiver's monotonic (or virtual) clock; 0 for a frame not yet sent.
     """
 

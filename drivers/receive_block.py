@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
-from drivers.frame import ERROR, FD, FD_LENGTHS, Frame
+from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame
 from drivers.frame_bytes import CANFD_MTU
 
 SLOTS = 32  # messages per system call
@@ -119,7 +119,7 @@ class ReceiveBlock:
         if unpack is not None:
             self._unpack = unpack
             self._head: int = _HEAD.unpack(bytes((length, flags)))[0]
-            self._flags = flags | FD if self._mark else 0
+            self._flags = flags & ~ECHO | FD if self._mark else 0
 
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""

@@ -35,16 +35,19 @@ def is_can_interface(name: str) -> bool:
 class SocketCanMedium:
     """One raw CAN socket, with the options a control loop needs."""
 
-    def __init__(self, channel: str, *, fd: bool, transmit_queue: int, filters: Filters | None = None) -> None:
+    def __init__(
+        self, channel: str, *, fd: bool, transmit_queue: int, filters: Filters | None = None, echo: bool = False
+    ) -> None:
         """Open `channel`; raises OSError.
 
         transmit_queue: frames that may wait for the wire; more are refused (EAGAIN). It is enforced through SO_SNDBUF,
         which needs no privilege and, unlike the interface's txqueuelen, makes poll(2) tell the truth.
-        Own frames are not asked for (CAN_RAW_RECV_OWN_MSGS off): an echo would cost one more frame per tick to learn
-        what the drives' answers say anyway. Should some arrive all the same, the Port tells them apart.
+        echo: give back what is sent (CAN_RAW_RECV_OWN_MSGS) once it has left the controller, stamped with when. Off,
+        it saves a frame per tick; should an echo arrive all the same, the Port tells it apart.
         """
         self._channel = channel
-        self._bus = SocketcanBus(channel=channel, fd=fd, can_filters=_python_can_filters(filters))
+        wanted = _python_can_filters(filters)
+        self._bus = SocketcanBus(channel=channel, fd=fd, can_filters=wanted, receive_own_messages=echo)
         self._socket = self._bus.socket
         try:
             self._socket.setblocking(False)

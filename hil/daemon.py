@@ -101,7 +101,7 @@ def control_loop(
     except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
         raise RigError([str(error)]) from None
     with contextlib.ExitStack() as stack:
-        port = open_port(rig.bus, role="host", fd=cycle.protocol.fd)
+        port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
         stack.callback(port.close)
         notifier = Notifier()
         stack.callback(notifier.close)

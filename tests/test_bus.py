@@ -19,9 +19,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import bus as bus_module
-from drivers.bus import BusState, Port, PortCounters, PortError, open_port, resolve_interface
+from drivers.bus import BusState, EchoingPort, Port, PortCounters, PortError, open_port, resolve_interface
 from drivers.config import BusConfig
-from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_bytes import to_bytes
 from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 
@@ -260,6 +260,48 @@ def test_an_own_echo_is_told_apart(port: Port, monkeypatch: pytest.MonkeyPatch) 
     feed(monkeypatch, port, packets)
     assert [frame.can_id for frame in drain(port)] == [0x100, 0x101]
     assert port.counters() == PortCounters(received=2, echo=1)
+
+
+def test_the_echo_that_was_asked_for_is_given_back_with_the_instant_it_was_out(
+    cable: Cable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a raw CAN socket with CAN_RAW_RECV_OWN_MSGS delivers it: the frame again, and MSG_CONFIRM."""
+    port = Port(lambda: cable, fd=False, receive_limit=32, echo_id=0x080)
+    feed(monkeypatch, port, [((STAMPED, int(flag), 16), (can_id, 1, 0, 0, bytes(64), 35, 0, 0, 0)) for can_id, flag in (
+        (0x201, socket.MSG_CONFIRM), (0x080, socket.MSG_CONFIRM), (0x080, socket.MSG_DONTROUTE),
+    )])  # fmt: skip
+    assert [(frame.can_id, frame.flags) for frame in drain(port)] == [(0x080, ECHO), (0x080, 0)]
+    assert port.counters().echo == 2
+
+
+def test_where_the_medium_gives_none_back_the_sender_stamps_the_echo(cable: Cable) -> None:
+    port = EchoingPort(lambda: cable, fd=True, receive_limit=4, echo_id=0x080)
+    cable.arrive(FEEDBACK)
+    before = time.monotonic_ns()
+    assert port.send(COMMAND)
+    after = time.monotonic_ns()
+    assert port.send(COMMAND._replace(can_id=0x081))
+    cable.arrive(FEEDBACK)
+    early, echo, late = drain(port)
+    assert echo == COMMAND._replace(flags=COMMAND.flags | ECHO, timestamp_ns=echo.timestamp_ns)
+    assert early.timestamp_ns <= before <= echo.timestamp_ns <= after
+    assert echo.timestamp_ns <= late.timestamp_ns
+    assert port.counters() == PortCounters(received=2, sent=2, echo=1)
+    cable.next_error = errno.ENOBUFS
+    assert not port.send(COMMAND)
+    assert drain(port) == []
+    cable.next_error = 0
+    port.send(COMMAND)
+    cable.arrive(*[FEEDBACK] * 6)
+    assert bare(drain(port)) == [FEEDBACK] * 4  # a flood leaves no room
+
+
+@pytest.mark.parametrize("flags", [0x80, 0xFF])
+def test_nobody_else_can_send_an_echo(port: Port, cable: Cable, flags: int) -> None:
+    for _ in range(2):  # the long way, and then the short one
+        cable.arrive(FEEDBACK._replace(flags=FD | flags))
+        (frame,) = drain(port)
+        assert not frame.flags & ECHO
 
 
 def test_frames_that_the_kernel_dropped_are_counted_from_its_own_count() -> None:

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.config import BusConfig
-from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.frame import BRS, ECHO, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
@@ -345,6 +345,48 @@ def test_the_example_dbc_means_what_cantools_reads() -> None:
     told = [database.decode_message(frame.can_id, frame.data) for frame in frames]
     assert [item["TorqueDemand"] for item in told] == [50.0, -100.0]  # % of 5 N
     assert [item["AliveCounter"] for item in told] == [2, 2]
+
+
+# sampling instants under layouts that carry none ----------------------------------------------------------------------
+
+
+def tick(host: Any, answers: list[Frame], start: int, held_up: int = 0, echo: bool = False) -> list[int]:
+    """One tick that starts at `start`: what the host takes for the instants of the samples; answers come at 0.4 ms."""
+    sent = host.encode(Command(0, [0.0, 0.0], 0, False))
+    trigger = next(frame for frame in sent if frame.can_id == host.echo_id)
+    if echo:
+        seen = trigger._replace(flags=trigger.flags | ECHO, timestamp_ns=start + 150_000)
+        assert host.decode(seen) is Reject.OWN_ECHO
+    stamped = [a._replace(timestamp_ns=start + 400_000 + held_up + 100_000 * n) for n, a in enumerate(answers)]
+    return [host.decode(answer).stamp_ns for answer in stamped]
+
+
+@pytest.fixture(params=["cia402", "dbc"])
+def unstamped(request: pytest.FixtureRequest) -> tuple[Any, list[Frame]]:
+    """A host, and an answer of each of its two drives."""
+    if request.param == "cia402":
+        bus = BusConfig(protocol="cia402")
+        return host_protocol(bus, 2, RATED[:2], ROOT), [Frame(0x181 + n, struct.pack("<iH", 7, 0x0237)) for n in (0, 1)]
+    device = device_protocol(dbc_bus(), 2, [5.0, 5.0], RIGS)
+    answers = [device.encode_feedback(Sample(n, 7, 0, 0, 0)) for n in (0, 1)]
+    return host_protocol(dbc_bus(), 2, [5.0, 5.0], RIGS), answers
+
+
+def test_the_echo_of_the_trigger_is_the_sampling_instant(unstamped: tuple[Any, list[Frame]]) -> None:
+    host, answers = unstamped
+    for start, held_up in ((10**9, 0), (10**9 + 1_000_000, 300_000), (10**9 + 5_300_000, 0)):
+        assert tick(host, answers, start, held_up, echo=True) == [start + 150_000] * 2
+
+
+def test_without_an_echo_it_is_told_from_the_answer_that_was_not_held_up(unstamped: tuple[Any, list[Frame]]) -> None:
+    host, answers = unstamped
+    usual = {tick(host, answers, 10**9 + k * 1_000_000)[1] - k * 1_000_000 for k in range(50)}
+    assert len(usual) == 1
+    (instant,) = usual
+    assert 10**9 + 200_000 < instant < 10**9 + 350_000  # an answer takes some 100 us of 1 Mbit/s
+    late = tick(host, answers, 10**9 + 50_000_000, held_up=300_000)
+    assert all(0 <= stamp - instant - 50_000_000 <= 1_000 for stamp in late)
+    assert tick(host, answers, 10**9 + 51_000_000, held_up=20_000) == [instant + 51_020_000] * 2
 
 
 def test_a_command_with_a_lost_part_is_not_obeyed() -> None:

@@ -49,9 +49,17 @@ class IdentifiedCrc8:
 
     def __call__(self, can_id: int, data: bytes) -> int:
         """Checksum over data[0:7]; `data` has 8 bytes, the identifier is one given at construction."""
-        t0, t1, t2, t3, t4, t5, t6 = self._tables
-        a, b, c, d, e, f, g, _ = data
-        return self._start[can_id] ^ t0[a] ^ t1[b] ^ t2[c] ^ t3[d] ^ t4[e] ^ t5[f] ^ t6[g]
+        a, b, c, d, e, f, g = self._tables
+        return (
+            self._start[can_id]
+            ^ a[data[0]]
+            ^ b[data[1]]
+            ^ c[data[2]]
+            ^ d[data[3]]
+            ^ e[data[4]]
+            ^ f[data[5]]
+            ^ g[data[6]]
+        )
 
 
 ALGORITHMS: dict[str, Callable[[bytes], int]] = {

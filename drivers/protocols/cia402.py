@@ -19,7 +19,7 @@ from typing import Any
 import canopen
 
 from drivers.config import BusConfig
-from drivers.frame import FD, Frame
+from drivers.frame import ECHO, FD, Frame
 from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.cia301 import DriveState, mapping_entry
@@ -113,7 +113,8 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     fd = False
-    stamped = False
+    stamped = True
+    echo_id: int | None = cia301.SYNC_ID
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], period_ns: int = 1_000_000) -> None:
         if not 1 <= n_axes <= MAX_AXES:
@@ -154,9 +155,12 @@ class Cia402Host:
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a TPDO; its stamp is an estimate (sampling.py), its sequence -1."""
-        can_id, data, flags, _ = frame
+        can_id, data, flags, stamp_ns = frame
         axis = self._axis.get(can_id)
         if axis is None:
+            if flags & ECHO:
+                self._clock.triggered(stamp_ns)
+                return Reject.OWN_ECHO
             return self._decode_service(can_id, data, flags)
         if flags & FD:
             return Reject.WRONG_FORMAT

@@ -22,7 +22,7 @@ from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 
 from drivers.config import BusConfig, DbcBinding, SignalBinding
-from drivers.frame import BRS, ERROR, EXTENDED, EXTENDED_MASK, FD, FD_LENGTHS, REMOTE, Frame
+from drivers.frame import BRS, ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.checksum import ALGORITHMS
 from drivers.protocols.compiled import Codec, LayoutError, compile_codec, load_dbc
@@ -151,7 +151,7 @@ class DbcLayout:
         self._reset = [self._bound(item) for item in binding.reset]
         self._echo = [self._bound(item) for item in binding.feedback_counter]
         self._counters = [self._bound(item) for item in binding.command_counter]
-        self.stamped = False
+        self.stamped = True
         self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
         commands = [bound.message for bound in [*self._torque, *self._enable, *self._reset, *self._counters]]
         self._commands = sorted(dict.fromkeys(commands), key=lambda message: _arbitration(message.can_id))
@@ -209,12 +209,15 @@ class DbcHost(DbcLayout):
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._axis = {message.can_id: axis for axis, message in enumerate(self._feedback)}
         self._own = {message.can_id for message in self._commands}
+        self.echo_id: int | None = self._commands[-1].can_id
         self._enabled = 0
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback message; its stamp is an estimate (sampling.py)."""
         axis = self._axis.get(frame.can_id)
         if axis is None:
+            if frame.flags & ECHO:
+                self._clock.triggered(frame.timestamp_ns)
             return _reject_id(frame.can_id, self._axis, self._own)
         message = self._feedback[axis]
         unfit = message.fits(frame)

@@ -1,17 +1,22 @@
 """The sampling instant under layouts that carry no time stamp.
 
-All drives sample when the frame that triggers them ends; their answers follow it back to back. So the instant is the
-reception of the first answer less the time it took on the wire, which its bits tell exactly.
+All drives sample when the frame that triggers them ends. Where the bus gives its sender that frame back, its stamp is
+the instant. Where it does not: the drives' answers follow it back to back, so the instant is the reception of the first
+answer less the time it took on the wire, which its bits tell exactly.
 """
 
 from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 
+DELAY_SPREAD_NS = 100_000  # an answer this much later than usual was held up on its way, and its sample was not
+DELAY_LEAK_NS = 200  # per tick, by which what is usual may grow
+
 
 class SamplingClock:
     """Estimates the sampling instant of each tick. Times in ns on the receiver's clock.
 
-    What is not seen is a drive's own delay between the trigger and its answer, and a frame that came in between.
+    What the estimate from an answer does not see is a drive's own delay between the trigger and its answer, and a
+    frame that came in between.
     """
 
     def __init__(self, n_axes: int, bitrate: int, data_bitrate: int, period_ns: int) -> None:
@@ -22,10 +27,15 @@ class SamplingClock:
         self._current_ns = -1  # of this tick
         self._last_ns = -1
         self._first_axis = 0
+        self._usual_ns = -1  # lower envelope of the estimates, as the host triggers them once a period
 
     def trigger(self) -> None:
         """The frame that triggers sampling is about to be sent."""
         self._current_ns = -1
+
+    def triggered(self, stamp_ns: int) -> None:
+        """The frame that triggers sampling has been out at this time."""
+        self._current_ns = self._last_ns = stamp_ns
 
     def instant(self, axis: int, frame: Frame) -> int:
         """When the sample in this answer was taken; -1 where the frame has no reception time."""
@@ -44,4 +54,14 @@ class SamplingClock:
             earlier = [instant - round(lost * duration) for lost in range(self._n_axes)]
             instant = min(earlier, key=lambda candidate: abs(candidate - expected))
         self._first_axis, self._last_ns = axis, instant
-        return instant
+        return self._believable(instant)
+
+    def _believable(self, instant: int) -> int:
+        """An estimated instant, unless the answer it comes from was merely held up: then the usual one."""
+        usual = self._usual_ns
+        if usual >= 0:
+            usual += (instant - usual + self._period_ns // 2) // self._period_ns * self._period_ns
+        if usual < 0 or instant < usual:
+            usual = instant
+        self._usual_ns = usual + DELAY_LEAK_NS
+        return usual if instant > usual + DELAY_SPREAD_NS else instant

@@ -31,7 +31,7 @@ def check_ids(bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None
 def check_force(force: Sequence[float], rated_force: Sequence[float]) -> None:
     """Raise ValueError for a force that no drive may be sent: not finite, or beyond its rated force."""
     for value, limit in zip(force, rated_force, strict=True):
-        if not -limit <= value <= limit:
+        if not -limit <= value <= limit:  # also where it is not a number
             raise ValueError(f"force {value} is not within +-{limit}; the gate must not let it pass")
 
 

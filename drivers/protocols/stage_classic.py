@@ -27,6 +27,7 @@ _WRAP_NS = 4096 * 1000  # sample_time
 _HALF_NS = _WRAP_NS // 2
 _WRAP = 1 << 32  # position
 _HALF = 1 << 31
+_BYTES = [bytes((value,)) for value in range(256)]
 
 
 class _Layout:
@@ -36,6 +37,7 @@ class _Layout:
     sequence_modulus = SEQUENCE_MODULUS
     fd = False
     stamped = True
+    echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
@@ -58,34 +60,34 @@ class StageClassicHost(_Layout):
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         super().__init__(bus, n_axes, rated_force)
         self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
+        self._unpack_feedback, self._pack_command = self._feedback.unpack, self._command.pack
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2.048 ms."""
-        can_id, data, flags, received = frame
+        data, can_id, received = frame.data, frame.can_id, frame.timestamp_ns
         axis = self._axis.get(can_id)
         if axis is None:
             return reject_id(can_id, self._axis, self._command_id)
-        if flags & FD:
+        if frame.flags & FD:
             return Reject.WRONG_FORMAT
         if len(data) != LENGTH:
             return Reject.WRONG_LENGTH
-        position, stamp, sequence, status, checksum = self._feedback.unpack(data)
-        if self._crc(can_id, data) != checksum:
+        if self._crc(can_id, data) != data[7]:
             return Reject.BAD_CHECKSUM
-        stamp_ns = received + (stamp * 1000 - received + _HALF_NS) % _WRAP_NS - _HALF_NS
-        return Sample(axis, position, status, sequence, stamp_ns)
+        position, stamp, sequence, status, _ = self._unpack_feedback(data)
+        earliest = received - _HALF_NS
+        stamp_ns = earliest + (stamp * 1000 - earliest) % _WRAP_NS
+        return tuple.__new__(Sample, (axis, position, status, sequence, stamp_ns))
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
-        check_force(command.force, self._rated)
-        enable = command.enable
-        torque = [
-            round(force * FULL_SCALE / rated) if enable >> axis & 1 else DISABLED
-            for axis, (force, rated) in enumerate(zip(command.force, self._rated, strict=True))
-        ]
-        torque += self._absent
-        data = self._command.pack(*torque, command.sequence % SEQUENCE_MODULUS, command.reset, 0, 0)
-        return [Frame(self._command_id, data[:7] + bytes((self._crc(self._command_id, data),)))]
+        sequence, force, enable, reset = command[:]  # a true tuple is unpacked quicker
+        check_force(force, self._rated)
+        torque, can_id = [], self._command_id
+        for axis, rated in enumerate(self._rated):
+            torque.append(round(force[axis] * FULL_SCALE / rated) if enable >> axis & 1 else DISABLED)
+        data = self._pack_command(*torque, *self._absent, sequence % SEQUENCE_MODULUS, reset, 0, 0)
+        return [Frame(can_id, data[:7] + _BYTES[self._crc(can_id, data)])]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""
@@ -125,4 +127,4 @@ class StageClassicDevice(_Layout):
         stamp = (sample.stamp_ns + 500) // 1000 % 4096
         sequence = sample.sequence % SEQUENCE_MODULUS
         data = self._feedback.pack(position, stamp, sequence, sample.status & STATUS_MASK, 0)
-        return Frame(can_id, data[:7] + bytes((self._crc(can_id, data),)))
+        return Frame(can_id, data[:7] + _BYTES[self._crc(can_id, data)])

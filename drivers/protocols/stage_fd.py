@@ -36,6 +36,7 @@ class _Layout:
     sequence_modulus = SEQUENCE_MODULUS
     fd = True
     stamped = True
+    echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
