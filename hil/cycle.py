@@ -4,6 +4,7 @@ control law, gate, encode.
 Output depends on the rig, the inputs and this object's own state alone; time comes in as integer ns.
 """
 
+import math
 from collections.abc import Sequence
 from operator import sub
 from pathlib import Path
@@ -309,7 +310,10 @@ class ControlCycle:
         """The force asked for, N per axis: of the damped stop, else of the law."""
         if state is State.STOPPING:
             return self._stop.force([motion.ahead_velocity for motion in self.filters])
-        return self.law.force(self.inputs)
+        try:
+            return self.law.force(self.inputs)
+        except ArithmeticError:  # floats raise where arrays would say NaN; the gate knows what to do with that
+            return [math.nan] * len(self.inputs)
 
     def _remember_force(self, tick: Tick) -> None:
         """The force just let out acts in the interval the setpoints' means belong to."""

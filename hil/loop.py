@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from drivers.bus import Port
 from drivers.counters import BusState
 from hil.clock import Pacer, own_share
-from hil.cycle import CONTROL, ESTIMATE, GATE, RECORD
+from hil.cycle import RECORD
 from hil.notify import Notifier
 from hil.realtime import Claim
 from hil.stage_clock import TimedCycle
@@ -39,7 +39,6 @@ _MISSED = struct.Struct("<3Q")  # missed_own, missed_host, longest_streak
 _MISSED_AT = int(_FIELDS["missed_own"][1])
 _STAGES = struct.Struct("<6I")  # cpu_ns, run_delay_ns
 _STAGES_AT = int(_FIELDS["cpu_ns"][1])
-_STAMPS_AT = int(_FIELDS["stamp_ns"][1])
 
 
 class MissLedger:
@@ -115,7 +114,6 @@ class ControlLoop:
         self._rig_ok = True
         self._realtime_ok = parts.claim.verdict.ok
         self._record_bytes = parts.cycle.record_bytes
-        self._stamps_of = struct.Struct(f"<{len(rig.axes)}q")
         self._stages = (0, 0, 0, 0, 0)
         self._cpu_mark_ns = self._cpu_ns = 0
         self._told: State | None = None
@@ -189,17 +187,10 @@ class ControlLoop:
 
     def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:
         """Time per stage, for the timing file and the next record."""
-        stamps, pacer = self._cycle.stamps, self.pacer
-        self._stages = stages = (
-            stamps[ESTIMATE] - began,
-            stamps[CONTROL] - stamps[ESTIMATE],
-            stamps[GATE] - stamps[CONTROL],
-            sending - stamps[GATE],
-            ended - sending,
-        )
-        age = _NO_AGE
-        if all(self._cycle.inbox.fresh):
-            age = sent_ns - min(self._stamps_of.unpack_from(self._record_bytes, _STAMPS_AT))
+        cycle, pacer = self._cycle, self.pacer
+        estimate, control, gate, _ = cycle.stamps
+        self._stages = stages = (estimate - began, control - estimate, gate - control, sending - gate, ended - sending)
+        age = sent_ns - min(cycle.sampling.instants) if all(cycle.inbox.fresh) else _NO_AGE
         mark = time.thread_time_ns()
         self._cpu_ns = mark - self._cpu_mark_ns
         self._cpu_mark_ns = mark

@@ -35,5 +35,7 @@ def select(condition: Any, then: Number, otherwise: Number) -> Number:
 
 
 def root(value: Number) -> Number:
-    """Square root of a value >= 0."""
-    return math.sqrt(value) if isinstance(value, float) else np.sqrt(value)
+    """Square root; NaN below 0."""
+    if isinstance(value, float):
+        return math.sqrt(value) if value >= 0.0 else math.nan
+    return np.sqrt(value)

@@ -149,3 +149,20 @@ def test_a_push_stronger_than_the_drive_is_a_following_error_and_ends_at_zero() 
     assert run.cycle.fault in (Fault.FOLLOWING_ERROR, Fault.SPEED)
     assert run.cycle.state is State.FAULT
     assert run.stage.applied_force == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, OverflowError])
+def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(
+    error: type[ArithmeticError], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Posted(paper(), activate_once()).go(200)
+    assert run.cycle.state is State.ACTIVE
+
+    def failing(inputs: object) -> list[float]:
+        raise error
+
+    monkeypatch.setattr(run.cycle.law, "force", failing)
+    run.tick()
+    assert run.cycle.state is State.FAULT
+    assert run.cycle.fault is Fault.NOT_FINITE
+    assert run.cycle.gate.force == [0.0, 0.0]

@@ -5,13 +5,10 @@ See hil/laws/structured_kalman.py for the model. The transition is sparse: only 
 covariance step is two rows and, by symmetry, one 2 x 2 block.
 """
 
-import math
-from typing import Any
-
 import numpy as np
 
 from hil.laws.base import Array
-from hil.number import Number
+from hil.number import Number, at_least, root
 
 TINY = 1e-300  # keeps 0 / 0 from happening where the reference rests
 INSTANT = 1e-15  # s, likewise for intervals of no length
@@ -66,7 +63,7 @@ def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -
     coulomb = coulomb if coulomb > 0.0 else 0.0
     if a0 * (1.0 - LATE) > LATE * a1 and mass * (a0 + a1) < coulomb * time:
         return -direction, mass * v1 / time, _late_shift(v0, a1, a0 + a1, time)
-    mean = _early_sign(a0, a1, mass / time, coulomb, math.sqrt)
+    mean = _early_sign(a0, a1, mass / time, coulomb)
     return direction * mean, 0.0, _early_shift(v0, v1, mean, time)
 
 
@@ -81,7 +78,7 @@ def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -
     coulomb = np.maximum(coulomb, 0.0)
     late = reverses & (a0 * (1.0 - LATE) > LATE * a1) & (mass * (a0 + a1) < coulomb * time)
     safe = np.where(reverses, a0 + a1, 1.0)  # the other elements' results are not used
-    mean = _early_sign(np.where(reverses, a0, safe), a1, mass / time, coulomb, np.sqrt)
+    mean = _early_sign(np.where(reverses, a0, safe), a1, mass / time, coulomb)
     early = reverses & ~late
     return (
         np.where(early, direction * mean, np.where(late, -direction, plain)),
@@ -90,14 +87,15 @@ def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -
     )
 
 
-def _early_sign(a0: Number, a1: Number, push: Number, coulomb: Number, sqrt: Any) -> Number:
+def _early_sign(a0: Number, a1: Number, push: Number, coulomb: Number) -> Number:
     """A force that flips with the interval stops the axis at once: friction then acts the new way most of the time.
 
     From v0 the axis is stopped by force and friction together, then driven to v1 against friction; the force that does
     both in the interval solves a quadratic. Without friction this is (|v1| - |v0|) / (|v1| + |v0|).
     """
     both, more = push * (a0 + a1), coulomb + push * (a1 - a0)
-    return 2.0 * more / (sqrt(both * both + 4.0 * coulomb * more) + both + TINY)
+    # Never below 0 but by rounding.
+    return 2.0 * more / (root(at_least(both * both + 4.0 * coulomb * more, 0.0)) + both + TINY)
 
 
 def _early_shift(v0: Number, v1: Number, mean: Number, time: Number) -> Number:
@@ -171,7 +169,7 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
 def update(p: Covariance, measurement: Number, fresh: Number) -> tuple[Covariance, tuple[Number, ...]]:
     """P <- (I - K H) P and K (6), for a position sample of variance `measurement` (m^2); nothing where fresh is 0."""
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
-    scale = fresh / (p00 + measurement)
+    scale = fresh / (p00 + measurement + TINY)
     k0, k1, k2, k3, k4, k5 = scale * p00, scale * p01, scale * p02, scale * p03, scale * p04, scale * p05
     return (
         p00 - k0 * p00, p01 - k0 * p01, p02 - k0 * p02, p03 - k0 * p03, p04 - k0 * p04, p05 - k0 * p05,
