@@ -91,10 +91,8 @@ class ServoDrive:
 
     def is_fresh(self, sequence: int) -> bool:
         """Whether a command with this sequence number is newer than the last fresh one."""
-        if self._sequence < 0 or not self.modulus:
-            return True
-        ahead = (sequence - self._sequence) % self.modulus
-        return 0 < ahead < self.modulus // 2
+        modulus, last = self.modulus, self._sequence
+        return last < 0 or not modulus or 0 < (sequence - last) % modulus < modulus // 2
 
     def on_command(self, force: float, enable: bool, reset: bool, sequence: int, now_ns: int) -> bool:
         """Take a valid command received at now_ns; False: it is not fresh, and nothing happened."""

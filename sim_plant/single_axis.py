@@ -91,14 +91,23 @@ def net_force_of(axis: Axis) -> NetForce:
 def smooth_step_of(axis: Axis) -> Step:
     """`axis.runge_kutta` of an axis whose force depends on position."""
     net_force = net_force_of(axis)
+    amplitude, wavenumber = float(axis.ripple_amplitude), float(axis.ripple_wavenumber)
     coulomb, stribeck, slowness, viscous, quadratic = map(float, axis.friction)
     inverse_mass = float(axis.inverse_mass)
 
-    def slope(position: float, velocity: float, pierced: float, drive: float, sign: float) -> float:
+    def on_ripple(position: float, velocity: float, _pierced: float, drive: float, sign: float) -> float:
+        force = drive + amplitude * sin_turns(position * wavenumber)
+        ratio = velocity * slowness
+        dry = coulomb + stribeck / (1.0 + ratio * ratio) + quadratic * velocity * velocity
+        return (force - (sign * dry + viscous * velocity)) * inverse_mass
+
+    def at_cell(position: float, velocity: float, pierced: float, drive: float, sign: float) -> float:
         force = net_force(position, velocity, pierced, drive)
         ratio = velocity * slowness
         dry = coulomb + stribeck / (1.0 + ratio * ratio) + quadratic * velocity * velocity
         return (force - (sign * dry + viscous * velocity)) * inverse_mass
+
+    slope = at_cell if axis.has_cell else on_ripple
 
     def step(
         position: float, velocity: float, pierced: float, drive: float, sign: float, h: float

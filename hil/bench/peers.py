@@ -163,6 +163,7 @@ def python_can() -> Iterator[Tick]:
 @contextlib.contextmanager
 def canopen_pdos() -> Iterator[Tick]:
     """canopen's own network and PDO classes; drives that answer SYNC at once, in a process of their own."""
+    import can
     import canopen
 
     from drivers.protocols import cia402
@@ -183,12 +184,16 @@ def canopen_pdos() -> Iterator[Tick]:
         nodes.append(node)
     network.connect(interface="local", channel=CANOPEN_CHANNEL)
 
-    async def tick(index: int) -> int:
-        feedback = [(node.tpdo[1][0].raw, node.tpdo[1][1].raw) for node in nodes]
+    def send(index: int) -> None:
         for node in nodes:
             node.rpdo[1][0].raw = index % 100
             node.rpdo[1].transmit()
         network.sync.transmit()
+
+    async def tick(index: int) -> int:
+        feedback = [(node.tpdo[1][0].raw, node.tpdo[1][1].raw) for node in nodes]
+        with contextlib.suppress(can.CanOperationError):  # full: the drives were held up, their answers are missing
+            send(index)
         return sum(position > 0 and status == STATUS for position, status in feedback)
 
     try:
