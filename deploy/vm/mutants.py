@@ -27,13 +27,17 @@ MUTANTS = {
         "            self._socket.setblocking(False)\n",
         "            self._socket.setblocking(False)\n            self._socket.setsockopt(101, 2, 0)\n",
     ),
-    "error frames taken for traffic": ("drivers/bus.py", "elif can_id & ERROR or message_flags", "elif message_flags"),
+    "error frames taken for traffic": ("drivers/bus.py", "elif can_id & ERROR:", "elif can_id & 0:"),
     "FD flag lost": (
         "drivers/bus.py",
-        "0 if classic else flags | FD",
-        "0 if classic else flags & ~FD",
-    ),  # the kernel sets it too
-    "own echo not filtered": ("drivers/bus.py", "can_id & ERROR or message_flags & _OWN_ECHO", "can_id & ERROR"),
+        "kind = 0 if classic else flags & ~ECHO | FD",
+        "kind = 0 if classic else flags & ~ECHO & ~FD",  # the kernel sets it too
+    ),
+    "own echo not filtered": (
+        "drivers/bus.py",
+        "elif message_flags & _OWN_ECHO and can_id != self._echo_id:",
+        "elif 0:",
+    ),
 }
 
 
