@@ -155,7 +155,7 @@ class Cia402Host:
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a TPDO; its stamp is an estimate (sampling.py), its sequence -1."""
-        can_id, data, flags, stamp_ns = frame
+        can_id, data, flags, stamp_ns = frame[:]  # a true tuple is unpacked quicker
         axis = self._axis.get(can_id)
         if axis is None:
             if flags & ECHO:
@@ -178,7 +178,7 @@ class Cia402Host:
         if state is not node.state:
             self._master.stir()
         node.on_state(state)
-        return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
+        return tuple.__new__(Sample, (axis, position, status | node.alarms, -1, self._clock.instant(axis, frame)))
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         service = self._services.get(can_id)
@@ -201,14 +201,15 @@ class Cia402Host:
 
     def encode(self, command: Command) -> list[Frame]:
         """RPDO, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
-        _, force, enable, reset = command
+        _, force, enable, reset = command[:]
         check_force(force, self._rated)
         self._tick += 1
         self._clock.trigger()
-        raw = [
-            max(-limit, min(limit, round(value * gain))) if enable >> axis & 1 else 0
-            for axis, (value, gain, limit) in enumerate(zip(force, self._gains, self._limits, strict=True))
-        ]
+        raw = []
+        for axis, gain in enumerate(self._gains):
+            value = round(force[axis] * gain) if enable >> axis & 1 else 0
+            limit = self._limits[axis]
+            raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
         cyclic = [Frame(self._rpdo_id, self._rpdo.pack(*raw)), self._syncs[self._tick % cia301.SYNC_COUNTER_MAX]]
         service = self._master.service(self._tick, enable, reset)
         return cyclic if service is None else [*cyclic, service]

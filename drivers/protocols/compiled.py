@@ -119,9 +119,10 @@ def _field(signal: Signal, length: int) -> _Field:
     return _Field(big, shift, (1 << signal.length) - 1, sign, to_float, from_float)
 
 
+_WORD = {1: "B", 2: "H", 4: "I", 8: "Q"}  # lengths that a struct turns into an integer, in half of int.from_bytes' time
 _SOURCE = """
 def unpack(data):
-    word = int.from_bytes(data, {order!r})
+    word = {word}
     return ({reads},)
 
 def pack({names}):
@@ -143,13 +144,17 @@ def _compile_bits(signals: Sequence[Signal], length: int) -> tuple[Callable[...,
         return plan.unpack, plan.pack
     reads, checks, writes, ranges = [], [], [], []
     for place, field in enumerate(fields):
-        read = f"word >> {field.shift} & {field.mask}"
+        read = f"word >> {field.shift}" if field.shift else "word"
+        top = field.shift + field.mask.bit_length() == 8 * length
+        read += "" if top else f" & {field.mask}"
         reads.append(f"({read} ^ {field.sign}) - {field.sign}" if field.sign else read)
         checks.append(f"{-field.sign} <= v{place} <= {field.mask - field.sign}")
-        writes.append(f"(v{place} & {field.mask}) << {field.shift}")
+        writes.append(f"(v{place} & {field.mask}) << {field.shift}" if field.sign else f"v{place} << {field.shift}")
         ranges.append((-field.sign, field.mask - field.sign))
+    big = fields[0].big
     source = _SOURCE.format(
-        order="big" if fields[0].big else "little",
+        order="big" if big else "little",
+        word="read(data)[0]" if length in _WORD else f"int.from_bytes(data, {'big' if big else 'little'!r})",
         names=", ".join(f"v{place}" for place in range(len(fields))),
         reads=", ".join(reads),
         checks=" and ".join(checks),
@@ -158,6 +163,8 @@ def _compile_bits(signals: Sequence[Signal], length: int) -> tuple[Callable[...,
         length=length,
     )
     namespace: dict[str, Any] = {}
+    if length in _WORD:
+        namespace["read"] = struct.Struct((">" if big else "<") + _WORD[length]).unpack
     exec(source, namespace)
     return namespace["unpack"], namespace["pack"]
 
