@@ -6,7 +6,8 @@ Output depends on the rig, the inputs and this object's own state alone; time co
 
 import math
 from collections.abc import Sequence
-from operator import sub
+from itertools import chain
+from operator import attrgetter, sub
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
 from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import make_trajectory, task_repeat
 
+_FILTER_STATE = attrgetter("position", "velocity", "disturbance", "innovation")  # in the record's order
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
 ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
 ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
@@ -120,9 +122,9 @@ class ControlCycle:
         sampling = self.sampling
         sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
         found = not sampling.tracked and all(self.inbox.heard)
-        forces = zip(self.inputs, self.filters, self._net_before, self._net_last, sampling.stretch, strict=True)
-        for x, motion, before, last, stretch in forces:
-            motion.correct(before, x.sample_interval, x.position, x.fresh, stretch)
+        each = zip(self.inputs, self.filters, sampling.clocks, self._net_before, self._net_last, strict=True)
+        for x, motion, clock, before, last in each:
+            motion.correct(before, x.sample_interval, x.position, x.fresh, clock.stretch)
             if found:
                 motion.reseed(x.position)
             elif not x.fresh and sampling.tracked:
@@ -255,7 +257,7 @@ class ControlCycle:
         self._waited_for_enable += 1
         if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
             self._enabled_seen = True
-            origin = [tick.now_ns + latency for latency in self.sampling.latency]
+            origin = [tick.now_ns + clock.latency for clock in self.sampling.clocks]
             start = np.array([x.sample.position for x in self.inputs])
             homing = self.machine.state is State.HOMING
             rig = self.rig
@@ -335,8 +337,7 @@ class ControlCycle:
         )  # fmt: skip
         measured, setpoint = self._measured, [x.sample.position for x in inputs]
         records.motion(
-            *measured, *[f.position for f in filters], *[f.velocity for f in filters],
-            *[f.disturbance for f in filters], *[f.innovation for f in filters], *setpoint,
+            *measured, *chain.from_iterable(zip(*map(_FILTER_STATE, filters), strict=True)), *setpoint,
             *[x.sample.velocity for x in inputs], *map(sub, measured, setpoint), *self._requested, *self.gate.force,
         )  # fmt: skip
         status = [0 if s is None else s.status for s in inbox.samples]

@@ -7,6 +7,7 @@ learnt.
 
 from collections.abc import Sequence
 
+from drivers.protocols.base import Sample
 from hil.faults import FaultMonitor
 from hil.inbox import Inbox
 from hil.laws.base import LawInputs
@@ -18,92 +19,122 @@ DELAY_LEAK_NS = 200  # per tick, by which the usual delay may grow
 LONGEST_PERIODS = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged all the same
 
 
-class Sampling:
-    """Instants (integer ns on the samples' clock) and trusted positions of the newest samples.
+class SampleClock:
+    """One axis: when its samples were taken, when its next force will act, and which samples can be true.
 
-    instants: of the filter's state. starts: expected start of the coming force's interval. latency: from the tick's
-    start to the drives' sampling, averaged. stretch: interval since the last sample in periods, where slots were
-    skipped, else 1. tracked: there is a position to start from.
+    instant: of the filter's state, ns. latency: from the tick's start to the drive's sampling, averaged, ns. stretch:
+    interval since the last sample in periods, where slots were skipped, else 1.
+    """
+
+    __slots__ = (
+        "_average", "_inputs", "_period_ns", "_resolution", "_stamped", "_trusted", "_trusted_ns", "_usual_delay",
+        "instant", "known", "latency", "stretch",
+    )  # fmt: skip
+
+    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int, *, stamped: bool) -> None:
+        self._inputs = inputs
+        self._resolution = resolution
+        self._period_ns = period_ns
+        self._stamped = stamped
+        self.instant = self.latency = self._average = 0
+        self.known = False  # the latency
+        self.stretch = 1.0
+        self._usual_delay = 0  # lower envelope of estimated delays
+        self._trusted, self._trusted_ns = 0.0, 0  # last believed position, m, and its instant
+
+    def take(self, axis: int, sample: Sample, sent_ns: int, monitor: FaultMonitor, *, tracked: bool) -> bool:
+        """An answer to the command of the tick that began at sent_ns; whether it is believed. Before the axes are
+        `tracked` there is nothing to hold it against.
+        """
+        x, period = self._inputs, self._period_ns
+        delay = sample.stamp_ns - sent_ns
+        if not self._stamped:
+            delay = self._believable(delay)
+        self._learn(delay)
+        instant = sent_ns + delay
+        position = sample.position * self._resolution
+        if tracked:
+            elapsed = min(max(instant - self.instant, 0), LONGEST_PERIODS * period)
+            x.sample_interval = elapsed * 1e-9
+            self.stretch = elapsed / period if 2 * elapsed > 3 * period else 1.0
+        else:
+            x.sample_interval, self.stretch = period * 1e-9, 1.0
+        self.instant = instant
+        if tracked and monitor.implausible(axis, position - self._trusted, (instant - self._trusted_ns) / period):
+            x.fresh = 0.0
+            return False
+        x.position = self._trusted = position
+        self._trusted_ns = instant
+        x.fresh = 1.0
+        return True
+
+    def miss(self) -> None:
+        """No answer came: the sample would have been taken a period after the last one."""
+        self.instant += self._period_ns
+        self.stretch = 1.0
+        self._inputs.sample_interval = self._period_ns * 1e-9
+        self._inputs.fresh = 0.0
+
+    def _learn(self, delay: int) -> None:
+        """Keep the averaged latency (ns) up to date."""
+        if not self.known:
+            self.latency = self._average = delay
+            self.known = True
+            return
+        average = self._average
+        self._average = average = average + ((delay - average) >> LATENCY_SHIFT)
+        if not -LATENCY_STEP_NS <= average - self.latency <= LATENCY_STEP_NS:
+            self.latency = average
+
+    def _believable(self, delay: int) -> int:
+        """An estimated sampling delay (ns), unless the answer was merely held up on its way: then the usual one."""
+        usual = self._usual_delay
+        if not self.known or delay < usual:
+            usual = delay
+        self._usual_delay = usual + DELAY_LEAK_NS
+        return usual if delay > usual + DELAY_SPREAD_NS else delay
+
+
+class Sampling:
+    """The sample clocks of all axes.
+
+    instants: of the filters' state, integer ns on the samples' clock. starts: expected start of the coming force's
+    interval. tracked: there is a position to start from.
     """
 
     def __init__(
         self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int, *, stamped: bool
     ) -> None:
-        n = len(resolution)
         self._inputs = list(inputs)
         self._inbox = inbox
-        self._resolution = resolution
-        self._period_ns = period_ns
-        self._stamped = stamped
-        self.instants = [0] * n
-        self.starts = [0] * n
-        self.latency = [0] * n
-        self.stretch = [1.0] * n
-        self._average = [0] * n
-        self._latency_known = [False] * n
-        self._usual_delay = [0] * n  # lower envelope of estimated delays
-        self._trusted = [0.0] * n  # last believed position, m, and its instant
-        self._trusted_ns = [0] * n
+        self.clocks = [
+            SampleClock(x, r, period_ns, stamped=stamped) for x, r in zip(self._inputs, resolution, strict=True)
+        ]
+        self.instants = [0] * len(self.clocks)
+        self.starts = [0] * len(self.clocks)
         self.tracked = False
 
     def restart(self) -> None:
         """After a reset: what was learnt about the drives' clocks and positions counts no more."""
         self.tracked = False
-        self._latency_known = [False] * len(self.latency)
+        for clock in self.clocks:
+            clock.known = False
 
     def take(self, now_ns: int, sent_ns: int, monitor: FaultMonitor) -> None:
         """Fill the inputs' intervals (s) and `fresh`, and `position` (m) where a believable sample came; for a tick
         that began at now_ns and a last command sent in the tick that began at sent_ns.
         """
-        inbox, instants, period, tracked, answered = self._inbox, self.instants, self._period_ns, self.tracked, 0.0
-        arrivals = zip(self._inputs, inbox.samples, inbox.fresh, strict=True)
-        for axis, (x, sample, arrived) in enumerate(arrivals):
-            previous, elapsed = instants[axis], period
-            x.fresh = 0.0
-            if arrived and sample is not None:
-                instant = sent_ns + self._delay(axis, sample.stamp_ns - sent_ns)
-                if tracked:
-                    elapsed = min(max(instant - previous, 0), LONGEST_PERIODS * period)
-                position = sample.position * self._resolution[axis]
-                if self._believed(axis, position, instant, monitor):
-                    x.position, x.fresh = position, 1.0
+        inbox, inputs, instants, starts, tracked = self._inbox, self._inputs, self.instants, self.starts, self.tracked
+        samples, arrived, answered = inbox.samples, inbox.fresh, 0.0
+        for axis, clock in enumerate(self.clocks):
+            sample = samples[axis]
+            if arrived[axis] and sample is not None:
+                if clock.take(axis, sample, sent_ns, monitor, tracked=tracked):
                     answered = 1.0
             else:
-                instant = previous + period
-            instants[axis] = instant
-            self.starts[axis] = start = now_ns + self.latency[axis]
-            x.sample_interval = elapsed * 1e-9
-            x.ahead = (start - instant) * 1e-9
-            self.stretch[axis] = elapsed / period if 2 * elapsed > 3 * period else 1.0
-        for x in self._inputs:
+                clock.miss()
+            instants[axis] = instant = clock.instant
+            starts[axis] = start = now_ns + clock.latency
+            inputs[axis].ahead = (start - instant) * 1e-9
+        for x in inputs:
             x.answered = answered
-
-    def _believed(self, axis: int, position: float, instant: int, monitor: FaultMonitor) -> bool:
-        """Whether a sample can be true; the first ones must be."""
-        periods = (instant - self._trusted_ns[axis]) / self._period_ns
-        if self.tracked and monitor.implausible(axis, position - self._trusted[axis], periods):
-            return False
-        self._trusted[axis], self._trusted_ns[axis] = position, instant
-        return True
-
-    def _delay(self, axis: int, delay: int) -> int:
-        """From the tick's start to the sampling, ns; keeps the average up to date."""
-        if not self._stamped:
-            delay = self._believable(axis, delay)
-        if self._latency_known[axis]:
-            average = self._average[axis]
-            self._average[axis] = average = average + ((delay - average) >> LATENCY_SHIFT)
-            if not -LATENCY_STEP_NS <= average - self.latency[axis] <= LATENCY_STEP_NS:
-                self.latency[axis] = average
-        else:
-            self.latency[axis] = self._average[axis] = delay
-            self._latency_known[axis] = True
-        return delay
-
-    def _believable(self, axis: int, delay: int) -> int:
-        """An estimated sampling delay (ns), unless the answer was merely held up on its way: then the usual one."""
-        usual = self._usual_delay[axis]
-        if not self._latency_known[axis] or delay < usual:
-            usual = delay
-        self._usual_delay[axis] = usual + DELAY_LEAK_NS
-        return usual if delay > usual + DELAY_SPREAD_NS else delay
