@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.telemetry.mapped_file import lay_out
+
 STAGES = ("read", "estimate", "control", "gate", "send")
 # lateness: wake against deadline. stages: time spent in each. cpu: CPU time of the period, sleep and wake included.
 # age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
@@ -181,10 +183,8 @@ class TimingRecorder:
 
 
 def _create(path: Path) -> mmap.mmap:
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    fd, temporary = lay_out(path, _LAYOUT.itemsize)
     try:
-        os.posix_fallocate(fd, 0, _LAYOUT.itemsize)  # else a full file system would be a SIGBUS in some later tick
         mapped = mmap.mmap(fd, _LAYOUT.itemsize, mmap.MAP_SHARED | mmap.MAP_POPULATE)
     finally:
         os.close(fd)

@@ -3,7 +3,6 @@
 import os
 import socket
 import time
-from types import TracebackType
 from typing import Any
 
 import zenoh
@@ -11,6 +10,7 @@ from zenoh.handlers import RingChannel
 
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.gateway import ASK_TIME
+from hil.telemetry.mapped_file import Closing
 from hil.telemetry.places import known_sidecars
 from hil.telemetry.session import client_config
 from hil.tick import CommandKind
@@ -44,7 +44,7 @@ def listens(endpoint: str) -> bool:
     return True
 
 
-class RigClient:
+class RigClient(Closing):
     """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
 
     def __init__(self, endpoint: str, key: str = "hil", rig: str = "*") -> None:
@@ -106,9 +106,3 @@ class RigClient:
         """Leave."""
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> "RigClient":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

@@ -12,8 +12,8 @@ import os
 import struct
 import zlib
 from pathlib import Path
-from types import TracebackType
 
+from hil.telemetry.mapped_file import Closing, lay_out
 from hil.telemetry.record import MAX_COMMANDS
 from hil.tick import CommandKind, OperatorCommand
 
@@ -37,7 +37,7 @@ class MailboxError(Exception):
     """The mailbox is missing, is no mailbox, or is full."""
 
 
-class Mailbox:
+class Mailbox(Closing):
     """One end of the mailbox. The control process makes it with `create`; senders attach with `Mailbox(path)`."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -62,10 +62,8 @@ class Mailbox:
         """A new, empty mailbox in place of any older one: no command outlives the process it was meant for."""
         path = Path(path)
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-        fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+        fd, temporary = lay_out(path, SIZE)
         try:
-            os.posix_fallocate(fd, 0, SIZE)
             os.pwrite(fd, struct.pack("<Q", MAGIC), 0)
         finally:
             os.close(fd)
@@ -159,11 +157,3 @@ class Mailbox:
             self._words.release()
             self._map.close()
             os.close(self._fd)
-
-    def __enter__(self) -> "Mailbox":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

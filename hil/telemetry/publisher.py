@@ -1,11 +1,11 @@
 """The sidecar's side of Zenoh: what is published under which key."""
 
 from contextlib import ExitStack
-from types import TracebackType
 
 import zenoh
 from zenoh.handlers import RingChannel
 
+from hil.telemetry.mapped_file import Closing
 from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64
@@ -15,7 +15,7 @@ class ListenError(Exception):
     """Zenoh could not listen where the rig file says; the text names the endpoint."""
 
 
-class Publisher:
+class Publisher(Closing):
     """An open Zenoh session with the keys of one rig. Nothing blocks: what the network cannot take is dropped."""
 
     def __init__(self, key: str, rig: str, listen: list[str]) -> None:
@@ -55,12 +55,6 @@ class Publisher:
     def close(self) -> None:
         """Undeclare everything and leave."""
         self._stack.close()
-
-    def __enter__(self) -> "Publisher":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
 
 def _open(listen: list[str]) -> zenoh.Session:

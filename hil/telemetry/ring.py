@@ -21,12 +21,12 @@ import os
 import struct
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.telemetry.mapped_file import Closing, lay_out
 from hil.telemetry.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
 
 MAGIC = b"HILRING1"
@@ -88,7 +88,7 @@ def previous_path(path: Path) -> Path:
     return path.with_name(path.name + ".previous")
 
 
-class RingWriter:
+class RingWriter(Closing):
     """The control process's end of the ring.
 
     path: file to create (its directory is created, private). slots: ticks kept, >= 2. metadata: the run, JSON-able.
@@ -144,23 +144,13 @@ class RingWriter:
             self._map.close()
             os.close(self._fd)
 
-    def __enter__(self) -> "RingWriter":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[int, mmap.mmap]:
     """A new ring under a temporary name, locked, then put in the old one's place."""
     data_offset = PAGE + -(-len(metadata) // PAGE) * PAGE
     size = data_offset + slots * RECORD_SIZE
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    fd, temporary = lay_out(path, size)
     try:
-        os.posix_fallocate(fd, 0, size)  # else a full file system would be a SIGBUS in some later tick
         ring = mmap.mmap(fd, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
         run_id = int.from_bytes(os.urandom(8), "little")
         header = _Header(
@@ -222,7 +212,7 @@ def _died(fd: int) -> bool:
     return words[_WRITE_INDEX] > 0 and words[_ENDED] == 0
 
 
-class RingReader:
+class RingReader(Closing):
     """A reader's end of the ring; starts at the oldest record that is still there, or behind the newest one.
 
     Raises RingError when the file is missing or is no ring of this version.
@@ -323,11 +313,3 @@ class RingReader:
             self._map.close()
             os.close(self._fd)
             self._fd = -1
-
-    def __enter__(self) -> "RingReader":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
