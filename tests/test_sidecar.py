@@ -92,6 +92,17 @@ def eventually(client: RigClient, wanted: Callable[[pb.Status], bool], seconds: 
     return status
 
 
+def obeyed(client: RigClient, kind: CommandKind, token: str) -> pb.CommandReply:
+    """Ask, and ask again where the machine held the command up beyond its life of 0.3 s, as an operator would."""
+    reply = client.command(kind, token)
+    for _ in range(20):
+        if not reply.reason.startswith("stale"):
+            break
+        reply = client.command(kind, token)
+    assert reply.accepted, reply.reason
+    return reply
+
+
 def recorded(path: Path) -> tuple[list[codec.RecordedTick], Recording]:
     recording = Recording(path)
     messages = (pb.Traffic.FromString(item.data) for item in recording if item.topic == "traffic")
@@ -107,8 +118,7 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
         assert (status.rig, status.state, list(status.axes)) == ("microscope", "READY", ["x", "y", "z", "theta"])
         assert status.realtime == "none: a test"
         assert status.control_alive
-        reply = client.command(CommandKind.ACTIVATE, bench.token())
-        assert (reply.accepted, reply.reason, reply.state) == (True, "", "ACTIVE")
+        assert obeyed(client, CommandKind.ACTIVATE, bench.token()).state == "ACTIVE"
         reply = client.command(CommandKind.ACTIVATE, bench.token())
         assert (reply.accepted, reply.reason) == (False, "ACTIVATE is not possible in state ACTIVE")
         assert end(control) == 0
@@ -141,7 +151,7 @@ def test_a_killed_control_process_is_reported_and_its_last_tick_is_recorded(benc
         assert len(ticks) == status.produced
         bench.control()  # the next one gets a recording of its own, and is judged by its own sequence numbers
         eventually(client, lambda status: status.control_alive and status.recording)
-        assert client.command(CommandKind.ACTIVATE, bench.token()).accepted
+        obeyed(client, CommandKind.ACTIVATE, bench.token())
     assert (bench.out / "run-2.mcap").exists()
     assert not (bench.runtime / "microscope" / "ring.previous").exists()
 
@@ -162,7 +172,7 @@ def test_a_sidecar_that_dies_leaves_a_readable_recording_and_its_successor_carri
         bench.sidecar(tmp_path / "second")
         status = eventually(client, lambda status: status.recording)
         assert status.dropped == 0  # the ring still held what the first one had not seen
-        assert client.command(CommandKind.ACTIVATE, bench.token()).accepted
+        obeyed(client, CommandKind.ACTIVATE, bench.token())
 
 
 @pytest.mark.live
@@ -194,7 +204,7 @@ def test_a_full_disk_stops_the_recorders_sign_of_life_and_nothing_else(bench: Be
         assert not status.recording
         later = eventually(client, lambda now: now.sent > status.sent + 100)
         assert later.control_alive
-        assert client.command(CommandKind.ACTIVATE, bench.token()).accepted
+        obeyed(client, CommandKind.ACTIVATE, bench.token())
 
 
 @pytest.mark.live

@@ -101,7 +101,7 @@ class Gateway:
             for command in record["commands"][: record["n_commands"]]:
                 pending = self._pending.pop(int(command["sequence"]), None)
                 if pending:
-                    reason = "" if command["accepted"] else explain(pending.kind, record)
+                    reason = "" if command["accepted"] else explain(pending.kind, int(command["expires_ns"]), record)
                     self._answer(pending.query, now_ns, State(int(record["state"])).name, reason)
 
     def give_up(self, now_ns: int, state: str, *, everything: bool = False) -> None:
@@ -117,9 +117,11 @@ class Gateway:
             query.reply(self._key, reply.SerializeToString())
 
 
-def explain(kind: CommandKind, record: np.void) -> str:
+def explain(kind: CommandKind, expires_ns: int, record: np.void) -> str:
     """Why the control process refused a command, from the tick that did."""
-    state = State(int(record["state"]))
+    state, late_ns = State(int(record["state"])), int(record["now_ns"]) - expires_ns
+    if late_ns > 0 and kind is not CommandKind.ESTOP:
+        return f"stale: expired {late_ns * 1e-6:.1f} ms before the tick that took it"
     if kind in (CommandKind.ACTIVATE, CommandKind.HOME) and state is State.READY:
         flags = int(record["flags"])
         missing = {
@@ -128,7 +130,7 @@ def explain(kind: CommandKind, record: np.void) -> str:
             RIG_OK: "the rig file has changed since the start",
         }
         reasons = [text for bit, text in missing.items() if not flags & bit]
-        return "refused: " + (" and ".join(reasons) or "no operator heartbeat, or the command came too late")
+        return "refused: " + (" and ".join(reasons) or "no operator heartbeat")
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
         return f"refused in {state.name}: the cause of the fault is still there"
     return f"{kind.name} is not possible in state {state.name}"
