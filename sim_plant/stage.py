@@ -152,6 +152,23 @@ def _single(axis: Axis) -> Axis:
     )
 
 
+def _parts_of(axes: Axis) -> list[tuple[NDArray[np.int64], Axis]]:
+    """Indices and parameters of the axes that go together: those with the same terms, at most CHUNK."""
+    membrane = axes.membrane
+    stribeck, ripple = axes.friction.stribeck != 0.0, axes.ripple_amplitude != 0.0
+    cell = (membrane.stiffness != 0.0) | (membrane.drag != 0.0)
+    kinds = 1 * stribeck + 2 * ripple + 4 * cell
+    parts = []
+    for kind in np.unique(kinds).tolist():
+        members = np.flatnonzero(kinds == kind)
+        for start in range(0, members.size, CHUNK):
+            index = members[start : start + CHUNK]
+            part = take(axes, index)
+            has_stribeck, has_ripple, has_cell = (bool(kind & bit) for bit in (1, 2, 4))
+            parts.append((index, part._replace(has_stribeck=has_stribeck, has_ripple=has_ripple, has_cell=has_cell)))
+    return parts
+
+
 class Stage:
     """One stage (n_axes,) or a batch of stages (..., n_axes) under forces that are constant during each `advance`.
 
@@ -165,14 +182,17 @@ class Stage:
         self._gravity: list[float] = truth.gravity.tolist() if truth.mass.ndim == 1 else []
         self._axes: list[SingleAxis] = []  # of one stage
         self._state = State(*(_filled(value, truth.shape) for value in (position, velocity, 0.0)))  # of a batch
+        self._parts: list[tuple[NDArray[np.int64], Axis]] = []  # of a batch: what is integrated together
         self._configure(self._state)
 
     def _configure(self, state: State) -> None:
         """Take over the parameters, at this state (arrays)."""
-        self._batch = _axes_of(self.truth, self._clamp)
+        axes = _axes_of(self.truth, self._clamp)
         if len(self.truth.shape) == 1:
             states = zip(*(array.tolist() for array in state), strict=True)
-            self._axes = [SingleAxis(_single(take(self._batch, i)), *values) for i, values in enumerate(states)]
+            self._axes = [SingleAxis(_single(take(axes, i)), *values) for i, values in enumerate(states)]
+        else:
+            self._parts = _parts_of(axes)
 
     @property
     def position(self) -> Array:
@@ -230,14 +250,12 @@ class Stage:
     def _advance_batch(self, pieces: int, h: float, force: Array) -> None:
         drive = (force + self.truth.gravity).reshape(-1)
         flat = [array.reshape(-1) for array in self._state]
-        for start in range(0, drive.size, CHUNK):
-            part = slice(start, start + CHUNK)
-            axis = take(self._batch, part)
-            state = State(*(array[part] for array in flat))
+        for index, axis in self._parts:
+            state, part = State(*(array[index] for array in flat)), drive[index]
             for _ in range(pieces):
-                state = _advance_many(axis, state, drive[part], h)
+                state = _advance_many(axis, state, part, h)
             for array, values in zip(flat, state, strict=True):
-                array[part] = values
+                array[index] = values
 
 
 def _advance_many(axis: Axis, state: State, drive: Array, h: float) -> State:
