@@ -8,7 +8,6 @@ import errno
 import socket
 import struct
 from collections.abc import Callable, Sequence
-from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -121,8 +120,10 @@ class Port:
         if len(sources) == 1:
             frames = self._read(sources[0], offset_ns, earliest_ns, latest_ns)
         else:
-            every = (self._read(fd, offset_ns, earliest_ns, latest_ns) for fd in sources)
-            frames = sorted(chain.from_iterable(every), key=attrgetter("timestamp_ns"))
+            frames = []
+            for fd in sources:
+                frames += self._read(fd, offset_ns, earliest_ns, latest_ns)
+            frames.sort(key=attrgetter("timestamp_ns"))
         count = len(frames)
         self._counts[_RECEIVED] += count
         if count > self._receive_limit:

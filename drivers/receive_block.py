@@ -64,11 +64,14 @@ _RESULT = _exactly(f"@{_MsgHdr.control_length.offset}xNi{_GAP}xI", _HEADER_BYTES
 _CMSG = f"{struct.calcsize('@N') + 4}x"
 _CONTENTS = _exactly(f"@IBBH64s{_CMSG}ill{_CMSG}4xI", _SLOT_BYTES)
 _HEAD = struct.Struct("@H")  # len and flags in one
-# can_id, head, data, then seconds and nanoseconds of the time stamp, by the length of the data
+_SECONDS = f"{struct.calcsize('@l')}x"
+# can_id, head, data and the nanoseconds of the time stamp, by the length of the data
 _ORDINARY = {
-    length: _exactly(f"@IH2x{length}s{64 - length}x{_CMSG}4xll", _SLOT_BYTES).iter_unpack for length in FD_LENGTHS
+    length: _exactly(f"@IH2x{length}s{64 - length}x{_CMSG}4x{_SECONDS}l", _SLOT_BYTES).iter_unpack
+    for length in FD_LENGTHS
 }
 
+_SECOND = 1_000_000_000
 _DONT_WAIT = int(socket.MSG_DONTWAIT)
 # PyDLL keeps the GIL: the call never waits, and handing the GIL over costs more than it takes.
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
@@ -138,8 +141,9 @@ class ReceiveBlock:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
 
         None where any of the `count` messages is out of the ordinary: of another size, length or flags than expected,
-        an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns, a count of dropped frames
-        with it; or SLOTS of them, as there may be more. They are then to be had from `results` and `contents`.
+        an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present second, a
+        count of dropped frames with it; or SLOTS of them, as there may be more. They are then to be had from `results`
+        and `contents`.
         Raises OSError as `receive` does.
         """
         self.count = count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
@@ -148,19 +152,19 @@ class ReceiveBlock:
                 self._fail()
             return None if self.count else []
         used, plain, fresh, slots = self._parts[count]
-        if used.tobytes() != plain:  # one comparison is quicker than parsing
+        if used.tobytes() != plain or latest_ns - earliest_ns >= _SECOND:  # one comparison is quicker than parsing
             return None
+        # The interval in nanoseconds of the present second: the stamps' own seconds need not be looked at then.
+        last = (latest_ns + offset_ns) % _SECOND
+        first = last - (latest_ns - earliest_ns)
+        base_ns = latest_ns - last
         frames: list[Frame] = []
         # Local names and no call that can be saved: this is the innermost loop.
         expected, flags, error = self._head, self._flags, ERROR
         append, new, kind = frames.append, tuple.__new__, Frame
-        second = base_ns = 0
-        for can_id, head, data, s, ns in self._unpack(slots):
-            if s != second:
-                second, base_ns = s, s * 1_000_000_000 - offset_ns
-            stamp_ns = base_ns + ns
-            if head == expected and (can_id < error or not can_id & error) and earliest_ns <= stamp_ns <= latest_ns:
-                append(new(kind, (can_id, data, flags, stamp_ns)))
+        for can_id, head, data, ns in self._unpack(slots):
+            if head == expected and first <= ns <= last and (can_id < error or not can_id & error):
+                append(new(kind, (can_id, data, flags, base_ns + ns)))
         if len(frames) != count:
             return None
         used[:] = fresh

@@ -19,11 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import bus as bus_module
+from drivers import receive_block
 from drivers.bus import BusState, EchoingPort, Port, PortCounters, PortError, open_port, resolve_interface
 from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from drivers.frame_bytes import to_bytes
-from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
+from drivers.frame_bytes import CANFD_MTU, to_bytes
+from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED, ReceiveBlock
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
@@ -143,6 +144,29 @@ def test_a_stamp_is_the_monotonic_time_of_arrival(port: Port, cable: Cable) -> N
         before - slack <= stamp <= after + slack for stamp, (before, after) in zip(stamps, pairwise(times), strict=True)
     )
     assert stamps == sorted(stamps)
+
+
+@given(
+    stamp=st.integers(10**18, 10**18 + 2 * 10**9),
+    age=st.integers(-(10**6), 2 * 10**9) | st.integers(0, 10**6),
+    window=st.integers(0, 2 * 10**9) | st.integers(0, 10**6),
+    offset=st.integers(0, 10**9),
+)
+def test_the_short_way_of_reading_never_mistakes_the_second(stamp: int, age: int, window: int, offset: int) -> None:
+    block = ReceiveBlock(CANFD_MTU)
+    block.expect(len(FEEDBACK.data), FEEDBACK.flags)
+    used, plain, _, slots = block._parts[1]
+    cmsg = struct.pack("@Niill", 32, socket.SOL_SOCKET, SO_TIMESTAMPNS, *divmod(stamp, 10**9))
+    slots[: CANFD_MTU + len(cmsg)] = to_bytes(FEEDBACK) + cmsg
+    used[:] = plain
+    latest = stamp + age - offset
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(receive_block, "_recvmmsg", lambda *_: 1)
+        frames = block.frames(0, offset, latest - window, latest)
+    if 0 <= age <= window < 10**9 and stamp // 10**9 == (stamp + age) // 10**9:
+        assert frames == [FEEDBACK._replace(timestamp_ns=stamp - offset)]
+    elif frames is not None:
+        assert latest - window <= frames[0].timestamp_ns <= latest
 
 
 @pytest.mark.parametrize("step_s", [-3600, 3600])
