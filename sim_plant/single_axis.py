@@ -79,6 +79,8 @@ def net_force_of(axis: Axis) -> NetForce:
     def at_cell(position: float, velocity: float, pierced: float, drive: float) -> float:
         force = drive + amplitude * sin_turns(position * wavenumber) if has_ripple else drive
         inside = (position - surface) * direction
+        if inside <= 0.0 and not pierced:
+            return force  # the rest would be zero
         indentation = 0.5 * (inside + abs(inside))
         elastic = stiffness * indentation * indentation * indentation
         return force - ((1.0 - pierced) * direction * elastic + pierced * drag * velocity)
