@@ -152,15 +152,27 @@ class Rig(NamedTuple):
         """An operator's command through the gateway; whether it was taken."""
         return subprocess.run(["hil", "command", str(self.file), action], timeout=PATIENCE_S).returncode == 0
 
+    def reset_to(self, state: str) -> None:
+        """To CONNECTED or READY, by resets where it takes them, as the page for the rig says.
+
+        A guest that is not let run for a second may find itself in FAULT at any time: it promises no timing.
+        """
+        eventually(lambda: self.shows(state) or (self.order("reset") and self.shows(state)), state)
+
     def to_ready(self) -> None:
-        """To READY, by resets where it takes them, as the page for the rig says."""
-        eventually(lambda: self.shows("READY") or (self.order("reset") and self.shows("READY")), "READY")
+        """To READY."""
+        self.reset_to("READY")
 
     def activate(self) -> None:
-        """To ACTIVE."""
-        self.to_ready()
-        assert self.order("activate")
-        self.wait_for("ACTIVE")
+        """To ACTIVE, from wherever it is."""
+
+        def active() -> bool:
+            if self.shows("ACTIVE"):
+                return True
+            self.to_ready()
+            return self.order("activate") and self.shows("ACTIVE")
+
+        eventually(active, "ACTIVE")
         eventually(lambda: not self.no_torque(), "torque: Z has its weight to carry")
 
     def drives(self) -> dict:

