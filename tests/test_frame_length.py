@@ -43,6 +43,21 @@ def test_an_fd_frame_is_as_long_as_its_bits_written_out_in_each_phase(
     assert frame_bits(frame) == fd_length(frame)
 
 
+@pytest.mark.parametrize("length", [8, 16, 24, 32])
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x7FF])
+def test_an_fd_frame_with_a_stuff_bit_behind_every_fourth_bit_is_as_long_as_written_out(
+    can_id: int, length: int
+) -> None:
+    # Four equal bits behind a stuff bit bring the next one; one of eight phases falls in with the header.
+    runs = "00001111" * (length + 1)
+    phases = [int(runs[phase : phase + 8 * length], 2).to_bytes(length, "big") for phase in range(8)]
+    longest = max(fd_length(Frame(can_id, payload, FD | BRS))[1] for payload in phases)
+    assert longest - worst_case_bits(length, fd=True, extended=False)[1] in (-1, 0)
+    for payload in phases:
+        frame = Frame(can_id, payload, FD | BRS)
+        assert frame_bits(frame) == fd_length(frame)
+
+
 @given(identifiers, payloads, st.sampled_from(FD_LENGTHS))
 def test_without_bit_rate_switch_an_fd_frame_is_nominal_throughout(can_id: int, data: bytes, length: int) -> None:
     frame = Frame(can_id, data[:length], FD)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from sim_plant.config import CellConfig, PlantConfig
 from sim_plant.stage import FEW, Stage, Truth
-from sim_plant.trigonometry import sincos_turns, sincos_turns_array
+from sim_plant.trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
 
 MS = 1_000_000
 PAPER = {
@@ -266,3 +266,25 @@ def test_sine_and_cosine_are_right_to_the_last_bits_and_the_same_for_floats_and_
     assert abs(cosine - np.cos(exact)) < 4e-16
     sines, cosines = sincos_turns_array(np.array([turns, turns]))
     assert (sines[1], cosines[1]) == (sine, cosine)
+
+
+@given(st.lists(st.floats(-1e6, 1e6) | st.floats(-1.0, 1.0), min_size=1, max_size=9))
+def test_the_sine_alone_has_the_bits_of_sine_and_cosine_together(turns: list[float]) -> None:
+    together = [sincos_turns(angle)[0] for angle in turns]
+    assert [sin_turns(angle) for angle in turns] == together
+    assert sin_turns_array(np.array(turns)).tolist() == together
+
+
+def test_a_batch_beyond_one_chunk_is_still_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_plant.stage.CHUNK", 5)
+    kinds = [
+        PlantConfig(**PAPER["x"], **effect, modelling_error=0.01 * i) for i in range(6) for effect in EFFECTS.values()
+    ]
+    truths = [Truth.from_config(plant, 1, ["x"]) for plant in kinds]
+    batch, single = Stage(Truth.stack(truths), velocity=0.5), [Stage(truth, velocity=0.5) for truth in truths]
+    for _ in range(3):
+        batch.advance(MS, np.full((len(kinds), 1), 1.0))
+        for stage in single:
+            stage.advance(MS, [1.0])
+    assert batch.position.tolist() == [stage.position.tolist() for stage in single]
+    assert batch.velocity.tolist() == [stage.velocity.tolist() for stage in single]
