@@ -17,15 +17,19 @@ from hil.laws.base import Array, Model
 from hil.laws.per_axis import gather
 from hil.lockstep import LockstepRun, steady_from
 
-DERIVATIVE_CORNER_HZ = 40.0
+DERIVATIVE_CORNER_HZ = 400.0  # of 20 to 400 Hz the best on the paper's circle: lag costs more there than noise
 JERKY = 300.0  # m/s^2/sqrt(Hz), white acceleration of the constant-velocity filter on q: it must follow the task
 ERROR_ACCELERATION = 3.0  # likewise on the error, which hardly accelerates
+MODEL_ACCELERATION = 0.3  # m/s^2/sqrt(Hz), of the model without a disturbance state
 JERK = 300.0  # m/s^3/sqrt(Hz), white jerk of the constant-acceleration filter
 
 
 class Data:
-    """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity and mean
-    acceleration over the interval before, true velocity, net force (let out less nominal friction) of that interval."""
+    """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity, true
+    velocity, net force (let out less nominal friction) and length (s) of the interval before each sample.
+
+    The length is by the samples' stamps: stuff bits alone move a command by a microsecond, and at 3 m/s that is 3 um.
+    """
 
     def __init__(self, rig: RigConfig, base_dir: Path, seconds: float) -> None:
         run = LockstepRun(rig, base_dir)
@@ -37,13 +41,13 @@ class Data:
             rows.append(
                 np.stack(
                     [inputs.position, inputs.sample.position, inputs.sample.velocity, run.true_velocity,
-                     inputs.force_before]
+                     inputs.force_before, inputs.sample_interval]
                 )
             )  # fmt: skip
         first = steady_from(run, len(rows))
-        self.position, self.setpoint, self.reference, self.truth, force = np.moveaxis(np.array(rows[first:]), 1, 0)
+        columns = np.moveaxis(np.array(rows[first:]), 1, 0)
+        self.position, self.setpoint, self.reference, self.truth, force, self.interval = columns
         self.period = rig.period_ns * 1e-9
-        self.acceleration = np.diff(self.reference, axis=0, prepend=self.reference[:1]) / self.period
         self.net = force - _nominal_friction(model, self.reference) - model.gravity
         self.model = model
         self.parameters = filter_parameters(rig)
@@ -59,9 +63,9 @@ def _nominal_friction(model: Model, velocity: Array) -> Array:
 
 
 def finite_difference(data: Data, axis: int) -> Array:
-    """(q(k) - q(k-1)) / T."""
+    """(q(k) - q(k-1)) over the interval between them."""
     q = data.position[:, axis]
-    velocity: Array = np.diff(q, prepend=q[0]) / data.period
+    velocity: Array = np.diff(q, prepend=q[0]) / data.interval[:, axis]
     return velocity
 
 
@@ -76,71 +80,92 @@ def filtered_derivative(data: Data, axis: int) -> Array:
     return filtered
 
 
-def _steady_filter(f: Array, q: Array, sigma: float, b: Array, measured: Array, inputs: Array, start: Array) -> Array:
-    """filterpy's filter designed to its steady state, then applied; the velocity (state 1) after every sample."""
+Matrices = tuple[Array, Array]  # transition and input over an interval
+
+
+def _steady_filter(
+    over: Callable[[float], Matrices], q: Array, sigma: float, period: float, measured: Array, inputs: Array,
+    interval: Array, start: Array,
+) -> Array:  # fmt: skip
+    """filterpy's filter designed to its steady state at the nominal period, then applied over the true intervals; the
+    velocity (state 1) after every sample.
+    """
     from filterpy.kalman import KalmanFilter
 
+    f, _ = over(period)
     size = len(f)
     kf = KalmanFilter(dim_x=size, dim_z=1)
     kf.F, kf.Q, kf.R = f, q, np.array([[sigma * sigma]])
     kf.H = np.eye(1, size)
     kf.P = np.eye(size) * 1e6
-    for _ in range(5000):
+    for _ in range(2000):
         kf.predict()
         kf.update(np.zeros((1, 1)))
     gain = kf.K[:, 0]
     x, out = start.copy(), np.empty(len(measured))
-    for k, (z, u) in enumerate(zip(measured.tolist(), inputs.tolist(), strict=True)):
+    for k, (z, u, t) in enumerate(zip(measured.tolist(), inputs.tolist(), interval.tolist(), strict=True)):
         if k:
+            f, b = over(t)
             x = f @ x + b * u
         x = x + gain * (z - x[0])
         out[k] = x[1]
     return out
 
 
-def _white_acceleration(period: float, density: float) -> tuple[Array, Array]:
-    t = period
-    return np.array([[1.0, t], [0.0, 1.0]]), density**2 * np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]])
+def _coast(t: float) -> Matrices:
+    return np.array([[1.0, t], [0.0, 1.0]]), np.zeros(2)
+
+
+def _white_acceleration(t: float, density: float) -> Array:
+    return density**2 * np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]])
 
 
 def constant_velocity(data: Data, axis: int) -> Array:
     """Kalman filter on q with white acceleration."""
-    f, q = _white_acceleration(data.period, JERKY)
+    q = _white_acceleration(data.period, JERKY)
     z = data.position[:, axis]
     start = np.array([z[0], data.reference[0, axis]])
-    return _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(2), z, 0.0 * z, start)
+    sigma = data.parameters[axis]["sigma"]
+    return _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, data.interval[:, axis], start)
 
 
 def constant_velocity_error(data: Data, axis: int) -> Array:
     """The same on the error e = q - qd; the reference's own velocity is known."""
-    f, q = _white_acceleration(data.period, ERROR_ACCELERATION)
+    q = _white_acceleration(data.period, ERROR_ACCELERATION)
     z = data.position[:, axis] - data.setpoint[:, axis]
-    start = np.array([z[0], 0.0])
-    rate = _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(2), z, 0.0 * z, start)
+    sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
+    rate = _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, interval, np.array([z[0], 0.0]))
     velocity: Array = rate + data.reference[:, axis]
     return velocity
 
 
 def constant_acceleration(data: Data, axis: int) -> Array:
     """Kalman filter on the error with white jerk."""
+
+    def over(t: float) -> Matrices:
+        return np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]]), np.zeros(3)
+
     t = data.period
-    f = np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     q = JERK**2 * np.array([[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]])
     z = data.position[:, axis] - data.setpoint[:, axis]
-    start = np.array([z[0], 0.0, 0.0])
-    rate = _steady_filter(f, q, data.parameters[axis]["sigma"], np.zeros(3), z, 0.0 * z, start)
+    sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
+    rate = _steady_filter(over, q, sigma, t, z, 0.0 * z, interval, np.array([z[0], 0.0, 0.0]))
     velocity: Array = rate + data.reference[:, axis]
     return velocity
 
 
 def model_input(data: Data, axis: int) -> Array:
     """Model and input, no disturbance: biased by whatever the model lacks."""
-    mass, t = float(data.model.mass[axis]), data.period
-    f, q = _white_acceleration(t, 0.3)
-    b = np.array([t * t / 2, t]) / mass
+    mass = float(data.model.mass[axis])
+
+    def over(t: float) -> Matrices:
+        return _coast(t)[0], np.array([t * t / 2, t]) / mass
+
+    q = _white_acceleration(data.period, MODEL_ACCELERATION)
     z = data.position[:, axis]
+    sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
     start = np.array([z[0], data.reference[0, axis]])
-    return _steady_filter(f, q, data.parameters[axis]["sigma"], b, z, data.net[:, axis], start)
+    return _steady_filter(over, q, sigma, data.period, z, data.net[:, axis], interval, start)
 
 
 def model_input_disturbance(data: Data, axis: int) -> Array:
@@ -148,10 +173,16 @@ def model_input_disturbance(data: Data, axis: int) -> Array:
     from hil.estimation_design import make_filter
 
     kf = make_filter(**data.parameters[axis])
+    mass = data.parameters[axis]["mass"]
+
+    def over(t: float) -> Matrices:
+        g = t * t / (2.0 * mass)
+        return np.array([[1.0, t, -g], [0.0, 1.0, -t / mass], [0.0, 0.0, 1.0]]), np.array([g, t / mass, 0.0])
+
     z = data.position[:, axis]
     start = np.array([z[0], data.reference[0, axis], 0.0])
-    sigma = data.parameters[axis]["sigma"]
-    return _steady_filter(kf.F, kf.Q, sigma, kf.B[:, 0], z, data.net[:, axis], start)
+    sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
+    return _steady_filter(over, kf.Q, sigma, data.period, z, data.net[:, axis], interval, start)
 
 
 ESTIMATORS: dict[str, Callable[[Data, int], Array]] = {

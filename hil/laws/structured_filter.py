@@ -125,6 +125,37 @@ def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: I
     return error, rate + (speed - gained)
 
 
+def slide(velocity: Number, push: Number, dry: Number, time: Number, inverse_mass: Number) -> tuple[Number, Number]:
+    """Speed after `time` and the way made, of a mass under a constant push (N) against dry friction (N, >= 0).
+
+    Set-valued friction: an axis that stops stays at rest unless the push overcomes it. An estimate that took friction
+    from the reference's sign alone would learn from an axis that has not broken away yet.
+    """
+    if isinstance(velocity, float):
+        onward = velocity > 0.0 or (velocity == 0.0 and push > 0.0)
+        slowing = (push - dry if onward else push + dry) * inverse_mass
+        end = velocity + slowing * time
+        if end >= 0.0 if onward else end <= 0.0:
+            return end, 0.5 * (velocity + end) * time
+        stop = -velocity / slowing
+        left = time - stop
+        beyond = push - dry if push > dry else push + dry if push < -dry else 0.0
+        end = beyond * inverse_mass * left
+        return end, 0.5 * (velocity * stop + end * left)
+    onward = (velocity > 0.0) | ((velocity == 0.0) & (push > 0.0))
+    slowing = np.where(onward, push - dry, push + dry) * inverse_mass
+    end = velocity + slowing * time
+    way = 0.5 * (velocity + end) * time
+    stops = ~np.where(onward, end >= 0.0, end <= 0.0)
+    if not stops.any():
+        return end, way
+    stop = -velocity / np.where(stops, slowing, 1.0)
+    left = time - stop
+    beyond = np.where(push > dry, push - dry, np.where(push < -dry, push + dry, 0.0))
+    turned = beyond * inverse_mass * left
+    return np.where(stops, turned, end), np.where(stops, 0.5 * (velocity * stop + turned * left), way)
+
+
 def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval) -> Covariance:
     """P <- F P F' + Q.
 
@@ -155,13 +186,18 @@ def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over
     n11 = r11 - g * (n12 + s * n13 + v * n14 + a * n15)
     n00 = r00 + half * (r01 + n01)
     rate, reversal, bias, coulomb, viscous, mass = noise
-    # The speed gained where the reference reverses, falling with the distance from it.
-    squared = gained * gained
-    near = squared * (squared / (before * before + after * after + TINY))
-    rate = rate * time + reversal * near
+    # The speed gained where the reference reverses, falling with the distance from it. What is then wrong with the
+    # rate moves the error for the rest of the interval: the very next sample tells of it.
+    squared, begun, ended = gained * gained, before * before, after * after + TINY
+    total = begun + ended
+    rest = time * (ended / total)
+    jump = reversal * (squared * (squared / total))
+    moved = rest * jump
+    rate = rate * time
     moving = s * s * time
     return (
-        n00, n01, n02, n03, n04, n05, n11 + rate, n12, n13, n14, n15, p22 + bias * time, p23, p24, p25,
+        n00 + rest * moved, n01 + moved, n02, n03, n04, n05, n11 + jump + rate, n12, n13, n14, n15,
+        p22 + bias * time, p23, p24, p25,
         p33 + coulomb * moving, p34, p35, p44 + viscous * moving, p45, p55 + mass * moving,
     )  # fmt: skip
 

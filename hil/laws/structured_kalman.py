@@ -6,7 +6,10 @@ State per axis: [e, ė, d0, theta1, theta2, theta3], error and disturbance
 
 Every regressor is the reference's mean over the interval in which a force acted, by the samples' own time stamps. The
 Coulomb term therefore switches on the reference's reversal, not on the measured speed, and needs no time to be found
-again; theta3 carries the error of the mass. Kalman filter: e.g. Simon, Optimal State Estimation (2006), section 5.1.
+again; theta3 carries the error of the mass. What the filter expects of the next sample follows set-valued friction all
+the same: an axis that sticks, before it first moves or where it reverses slowly, says nothing of the disturbance beyond
+that friction holds, and a filter that expects it to move would learn a bias that is not there. Kalman filter: e.g.
+Simon, Optimal State Estimation (2006), section 5.1.
 
 The covariance depends on the reference and on which samples came, never on what they say: plants that share both share
 one covariance. The arithmetic is in hil/laws/structured_filter.py.
@@ -25,11 +28,13 @@ from hil.laws.structured_filter import (
     mean_sign_over,
     move,
     predict,
+    slide,
     update,
 )
-from hil.number import Number, bounded, select
+from hil.number import Number, at_least, bounded, select
 
-PRIOR_SPEED = 1e-3  # m/s, standard deviation at the start, at rest
+# Standard deviations at the start, at rest: m/s; of gravity and dry friction; of dry friction; of the force limit.
+PRIOR_SPEED, BIAS_PART, DRY_PART, SMALL_PART = 1e-3, 0.1, 1.0, 0.05
 
 
 class Memory(NamedTuple):
@@ -94,9 +99,11 @@ class StructuredKalman(Law):
         noises = (acceleration_noise, reversal_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
         self._noise = tuple(noise * noise for noise in noises)
         self._measurement = measurement_noise * measurement_noise
-        # What the model may be wrong by before anything is known: a third of the force limit, half the mass.
-        third, half = force_limit / 3.0, 0.5 * model.mass
-        prior = (measurement_noise, PRIOR_SPEED, third, third, third, half)
+        # What the model may be wrong by before anything is known. What holds an axis still looks like friction until it
+        # has moved both ways: bias must not be believed beyond what gravity or the drive's offset can be.
+        bias = BIAS_PART * (abs(model.gravity) + model.coulomb)
+        dry = DRY_PART * model.coulomb + SMALL_PART * force_limit
+        prior = (measurement_noise, PRIOR_SPEED, bias, dry, abs(model.viscous) + model.mass, 0.5 * model.mass)
         self._prior = diagonal(*(value * value for value in prior))
         self._bounds: Disturbance = (force_limit, force_limit, force_limit, 0.9 * model.mass)
         self.reset(model.mass - model.mass, model.gravity)
@@ -152,15 +159,16 @@ class StructuredKalman(Law):
         model, inverse_mass, sample = self._model, self._inverse_mass, inputs.sample
         q1, v1 = sample.position, sample.velocity
         past = interval(model.mass, model.coulomb + d[1], inputs.sample_interval, q0, v0, q1, v1)
-        _, _, _, _, s, v, a, stuck, _ = past
-        net = force_before - self._friction(s, v) - force_of(d, s, v, a) - stuck
-        error, rate = move(error, rate, net, inverse_mass, past)
+        time, moved, _, _, _, v, a, _, _ = past
+        bias, dry, wet, inertia = d
+        push = force_before - self._friction(0.0, v) - (bias + wet * v + inertia * a)
+        end, way = slide(rate + v0, push, at_least(model.coulomb + dry, 0.0), time, inverse_mass)
+        error, rate = error + (way - moved), end - v1
         covariance = predict(covariance, self._noise, inverse_mass, past)
         covariance, (k0, k1, k2, k3, k4, k5) = update(covariance, self._measurement, inputs.fresh)
         innovation = (inputs.position - q1) - error
         error = error + k0 * innovation
         rate = rate + k1 * innovation
-        bias, dry, wet, inertia = d
         limit, dry_limit, wet_limit, inertia_limit = self._bounds
         d = (
             bounded(bias + k2 * innovation, limit),
