@@ -69,7 +69,7 @@ class ControlCycle:
         self.commands = CommandDesk()
         self.inputs = [blank_inputs(()) for _ in range(n)]
         resolution = [axis.encoder_resolution for axis in axes]
-        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, stamped=self.protocol.stamped)
+        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns)
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         speed = [axis.limits.speed for axis in axes]
         self._stop = DampedStop(self.models, speed, period, rig.safety.stop_s)

@@ -14,8 +14,6 @@ from hil.laws.base import LawInputs
 
 LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
 LATENCY_STEP_NS = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
-DELAY_SPREAD_NS = 100_000  # an estimated sampling delay this far above the usual is the answer's, not the sample's
-DELAY_LEAK_NS = 200  # per tick, by which the usual delay may grow
 LONGEST_PERIODS = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged all the same
 
 
@@ -27,19 +25,17 @@ class SampleClock:
     """
 
     __slots__ = (
-        "_average", "_inputs", "_period_ns", "_resolution", "_stamped", "_trusted", "_trusted_ns", "_usual_delay",
+        "_average", "_inputs", "_period_ns", "_resolution", "_trusted", "_trusted_ns",
         "instant", "known", "latency", "stretch",
     )  # fmt: skip
 
-    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int, *, stamped: bool) -> None:
+    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int) -> None:
         self._inputs = inputs
         self._resolution = resolution
         self._period_ns = period_ns
-        self._stamped = stamped
         self.instant = self.latency = self._average = 0
         self.known = False  # the latency
         self.stretch = 1.0
-        self._usual_delay = 0  # lower envelope of estimated delays
         self._trusted, self._trusted_ns = 0.0, 0  # last believed position, m, and its instant
 
     def take(self, axis: int, sample: Sample, sent_ns: int, monitor: FaultMonitor, *, tracked: bool) -> bool:
@@ -48,8 +44,6 @@ class SampleClock:
         """
         x, period = self._inputs, self._period_ns
         delay = sample.stamp_ns - sent_ns
-        if not self._stamped:
-            delay = self._believable(delay)
         self._learn(delay)
         instant = sent_ns + delay
         position = sample.position * self._resolution
@@ -86,14 +80,6 @@ class SampleClock:
         if not -LATENCY_STEP_NS <= average - self.latency <= LATENCY_STEP_NS:
             self.latency = average
 
-    def _believable(self, delay: int) -> int:
-        """An estimated sampling delay (ns), unless the answer was merely held up on its way: then the usual one."""
-        usual = self._usual_delay
-        if not self.known or delay < usual:
-            usual = delay
-        self._usual_delay = usual + DELAY_LEAK_NS
-        return usual if delay > usual + DELAY_SPREAD_NS else delay
-
 
 class Sampling:
     """The sample clocks of all axes.
@@ -102,14 +88,10 @@ class Sampling:
     interval. tracked: there is a position to start from.
     """
 
-    def __init__(
-        self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int, *, stamped: bool
-    ) -> None:
+    def __init__(self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int) -> None:
         self._inputs = list(inputs)
         self._inbox = inbox
-        self.clocks = [
-            SampleClock(x, r, period_ns, stamped=stamped) for x, r in zip(self._inputs, resolution, strict=True)
-        ]
+        self.clocks = [SampleClock(x, r, period_ns) for x, r in zip(self._inputs, resolution, strict=True)]
         self.instants = [0] * len(self.clocks)
         self.starts = [0] * len(self.clocks)
         self.tracked = False

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.bus import open_port
+from drivers.protocols.base import DriveStatus
 from hil.config import RigConfig, load_rig
+from hil.faults import Fault
 from hil.state_machine import State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
@@ -79,6 +81,9 @@ def emulated(overrides: Sequence[str] = ()) -> Iterator[Emulator]:
         emulator.stop()
 
 
+STALLED = (Fault.ENCODER_LOST, Fault.ENCODER_DEAD, Fault.OVERRUN_LONG, Fault.DRIVE_WATCHDOG)
+
+
 class Control:
     """A `hil run` process. `wrap`: Python to run before it, in the same process."""
 
@@ -107,9 +112,12 @@ class Control:
         return self.process.returncode, out, err
 
     def wait_for(self, state: State, reader: RingReader | None = None) -> RingReader:
-        """Until the newest record shows `state`; fails with the process' words if it ends before."""
+        """Until the newest record shows `state`; fails with the process' words if it ends before.
+
+        On the way to READY, silence of a stage that this machine did not let run is reset, as an operator would.
+        """
         limit = time.monotonic() + PATIENCE_S
-        newest = None
+        newest = fault = counted = None
         while time.monotonic() < limit:
             if self.process.poll() is not None:
                 raise AssertionError(f"hil run ended with {self.finish()}")
@@ -119,11 +127,16 @@ class Control:
                     if reader.pid != self.process.pid:
                         reader = None
             if reader is not None and len(batch := reader.read().records):
-                newest = State(int(batch["state"][-1]))
+                last = batch[-1]
+                newest, fault = State(int(last["state"])), Fault(int(last["fault"]))
+                counted = {name: last[name].tolist() for name in ("age_ticks", "drive_status", "rejects", "port")}
                 if newest is state:
                     return reader
+                tripped = int(np.bitwise_or.reduce(last["drive_status"])) & DriveStatus.WATCHDOG
+                if state is State.READY and (fault in STALLED or tripped):
+                    order(CommandKind.RESET)
             time.sleep(0.005)
-        raise AssertionError(f"no {state.name} within {PATIENCE_S} s; last seen {newest}")
+        raise AssertionError(f"no {state.name} within {PATIENCE_S} s; last seen {newest!r}, {fault!r}, {counted}")
 
 
 def order(kind: CommandKind) -> None:

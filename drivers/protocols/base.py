@@ -91,7 +91,6 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     fd: bool
-    stamped: bool  # samples carry the drive's own time; else `stamp_ns` is the trigger's echo or estimated from answers
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
 
     def decode(self, frame: Frame) -> Sample | Reject:

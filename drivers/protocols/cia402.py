@@ -113,7 +113,6 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     fd = False
-    stamped = True
     echo_id: int | None = cia301.SYNC_ID
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], period_ns: int = 1_000_000) -> None:

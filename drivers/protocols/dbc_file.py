@@ -151,7 +151,6 @@ class DbcLayout:
         self._reset = [self._bound(item) for item in binding.reset]
         self._echo = [self._bound(item) for item in binding.feedback_counter]
         self._counters = [self._bound(item) for item in binding.command_counter]
-        self.stamped = True
         self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
         commands = [bound.message for bound in [*self._torque, *self._enable, *self._reset, *self._counters]]
         self._commands = sorted(dict.fromkeys(commands), key=lambda message: _arbitration(message.can_id))

@@ -36,7 +36,6 @@ class _Layout:
     name = "stage_classic"
     sequence_modulus = SEQUENCE_MODULUS
     fd = False
-    stamped = True
     echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

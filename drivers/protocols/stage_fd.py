@@ -35,7 +35,6 @@ class _Layout:
     name = "stage_fd"
     sequence_modulus = SEQUENCE_MODULUS
     fd = True
-    stamped = True
     echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
