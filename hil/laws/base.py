@@ -94,13 +94,18 @@ class Law(ABC):
     ways give bit-identical results: only element-wise IEEE operations (+ - * / sqrt, minimum, maximum, where, abs), no
     BLAS, no transcendental function, no reduction whose order depends on memory layout.
 
-    coupled: it looks at all axes at once and takes arrays alone. denominator_floors: how often a denominator was held
+    coupled: it looks at all axes at once and takes arrays alone. told_of_learning: a force learnt beside it
+    (hil/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of `stiffness` (N/m) and
+    `damping` (N s/m). denominator_floors: how often a denominator was held
     at its floor.
     """
 
     name: str
     GAINS: ClassVar[dict[str, Any]]
     coupled: bool = False
+    told_of_learning: bool = False
+    stiffness: Number = 0.0
+    damping: Number = 0.0
     denominator_floors: int = 0
 
     @abstractmethod

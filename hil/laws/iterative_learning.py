@@ -28,11 +28,13 @@ class IterativeLearning(Law):
     u(i) <- u(i) - g (M a + learning_kd v + learning_kp e), where e, v, a are the error, its rate and its acceleration
     in the interval i in which u(i) acted, and g = learning_rate / (1 + learning_decay j) in repeat j, so that late
     repeats average noise. learning_kp: N/m and learning_kd: N s/m, of the inner loop (make_law
-    takes the inner law's kp and kd). learning_inertia: fraction of M. Best around a law without an observer of its own:
-    an observer that answers the same error makes learning slow, or unstable.
+    takes the inner law's kp and kd). learning_inertia: fraction of M.
 
-    The inner law never sees the learnt force: its observer would take it for a disturbance and undo it. The learnt
-    force stays within half the force limit and is not changed in ticks with missing samples or a force at its limit.
+    Most inner laws never see the learnt force: an observer that only adds what is missing would take it for a
+    disturbance and undo it. A filter that predicts where the axis will be must be told of all that moves it, or it takes
+    the learnt force for errors of its model, and both diverge together; what it feeds forward then leaves the learning
+    only what the model cannot say (Law.told_of_learning). The learnt force stays within half the force limit and is not
+    changed in ticks with missing samples or a force at its limit.
     """
 
     name = "iterative-learning"
@@ -66,8 +68,9 @@ class IterativeLearning(Law):
         self._limit = force_limit
         # Weights of e(i-1), e(i), e(i+1), e(i+2) for the interval from sample i to i+1.
         inertia = learning_inertia * model.mass / (2.0 * period * period)
-        damping = learning_kd * (1.0 / period)
-        stiffness = learning_kp * 0.5
+        told = inner.told_of_learning
+        damping = (inner.damping if told else learning_kd) * (1.0 / period)
+        stiffness = (inner.stiffness if told else learning_kp) * 0.5
         self._weights = (inertia, stiffness - damping - inertia, stiffness + damping - inertia, inertia)
         self.coupled = inner.coupled
         self.reset(model.mass - model.mass, model.mass - model.mass)
@@ -86,7 +89,8 @@ class IterativeLearning(Law):
         tick = (inputs.task_ns - self._from_ns + self._period_ns // 2) // self._period_ns
         self._learn(inputs, tick)
         last, before = inputs.force_last, inputs.force_before
-        inputs.force_last, inputs.force_before = last - self._last, before - self._before
+        if not self._inner.told_of_learning:
+            inputs.force_last, inputs.force_before = last - self._last, before - self._before
         try:
             asked = self._inner.force(inputs)
         finally:

@@ -59,6 +59,7 @@ class StructuredKalman(Law):
     """
 
     name = "structured-kalman"
+    told_of_learning = True
     GAINS: ClassVar[dict[str, Any]] = {
         "kp": None,
         "kd": None,
@@ -92,8 +93,8 @@ class StructuredKalman(Law):
         measurement_noise: Number = 29e-9,
     ) -> None:
         omega = bandwidth * (1.0 / period)
-        self._kp = model.mass * (omega * omega) if kp is None else kp
-        self._kd = model.mass * (2.0 * damping * omega) if kd is None else kd
+        self.stiffness = model.mass * (omega * omega) if kp is None else kp
+        self.damping = model.mass * (2.0 * damping * omega) if kd is None else kd
         self._model, self._period = model, period
         self._inverse_mass = 1.0 / model.mass
         noises = (acceleration_noise, reversal_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
@@ -151,7 +152,7 @@ class StructuredKalman(Law):
         s, _, _ = mean_sign_over(start.velocity, inputs.end.velocity, self._period, mass, coulomb)
         v, a = inputs.mean_velocity, inputs.mean_acceleration
         known = mass * a + stuck + self._friction(s, v) + force_of(d, s, v, a)
-        return known - self._kp * error - self._kd * rate
+        return known - self.stiffness * error - self.damping * rate
 
     def _correct(self, inputs: LawInputs, force_before: Number) -> tuple[Number, Number, Disturbance]:
         """Predict to the newest sample and learn from it: error, its rate and the disturbance there."""
