@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import Frame
+from drivers.frame import ECHO, Frame
 from drivers.wire import Wire
 from drivers.wire_faults import Random, WireFault
 from hil.config import RigConfig
@@ -68,6 +68,7 @@ class LockstepRun:
         for fault in wire_faults:
             self.wire.inject(fault)
         self.received: list[Frame] = []  # by the host since the last tick
+        self._echo_id = self.cycle.protocol.echo_id
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
         self._axis_nodes = {name: self.wire.attach(name, None, fifo=False) for name in rig.axis_names}
@@ -85,6 +86,8 @@ class LockstepRun:
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
     def _to_drives(self, frame: Frame) -> None:
+        if frame.can_id == self._echo_id:
+            self.received.append(frame._replace(flags=frame.flags | ECHO))
         answers = self.stage.on_frame(frame)
         for answer in answers:
             self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
