@@ -8,7 +8,7 @@ from hil.faults import Fault
 from hil.state_machine import State
 from hil.tick import CommandKind
 from tests.vm import links
-from tests.vm.live import LiveRig, live_rig
+from tests.vm.live import UNHURRIED, LiveRig, live_rig
 from tests.vm.ports import port_on
 from tests.vm.relay import RelayingAdapter
 
@@ -33,7 +33,7 @@ def controller_state(adapter: RelayingAdapter) -> str:
     return str(links.details(adapter.name)["linkinfo"]["info_data"]["state"])
 
 
-def stays_in_fault(rig: LiveRig, ticks: int = 50) -> None:
+def stays_in_fault(rig: LiveRig, ticks: int = 20) -> None:
     """Not a frame reaches the drives, no state but FAULT is seen, no drive applies any force."""
     before = rig.stage()["commands"]
     assert set(rig.wait_ticks(ticks)["state"]) == {State.FAULT}
@@ -63,7 +63,7 @@ def never_active_since(rig: LiveRig, tick: int) -> bool:
 
 
 def test_bus_off_ends_torque_and_only_the_operator_arms_it_again(adapter: RelayingAdapter, vcan: str) -> None:
-    with live_rig(adapter.name, "bus.protocol=stage_classic", "rate_hz=50", stage_channel=vcan) as rig:
+    with live_rig(adapter.name, "bus.protocol=stage_classic", *UNHURRIED, stage_channel=vcan) as rig:
         goes_off(rig, adapter)
         off = len(rig.records())
 

@@ -16,7 +16,7 @@ from hil.config import load_rig
 from hil.install import network_files
 from hil.state_machine import State
 from tests.vm import links
-from tests.vm.live import RIGS, assert_closed_loop, live_rig
+from tests.vm.live import RIGS, UNHURRIED, assert_closed_loop, live_rig
 from tests.vm.ports import drained_until, port_on, receive
 
 pytestmark = pytest.mark.controller
@@ -143,7 +143,7 @@ def test_the_whole_loop_runs_over_two_controllers_as_installed(stage_elsewhere: 
     assert (found["linkinfo"]["info_data"]["bittiming"]["bitrate"], found["txqlen"]) == (500_000, 4)
 
     prefix = ("ip", "netns", "exec", stage_elsewhere)
-    with live_rig("can0", *CLASSIC, stage_prefix=prefix, stage_channel="can1") as rig:
+    with live_rig("can0", *CLASSIC, *UNHURRIED, stage_prefix=prefix, stage_channel="can1") as rig:
         assert_closed_loop(rig)
         rig.activate()
         links.ip("link", "set", "can0", "down")

@@ -101,6 +101,6 @@ def test_section_2_one_rig_file_is_edited_and_the_loop_closes():
 
 def test_real_time_is_granted_without_root_and_the_journal_says_so():
     journal = MICROSCOPE.control.journal
-    assert re.search(r"hil run: microscope at 50 Hz on vcan0", journal), journal
+    assert re.search(r"hil run: microscope at 20 Hz on vcan0", journal), journal
     assert "SCHED_FIFO" in journal
     assert "refused" not in journal, "priority, memory and DMA latency are granted to the service's own user"

@@ -177,7 +177,7 @@ def test_section_7_a_fault_is_read():
         {"NAME": STAGE.name, "RIG": str(STAGE.file)},
         {
             "systemctl status": says('Status: "FAULT'),
-            "journalctl": says(f"hil run: stage at 50 Hz on {CHANNEL}"),
+            "journalctl": says(f"hil run: stage at 20 Hz on {CHANNEL}"),
             "hil monitor": CtrlC("INTERFACE_DOWN"),
             "hil blackbox": says("nothing to save"),  # the sidecar has recorded everything
         },

@@ -14,6 +14,7 @@ NEWER = "99.0"
 
 
 def test_section_8_update_and_removal():
+    STAGE.activate()
     before, pid = STAGE.file.read_text(), STAGE.control.pid
     recordings = set(Path("/var/lib/hil").rglob("*.mcap"))
     assert recordings
