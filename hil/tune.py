@@ -281,9 +281,9 @@ def tune(
     gains = rounded(found)
     _show(console, rig, rows)
     tuned = rig.law.model_copy(update={"name": name, "gains": {}, "tuned": {name: gains}})
-    refuse_unstable(rig.model_copy(update={"law": tuned}))
     for key, values in gains.items():
         console.print(f"{key} = {values}")
+    refuse_unstable(rig.model_copy(update={"law": tuned}))
     if not dry_run:
         settings = " ".join(f"--set {text}" for text in overrides or ())
         note = f"hil tune --law {name} --population {population} --generations {generations} --seed {seed} {settings}"

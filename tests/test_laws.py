@@ -380,3 +380,19 @@ def test_structured_kalman_inside_learning_meets_what_neither_meets_alone() -> N
     )
     for axis in ("x", "y"):
         assert both.axes[axis]["max_error"] < min(0.5e-6, 0.5 * alone.axes[axis]["max_error"])
+<<<<<<< HEAD
+
+
+def test_learnt_friction_never_drives_the_axis() -> None:
+    """A frictionless axis under a model that believes in friction: what is learnt ends at minus the model's."""
+    controller: Any = law("structured-kalman")
+    controller.reset(np.zeros(2), GRAVITY)
+    scene, force, lowest = Scene(400), np.zeros(2), np.zeros(2)
+    for k in range(400):
+        inputs = scene.inputs(k, (force, force))
+        inputs.position = inputs.sample.position * 1.5  # runs ahead of any force given
+        force = np.asarray(controller.force(inputs)).clip(-LIMIT, LIMIT)
+        lowest = np.minimum(lowest, controller._memory.disturbance[1])
+    assert np.array_equal(lowest, -controller._model.coulomb)
+=======
+>>>>>>> a6d47f5bfbf2902191e21e78afb2fc63cbe0a480

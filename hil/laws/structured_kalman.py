@@ -163,7 +163,7 @@ class StructuredKalman(Law):
         time, moved, _, _, _, v, a, _, _ = past
         bias, dry, wet, inertia = d
         push = force_before - self._friction(0.0, v) - (bias + wet * v + inertia * a)
-        end, way = slide(rate + v0, push, at_least(model.coulomb + dry, 0.0), time, inverse_mass)
+        end, way = slide(rate + v0, push, model.coulomb + dry, time, inverse_mass)
         error, rate = error + (way - moved), end - v1
         covariance = predict(covariance, self._noise, inverse_mass, past)
         covariance, (k0, k1, k2, k3, k4, k5) = update(covariance, self._measurement, inputs.fresh)
@@ -173,7 +173,7 @@ class StructuredKalman(Law):
         limit, dry_limit, wet_limit, inertia_limit = self._bounds
         d = (
             bounded(bias + k2 * innovation, limit),
-            bounded(dry + k3 * innovation, dry_limit),
+            at_least(bounded(dry + k3 * innovation, dry_limit), -model.coulomb),  # friction never drives
             bounded(wet + k4 * innovation, wet_limit),
             bounded(inertia + k5 * innovation, inertia_limit),
         )
