@@ -380,7 +380,6 @@ def test_structured_kalman_inside_learning_meets_what_neither_meets_alone() -> N
     )
     for axis in ("x", "y"):
         assert both.axes[axis]["max_error"] < min(0.5e-6, 0.5 * alone.axes[axis]["max_error"])
-<<<<<<< HEAD
 
 
 def test_learnt_friction_never_drives_the_axis() -> None:
@@ -394,5 +393,3 @@ def test_learnt_friction_never_drives_the_axis() -> None:
         force = np.asarray(controller.force(inputs)).clip(-LIMIT, LIMIT)
         lowest = np.minimum(lowest, controller._memory.disturbance[1])
     assert np.array_equal(lowest, -controller._model.coulomb)
-=======
->>>>>>> a6d47f5bfbf2902191e21e78afb2fc63cbe0a480

@@ -31,17 +31,10 @@ class IterativeLearning(Law):
     takes the inner law's kp and kd). learning_inertia: fraction of M.
 
     Most inner laws never see the learnt force: an observer that only adds what is missing would take it for a
-<<<<<<< HEAD
     disturbance and undo it. A filter that predicts where the axis will be must be told of all that moves it, or it
     takes the learnt force for errors of its model, and both diverge together; what it feeds forward then leaves the
     learning only what the model cannot say (Law.told_of_learning). The learnt force stays within half the force limit
     and is not changed in ticks with missing samples or a force at its limit.
-=======
-    disturbance and undo it. A filter that predicts where the axis will be must be told of all that moves it, or it takes
-    the learnt force for errors of its model, and both diverge together; what it feeds forward then leaves the learning
-    only what the model cannot say (Law.told_of_learning). The learnt force stays within half the force limit and is not
-    changed in ticks with missing samples or a force at its limit.
->>>>>>> a6d47f5bfbf2902191e21e78afb2fc63cbe0a480
     """
 
     name = "iterative-learning"
