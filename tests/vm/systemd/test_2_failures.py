@@ -87,7 +87,7 @@ def test_a_can_device_that_is_removed_and_added_stops_and_starts_the_service():
 
 def test_a_bad_rig_file_ends_with_78_and_no_restart_loop():
     good = RIG.file.read_text()
-    RIG.file.write_text(good.replace("rate_hz = 50", "rate_hz = -50"))
+    RIG.edit({"^rate_hz = .*$": "rate_hz = -50"})
     sh(f"systemctl reset-failed; systemctl restart '{RIG.control}'", ok=False)
     fails_for_good(EX_CONFIG)
     assert "rate_hz" in RIG.control.journal, "the journal names the key"
