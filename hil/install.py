@@ -336,7 +336,8 @@ def uninstall(
     """Remove what `hil install` put in place; recordings in /var/lib/hil always stay."""
     try:
         if root == Path("/") and Path("/run/systemd/system").is_dir():
-            subprocess.run(["systemctl", "stop", "hil.target"], check=False)
+            # disabled too: systemctl's own link for the next boot is in no manifest
+            subprocess.run(["systemctl", "disable", "--quiet", "--now", "hil.target"], check=False)
         left = uninstall_all(root, purge=purge)
     except (InstallError, OSError) as error:
         _fail(error)
