@@ -33,9 +33,7 @@ def test_section_8_update_and_removal():
     def removed(output: str) -> None:
         assert not Path("/usr/bin/hil").exists()
         units = Path("/etc/systemd/system")
-        assert not [path for path in units.rglob("hil*") if path.is_symlink()], (
-            "nothing starts it, at boot or otherwise"
-        )
+        assert not [path for path in units.rglob("hil*") if path.is_symlink()], "nothing starts it any more"
         assert not list(units.glob(f"hil-*@{STAGE.name}.*"))
         assert not list(Path("/etc/systemd/network").glob("80-hil-*"))
         assert STAGE.file.read_text() == before, "the rig file is the user's"
