@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.frame import FD, Frame
+from drivers.frame import ECHO, FD, Frame
 from drivers.protocols.base import DriveStatus, Sample
 from drivers.wire_faults import FaultKind, WireFault
 from hil.faults import Fault, Reaction
@@ -204,7 +204,7 @@ def _forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
     def step(run: LockstepRun, axis: int, k: int) -> None:
         sender = _axis_name(run, axis)
         for frame in list(run.received):
-            if k < ticks and run.stage.sender_of(frame) == sender:
+            if k < ticks and not frame.flags & ECHO and run.stage.sender_of(frame) == sender:
                 run.received.append(make(frame))
                 break
 
