@@ -77,7 +77,7 @@ class ControlCycle:
 
         self.fault = Fault.NONE  # the one that latched
         self.sent_sequence = -1
-        self._silent = False  # R4: nothing is sent until a reset
+        self.silent = False  # R4: nothing is sent until a reset
         self._reset_ticks = 0
         self._ready_ticks = 0
         self._waited_for_enable = 0
@@ -165,7 +165,7 @@ class ControlCycle:
     def _latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:
         if self.fault is Fault.NONE:
             self.fault = fault
-        self._silent = self._silent or reaction is Reaction.SILENT
+        self.silent = self.silent or reaction is Reaction.SILENT
         self._handle(Event.FAULT_ZERO if reaction >= Reaction.ZERO else Event.FAULT_STOP, tick)
 
     def _operate(self, event: Event, tick: Tick) -> bool:
@@ -206,7 +206,7 @@ class ControlCycle:
             self._enabled_seen = False
 
     def _reconnect(self, *, reset: bool) -> None:
-        self._silent = False
+        self.silent = False
         self.sampling.restart()
         self._ready_ticks = 0
         self._reset_ticks = RESET_TICKS if reset else 0
@@ -284,7 +284,7 @@ class ControlCycle:
         self._requested = self._zero
         for x in self.inputs:
             x.force_before = x.force_last
-        if self._silent or (state in SILENT_STATES and before in SILENT_STATES):
+        if self.silent or (state in SILENT_STATES and before in SILENT_STATES):
             gate.cut()
             self._mark(GATE)
             self._remember_force(tick)

@@ -117,6 +117,7 @@ class ControlLoop:
         self._stages = (0, 0, 0, 0, 0)
         self._cpu_mark_ns = self._cpu_ns = 0
         self._told: State | None = None
+        self._silent = self._recall_due = False
         self._next_rebind = 0
         self._chores = self._plan_chores(rig.period_ns)
         self._chore_ticks = max(self._chores) + 1
@@ -174,6 +175,9 @@ class ControlLoop:
         self._complete()
         self._ring.append(result.record)
         self._measure(began, sending, clock(), sent_ns)
+        if self._cycle.silent is not self._silent:
+            self._silent = self._recall_due = self._cycle.silent
+            self._recall()
         chore = self._chores.get(self.ticks % self._chore_ticks)
         if chore is not None:
             chore()
@@ -224,8 +228,22 @@ class ControlLoop:
         self.ledger.take_stock(self.pacer.sleeps)
         self._timing.note_usage(self.ledger.total_run_delay_ns, self.parts.claim.collector_runs[0])
 
+    def _recall(self) -> None:
+        """The bus is to stay silent: what still waits for the wire must not move a drive that gets its power back.
+
+        Tried until it works. An interface that is down holds nothing; a controller in bus-off would be restarted by
+        this, which is for the operator's reset.
+        """
+        state = self._port.counters().state
+        if state is BusState.DOWN:
+            self._recall_due = False
+        elif self._recall_due and state is not BusState.BUS_OFF:
+            self._recall_due = not self._port.purge()
+            self._port.rebind()
+
     def _recover_bus(self) -> None:
         """Look once a second for an interface that is gone; nothing moves meanwhile, so a slow call does no harm."""
+        self._recall()
         if self._port.counters().state is not BusState.DOWN or self._cycle.state in TORQUE_STATES:
             return
         if self.ticks >= self._next_rebind:

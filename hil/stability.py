@@ -102,7 +102,9 @@ class StabilityReport:
 
 
 class _Loop:
-    """Filter and law as in the cycle, around m a = force - (what the reference needs); plant i pulsed on axis i."""
+    """Filter and law as in the cycle, around m a = force - (what the reference needs); plants (n_axes + 1, n_axes): one
+    to pulse on each axis, the last is left alone.
+    """
 
     def __init__(self, rig: RigConfig, model: Model, plant_gain: float) -> None:
         n = model.mass.size
@@ -113,7 +115,7 @@ class _Loop:
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
         plain = rig.law.model_copy(update={"iterative_learning": False})
         self._law = make_law(plain, model, self._period, limit)
-        self._inputs: LawInputs = blank_inputs((n, n))
+        self._inputs: LawInputs = blank_inputs((n + 1, n))
         self._inputs.fresh = np.ones(n)
         self._inputs.sample_interval = self._inputs.ahead = np.full(n, self._period)
         self._speed = np.full(n, CRUISE)
@@ -122,11 +124,11 @@ class _Loop:
         self._needed = (
             model.coulomb + model.viscous * self._speed + model.quadratic * (self._speed * self._speed) + model.gravity
         )  # N, friction along the reference
-        self._error, self._rate = np.zeros((n, n)), np.zeros((n, n))
-        self._net = [np.zeros((n, n)) for _ in range(2)]  # force less what the reference needs: last, before
+        self._error, self._rate = np.zeros((n + 1, n)), np.zeros((n + 1, n))
+        self._net = [np.zeros((n + 1, n)) for _ in range(2)]  # force less what the reference needs: last, before
         self._index = 0
-        self._filter.reseed(np.zeros((n, n)))
-        self._law.reset(np.zeros((n, n)), model.gravity)
+        self._filter.reseed(np.zeros((n + 1, n)))
+        self._law.reset(np.zeros((n + 1, n)), model.gravity)
 
     def _reference(self) -> None:
         inputs, k = self._inputs, self._index
@@ -167,21 +169,27 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple
     """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, n_axes).
 
     The motion is the true error moved on by one period at its rate: a force that alternates from tick to tick shows in
-    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one.
+    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one. Both
+    less those of a loop without the pulse: an integrator or an observer that has not settled yet still moves.
     """
     model = rig_model(rig)
     n = model.mass.size
     loop = _Loop(rig, model, plant_gain)
-    quiet = np.zeros((n, n))
+    quiet, pulse = np.zeros((n + 1, n)), PULSE * np.eye(n + 1, n)
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
         answer, motion = np.empty((ticks, n)), np.empty((ticks, n))
-        pulse = PULSE * np.eye(n)
         for k in range(ticks):
-            answer[k] = np.diagonal(loop.step(pulse if k == 0 else quiet)) / PULSE
-            motion[k] = np.diagonal(loop.motion()) / PULSE
+            answer[k] = _answer(loop.step(pulse if k == 0 else quiet))
+            motion[k] = _answer(loop.motion())
     return answer, motion
+
+
+def _answer(errors: Array) -> Array:
+    """Of every pulsed plant on its own axis, beyond the plant left alone, in pulses."""
+    beyond: Array = (np.diagonal(errors[:-1]) - errors[-1]) / PULSE
+    return beyond
 
 
 def realise_poles(answer: Array) -> list[complex]:

@@ -182,7 +182,7 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     ),
     (
         "R4 goes on sending",
-        lambda m: m.setattr(ControlCycle, "_silent", NOT_SILENT, raising=False),
+        lambda m: m.setattr(ControlCycle, "silent", NOT_SILENT, raising=False),
         "bus-off",
         ON_THE_WAY,
         "silence",

@@ -1,16 +1,95 @@
-"""The loop's helpers: who lost a slot, has the rig file changed, what systemd is told."""
+"""The loop: what becomes of torque that waits for the wire; who lost a slot, has the rig file changed, what systemd is
+told.
+"""
 
 import os
 import socket
 import time
+from pathlib import Path
 
 import pytest
 
+from drivers.bus import BusState, Port
+from drivers.frame import ERROR, Frame
+from drivers.frame_bytes import to_bytes
+from hil import daemon
+from hil.config import load_rig
+from hil.faults import Fault
 from hil.loop import MissLedger
 from hil.notify import Notifier
 from hil.watched_file import WatchedFile
+from tests.test_bus import Cable
 
+PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 PERIOD = 1_000_000
+NO_ACK = to_bytes(Frame(ERROR | 0x020, bytes(8)))
+BUS_OFF = to_bytes(Frame(ERROR | 0x040, bytes(8)))
+
+
+class UnpoweredDrives:
+    """Media of a bus where nobody acknowledges: what is sent waits; each frame earns an `answer`."""
+
+    def __init__(self, answer: bytes, purges: list[bool]) -> None:
+        self.answer = answer
+        self.purges = purges  # what the coming recalls will say
+        self.waiting: list[bytes] = []
+        self.recalls = 0
+
+    def open(self) -> Cable:
+        drives, (near, far) = self, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+        class Medium(Cable):
+            def transmit(self, packet: bytes) -> bool:
+                drives.waiting.append(packet)
+                far.send(drives.answer)
+                return True
+
+            def purge(self) -> bool:
+                drives.recalls += 1
+                done = drives.purges.pop(0) if drives.purges else True
+                if done:
+                    drives.waiting.clear()
+                return done
+
+        return Medium(near, far)
+
+
+def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int):
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(
+        daemon, "open_port", lambda *_, fd, **__: Port(drives.open, fd=fd, receive_limit=32), raising=True
+    )
+    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
+    with daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), time.monotonic_ns) as loop:
+        loop.pacer.start()
+        for _ in range(ticks):
+            loop._tick()
+            loop.ticks += 1
+        loop.parts.ring.close()
+        loop.parts.timing.finish()
+    return loop
+
+
+def test_commands_that_nobody_acknowledged_are_recalled_before_the_drives_get_power(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(NO_ACK, purges=[])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=10)
+    assert loop.parts.cycle.fault is Fault.NO_ACK
+    assert (drives.recalls, drives.waiting) == (1, [])
+
+
+def test_a_recall_that_failed_is_tried_until_nothing_waits(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(NO_ACK, purges=[False, False])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)
+    assert loop.parts.cycle.fault is Fault.NO_ACK
+    assert (drives.recalls, drives.waiting) == (3, [])
+
+
+def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(BUS_OFF, purges=[])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)
+    assert loop.parts.cycle.fault is Fault.BUS_OFF
+    assert loop.parts.port.counters().state is BusState.BUS_OFF
+    assert drives.recalls == 0
 
 
 @pytest.fixture
