@@ -78,6 +78,18 @@ def test_gain_margin_is_where_the_loop_turns_unstable() -> None:
     assert not np.abs(outside[-100:, 0]).max() < 1e3
 
 
+def test_a_law_that_has_not_settled_yet_has_its_margin_all_the_same() -> None:
+    """A slow integrator still takes up friction when the pulse comes; that is no part of the loop's answer."""
+    slow, plain = (
+        check_stability(load_rig(RIG, changes)).axes["x"]
+        for changes in (
+            ["law.name=pid", "law.gains.kp=1400", "law.gains.kd=8", "law.gains.ki=3000"],
+            ["law.gains.kp=1400", "law.gains.kd=8"],
+        )
+    )
+    assert slow.gain_margin == pytest.approx(plain.gain_margin, rel=0.02)
+
+
 @pytest.mark.parametrize("law", ["pd-feedforward", "structured-kalman"])
 def test_the_rigs_own_laws_pass(law: str) -> None:
     refuse_unstable(load_rig(RIG, [f"law.name={law}"]))
