@@ -2,7 +2,7 @@
 
 A plant's error here equals that of `hil sim` on a rig file with the same [plant], bit for bit, unless a fault stops
 the single run: filter, setpoints, law, force limits, encoder rounding, the command's 32-bit force and the stage are the
-same objects, called in the same order. All plants share the task, the sampling instants and the start at rest.
+same code, called in the same order. All plants share the task, the sampling instants and the start at rest.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ class BatchRun:
     law: instead of the rig file's; its gains may differ from plant to plant, (plants, n_axes).
 
     error: true position less setpoint at the samples' instant of the latest tick (m). force: let out in it (N).
-    Both (plants, n_axes), reused by the next tick.
+    Both (plants, n_axes); the next tick writes into the error's array.
     """
 
     def __init__(self, rig: RigConfig, truth: Truth, law: Law | None = None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
-from drivers.protocols.base import DriveStatus, HostProtocol
+from drivers.protocols.base import UNHEALTHY, DriveStatus, HostProtocol
 from hil.belief import axis_limits, blank_inputs, force_limits, rig_model
 from hil.commands import CommandDesk
 from hil.config import RigConfig
@@ -35,7 +35,7 @@ from hil.trajectories import make_trajectory, task_repeat
 _FILTER_STATE = attrgetter("position", "velocity", "disturbance", "innovation")  # in the record's order
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
 ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
-ENABLED, UNHEALTHY = int(DriveStatus.ENABLED), int(DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT)
+ENABLED, UNWELL = int(DriveStatus.ENABLED), int(UNHEALTHY)  # flags' own operators are slow
 
 
 class ControlCycle:
@@ -247,7 +247,7 @@ class ControlCycle:
 
     def _await_axes(self, tick: Tick) -> None:
         samples = self.inbox.samples
-        healthy = all(self.inbox.fresh) and not any(s is None or s.status & UNHEALTHY for s in samples)
+        healthy = all(self.inbox.fresh) and not any(s is None or s.status & UNWELL for s in samples)
         self._ready_ticks = self._ready_ticks + 1 if healthy and tick.port.state <= BusState.ERROR_PASSIVE else 0
         if self._ready_ticks >= self.rig.safety.ready_ticks:
             self._handle(Event.AXES_READY, tick)

@@ -43,9 +43,8 @@ class SampleClock:
         `tracked` there is nothing to hold it against.
         """
         x, period = self._inputs, self._period_ns
-        delay = sample.stamp_ns - sent_ns
-        self._learn(delay)
-        instant = sent_ns + delay
+        instant = sample.stamp_ns
+        self._learn(instant - sent_ns)
         position = sample.position * self._resolution
         if tracked:
             elapsed = min(max(instant - self.instant, 0), LONGEST_PERIODS * period)

@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 from typer import Exit
 
+from drivers.protocols.base import DriveStatus
 from hil.config import RigConfig
 from hil.monitor import dashboard
 from hil.monitor.plots import tracking_picture
@@ -34,6 +35,7 @@ def status(**changes: Any) -> pb.Status:
         "setpoint": [0.001234, -0.02],
         "max_error": [5.67e-7, 3e-5],
         "force": [0.5, -0.001],
+        "drive_status": [DriveStatus.ENABLED, DriveStatus.ENABLED],
         "lateness_p50": 22e-6,
         "lateness_p99": 35e-6,
         "lateness_max": 410e-6,
@@ -62,6 +64,7 @@ def test_the_view_names_state_axes_lateness_losses_and_real_time() -> None:
         "-20.000000 mrad",
         "30 µrad",
         "+0.5000 N",
+        "enabled",
         "p50 22 / p99 35 / max 410 µs",
         "0 own, 2 the host's",
         "1234 sent, 4936 received; 3 samples lost, 1 frames rejected",
@@ -84,6 +87,11 @@ def test_the_view_names_state_axes_lateness_losses_and_real_time() -> None:
 def test_what_went_wrong_is_said_in_every_form(changes: dict[str, Any], expected: str) -> None:
     assert expected in shown(status(**changes))
     assert expected in line(status(**changes))
+
+
+def test_a_drive_that_keeps_the_rig_from_ready_says_why() -> None:
+    text = shown(status(state="CONNECTED", drive_status=[DriveStatus.BRAKE, DriveStatus.WATCHDOG | DriveStatus.BRAKE]))
+    assert "watchdog brake" in text
 
 
 def test_a_status_without_any_tick_is_shown_too() -> None:

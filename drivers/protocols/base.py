@@ -19,6 +19,9 @@ class DriveStatus(IntFlag):
     ENCODER_FAULT = 1 << 6  # its position cannot be trusted
 
 
+UNHEALTHY = DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT  # with any of these no rig gets READY
+
+
 class Reject(IntEnum):
     """Why a received frame carries no sample. Each reason has a counter."""
 

@@ -11,6 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.sim import metres
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
@@ -37,11 +38,19 @@ def control_line(status: pb.Status) -> Text:
     return text
 
 
+def drive_words(bits: int) -> Text:
+    """What a drive says of itself. In red what keeps the rig from READY."""
+    text = Text()
+    for flag in DriveStatus(bits):
+        text.append(f"{(flag.name or '').lower().replace('_', ' ')} ", style="bold red" if flag & UNHEALTHY else "")
+    return text
+
+
 def axis_rows(status: pb.Status) -> Table:
-    """Per axis: where it is, where it should be, the largest error of the last second, the force."""
-    table = Table("axis", "position", "setpoint", "max error, last s", "force", expand=True)
+    """Per axis: where it is, where it should be, the largest error of the last second, the force, the drive's word."""
+    table = Table("axis", "position", "setpoint", "max error, last s", "force", "drive", expand=True)
     columns = (status.axes, status.units, status.position, status.setpoint, status.max_error, status.force)
-    for name, unit, position, setpoint, error, force in zip(*columns, strict=False):
+    for name, unit, position, setpoint, error, force, drive in zip(*columns, status.drive_status, strict=False):
         kind = "linear" if unit == "m" else "rotary"
         scale, prefix = (1e3, "m")
         table.add_row(
@@ -50,6 +59,7 @@ def axis_rows(status: pb.Status) -> Table:
             f"{setpoint * scale:+.6f} {prefix}{unit}",
             metres(error, kind),
             f"{force:+.4f} {'N' if unit == 'm' else 'N m'}",
+            drive_words(drive),
         )
     return table
 

@@ -58,6 +58,7 @@ class Window:
         status.position.extend(last["position"][:n].tolist())
         status.setpoint.extend(last["setpoint_position"][:n].tolist())
         status.force.extend(last["force"][:n].tolist())
+        status.drive_status.extend(last["drive_status"][:n].tolist())
         status.max_error.extend(np.max([batch.max(axis=0) for batch in self._errors], axis=0).tolist())
         lateness = np.concatenate(self._lateness) * 1e-9
         status.lateness_p50, status.lateness_p99 = np.percentile(lateness, (50, 99)).tolist()
