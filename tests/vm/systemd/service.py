@@ -161,6 +161,11 @@ class Rig(NamedTuple):
         """
         eventually(lambda: self.shows(state) or (self.order("reset") and self.shows(state)), state)
 
+    def recover(self) -> None:
+        """A reset, where it has fallen into FAULT meanwhile."""
+        if self.shows("FAULT"):
+            self.order("reset")
+
     def to_ready(self) -> None:
         """To READY."""
         self.reset_to("READY")

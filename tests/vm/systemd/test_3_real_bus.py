@@ -145,7 +145,7 @@ def test_section_5_first_power_up(request):
             "candump": CtrlC("100 .*BE EF", lambda: sh(somebody)),  # the drives wait to be spoken to
             "systemctl start hil.target": everything_answers,
             "systemctl status": nothing_is_enabled,
-            "hil monitor": CtrlC("READY"),
+            "hil monitor": CtrlC("READY", STAGE.recover),
             "hil command RIG estop": lambda _: STAGE.wait_for("ESTOP"),
             "hil command RIG reset": ready_again,
             "hil check": says("stable"),
