@@ -91,7 +91,7 @@ def test_section_2_one_rig_file_is_edited_and_the_loop_closes():
             "hil check": says("stable"),
             "systemctl start": started,
             "systemctl status": status_is_shown,
-            "hil monitor": CtrlC(until="READY"),
+            "hil monitor": CtrlC("READY", MICROSCOPE.recover),
             "hil command /etc/hil/rigs/microscope.toml activate": the_loop_is_closed,
             "hil command /etc/hil/rigs/microscope.toml stop": lambda _: MICROSCOPE.to_ready(),
             "systemctl stop": everything_has_ended,
