@@ -3,6 +3,7 @@
 Every run is the full path (protocol, wire, drives, plant, cycle) of `hil sim`.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -11,7 +12,8 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from hil.config import RigError, load_rig
+from hil.compare_report import comparison_table, draw, summary_table
+from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
@@ -23,13 +25,8 @@ CORNERS = {
     "heavy, sticky": ["plant.mass_scale=1.2", "plant.friction_scale=1.3"],
 }
 OFF_GRID = 0.3  # of a period
-DISTURBED = {
-    "jitter 50 us": ["wire.jitter=50e-6"],
-    "1 % lost": ["wire.drop_probability=0.01"],
-    "ripple": ["plant.ripple_amplitude=0.05", "plant.ripple_period=0.05"],
-    "stribeck": ["plant.stribeck_scale=0.2"],
-    "off grid": [],  # the phase depends on rate and frequency
-}
+RIPPLE, RIPPLE_PERIOD = 0.01, 0.05  # of the force limit; m, where the rig file has no ripple of its own
+WIDTH = 130  # characters of a table that goes to a file
 
 
 class Case(NamedTuple):
@@ -51,14 +48,54 @@ def law_overrides(law: str) -> list[str]:
     return [f"law.name={name}"] + (["law.iterative_learning=true"] if law.endswith(LEARNING) else [])
 
 
-def run_case(case: Case) -> dict[str, Any]:
-    """One row: law, corner, rate_hz, axes.<name>.{max_error, rms_error, peak_force, chatter}, state, faults."""
-    from hil.lockstep import simulate
+def disturbances(rig: RigConfig) -> dict[str, list[str]]:
+    """Overrides by name: what a real stage does beside its corners. Reversals off the grid: for figures alone."""
+    ripple = [RIPPLE * axis.limits.force for axis in rig.axes.values()]
+    own = any(value > 0.0 for value in _listed(rig.plant.ripple_amplitude))
+    found = {
+        "jitter 50 us": ["wire.jitter=50e-6"],
+        "1 % lost": ["wire.drop_probability=0.01"],
+        "ripple": [f"plant.ripple_amplitude={ripple}"] + ([] if own else [f"plant.ripple_period={RIPPLE_PERIOD}"]),
+        "stribeck": ["plant.stribeck_scale=0.2"],
+    }
+    if rig.task.kind in ("circle", "lissajous"):
+        phase = rig.task.phase - 2.0 * math.pi * rig.task.frequency_hz * OFF_GRID / rig.rate_hz
+        found["off grid"] = [f"task.phase={phase!r}"]
+    return found
 
-    path = Path(case.rig)
-    rig = load_rig(path, [*case.overrides, *law_overrides(case.law), f"rate_hz={case.rate_hz!r}"])
+
+def _listed(value: Any) -> list[float]:
+    return list(value) if isinstance(value, list) else [value]
+
+
+def case_rig(case: Case) -> RigConfig:
+    """The rig of a case. Gains found at the rig's own rate are scaled to another by their units (N/m with its square
+    and so on), as `hil tune` would begin there.
+    """
+    rig = load_rig(case.rig, [*case.overrides, *law_overrides(case.law)])
+    if case.rate_hz == rig.rate_hz:
+        return rig
+    from hil.tune_bench import at_rate
+
+    gains = at_rate(rig, rig.law.name, rig.law.effective_gains(), case.rate_hz)
+    law = rig.law.model_copy(update={"gains": gains})
+    return rig.model_copy(update={"law": law, "rate_hz": case.rate_hz})
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """One row: law, corner, rate_hz, axes.<name>.{max_error, rms_error, peak_force, chatter}, state, faults, refused
+    (why `hil run` would not start it; empty: it would).
+    """
+    from hil.lockstep import simulate
+    from hil.stability import refuse_unstable
+
+    rig, refused = case_rig(case), []
     try:
-        report, _ = simulate(rig, path.parent, case.seconds)
+        refuse_unstable(rig)
+    except RigError as error:
+        refused = error.problems
+    try:
+        report, _ = simulate(rig, Path(case.rig).parent, case.seconds)
     except ValueError as error:
         raise RigError([f"{case.law}: {error}"]) from None
     return {
@@ -68,6 +105,7 @@ def run_case(case: Case) -> dict[str, Any]:
         "axes": report.axes,
         "state": report.state,
         "faults": report.faults,
+        "refused": refused,
     }
 
 
@@ -79,58 +117,69 @@ def cases(
     rig = load_rig(path, overrides)
     chosen = dict(CORNERS) if corners else {"nominal": CORNERS["nominal"]}
     if disturbed:
-        chosen |= DISTURBED
+        chosen |= disturbances(rig)
     found = []
     for law in laws:
         law_overrides(law)  # a wrong name is told before anything runs
-        for name, extra in chosen.items():
-            changes = [*overrides, *extra]
-            if name == "off grid":
-                phase = rig.task.phase - 6.283185307179586 * rig.task.frequency_hz * OFF_GRID / rig.rate_hz
-                changes.append(f"task.phase={phase!r}")
-            found.append(Case(str(path), law, name, rig.rate_hz, changes, seconds))
+        found += [
+            Case(str(path), law, name, rig.rate_hz, [*overrides, *extra], seconds) for name, extra in chosen.items()
+        ]
         found += [
             Case(str(path), law, "nominal", rate, list(overrides), seconds) for rate in rates if rate != rig.rate_hz
         ]
     return found
 
 
+def _numbers(text: str) -> list[float]:
+    try:
+        rates = [float(rate) for rate in text.split(",") if rate.strip()]
+    except ValueError:
+        raise RigError([f"--rates {text}: expected numbers (Hz) separated by commas"]) from None
+    for rate in rates:
+        if not 10.0 <= rate <= 10_000.0:
+            raise RigError([f"--rates {text}: {rate:g} Hz is outside 10 to 10000 Hz"])
+    return rates
+
+
 def compare(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
     laws: Annotated[str, typer.Option(help=f"comma-separated; X{LEARNING} is X inside iterative learning")] = "",
     corners: Annotated[bool, typer.Option("--corners", help="five corners of mass and friction")] = False,
-    disturbed: Annotated[bool, typer.Option("--disturbed", help="jitter, loss, ripple, Stribeck, off-grid")] = False,
-    rates: Annotated[str, typer.Option(help="further rates, Hz, comma-separated")] = "",
+    disturbed: Annotated[
+        bool, typer.Option("--disturbed/--undisturbed", help="jitter, loss, ripple, Stribeck, reversals off the grid")
+    ] = True,
+    rates: Annotated[str, typer.Option(help="further rates, Hz, comma-separated; gains scale with them")] = "",
     velocity: Annotated[bool, typer.Option("--velocity", help="velocity estimators instead of laws")] = False,
     seconds: Annotated[float, typer.Option(min=1.0, help="virtual time of each run")] = 20.0,
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    picture: Annotated[Path, typer.Option(help="where to draw it (PNG)")] = Path("runs/compare.png"),
+    picture: Annotated[Path | None, typer.Option(help="where to draw it (PNG) [default: runs/RIG-compare.png]")] = None,
     json_target: Annotated[str, typer.Option("--json", help="write the rows there; - for standard output")] = "",
 ) -> None:
-    """All control laws (or velocity estimators) on the same task; a table, a picture, and JSON."""
+    """All control laws (or velocity estimators) on the same task; tables, a picture, and JSON."""
     from rich.console import Console
 
     from hil.sim import write_json
 
     console = Console(stderr=json_target == "-")
+    if not console.is_terminal:
+        console = Console(stderr=json_target == "-", width=WIDTH)
     changes = list(overrides or ())
+    rig = load_rig(rig_file, changes)
     if velocity:
         from hil.velocity import compare_velocity, velocity_table
 
-        rows = compare_velocity(load_rig(rig_file, changes), rig_file.parent, seconds)
-        console.print(velocity_table(rows))
+        rows = compare_velocity(rig, rig_file.parent, seconds)
+        console.print(velocity_table(rig, rows))
     else:
         chosen = [name.strip() for name in laws.split(",") if name.strip()] or list(LAWS)
-        try:
-            further = [float(rate) for rate in rates.split(",") if rate.strip()]
-        except ValueError:
-            raise RigError([f"--rates {rates}: expected numbers (Hz) separated by commas"]) from None
-        work = cases(rig_file, chosen, changes, further, corners, disturbed, seconds)
+        work = cases(rig_file, chosen, changes, _numbers(rates), corners, disturbed, seconds)
         rows = run_all(work, workers or os.cpu_count() or 1, console)
-        _show(console, rows)
-        draw(picture, rows)
-        console.print(f"picture: {picture}")
+        console.print(comparison_table(rig, rows))
+        console.print(summary_table(rig, rows))
+        target = picture or Path("runs") / f"{rig.name}-compare.png"
+        draw(target, rig, rows)
+        console.print(f"picture: {target}")
     if json_target:
         write_json({"rows": rows}, json_target)
 
@@ -139,58 +188,8 @@ def run_all(work: Sequence[Case], workers: int, console: Any) -> list[dict[str, 
     """Rows in the order of the cases, with a progress bar."""
     from rich.progress import track
 
+    note = f"{len(work)} runs"
     if workers == 1 or len(work) == 1:
-        return [run_case(case) for case in track(work, console=console, transient=True)]
+        return [run_case(case) for case in track(work, note, console=console, transient=True)]
     with ProcessPoolExecutor(workers) as pool:
-        return list(track(pool.map(run_case, work), total=len(work), console=console, transient=True))
-
-
-def _show(console: Any, rows: Sequence[dict[str, Any]]) -> None:
-    from rich.table import Table
-
-    from hil.sim import metres
-
-    table = Table("law", "corner", "rate", "axis", "max error", "RMS error", "peak force", "chatter", "ended")
-    for row in rows:
-        for axis, figures in row["axes"].items():
-            table.add_row(
-                row["law"],
-                row["corner"],
-                f"{row['rate_hz']:g} Hz",
-                axis,
-                metres(figures["max_error"]),
-                metres(figures["rms_error"]),
-                f"{figures['peak_force']:.3g}",
-                f"{figures['chatter']:.3g}",
-                row["state"],
-            )
-    console.print(table)
-
-
-def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Largest error of every law; one marker per corner, rate or disturbance, one panel per axis (PNG)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    laws = list(dict.fromkeys(row["law"] for row in rows))
-    axes = list(rows[0]["axes"])
-    figure, panels = pyplot.subplots(
-        1, len(axes), figsize=(5 * len(axes), 1.5 + 0.35 * len(laws)), layout="constrained", sharey=True, squeeze=False
-    )
-    labels = list(dict.fromkeys(f"{row['corner']}, {row['rate_hz']:g} Hz" for row in rows))
-    for panel, axis in zip(panels[0], axes, strict=True):
-        for label in labels:
-            chosen = [row for row in rows if f"{row['corner']}, {row['rate_hz']:g} Hz" == label]
-            errors = [row["axes"][axis]["max_error"] * 1e6 for row in chosen]
-            panel.plot(errors, [laws.index(row["law"]) for row in chosen], "o", label=label, alpha=0.7)
-        panel.set_xscale("log")
-        panel.set_xlabel(f"largest error on {axis}, µm (µrad)")
-        panel.grid(alpha=0.3)
-    panels[0][0].set_yticks(range(len(laws)), laws)
-    panels[0][0].invert_yaxis()
-    panels[0][-1].legend(fontsize=7)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+        return list(track(pool.map(run_case, work), note, total=len(work), console=console, transient=True))

@@ -141,12 +141,12 @@ class Rehearsal:
             instants[tick, lost] = instants[tick - 1, lost] + period
         return instants
 
-    def run(self, law: str, gains: Mapping[str, Array]) -> Figures:
-        """gains: (candidates,) each. Figures (candidates, trials)."""
+    def run(self, law: str, gains: Mapping[str, Array], fixed: Mapping[str, Any] | None = None) -> Figures:
+        """gains: (candidates,) each; fixed: words, and what all candidates share. Figures (candidates, trials)."""
         candidates = next(iter(gains.values())).size
         shape = (candidates, len(self._truths), 1)
         columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
-        each = LAWS[law](self.model, self._period, self.limit, **columns)
+        each = LAWS[law](self.model, self._period, self.limit, **columns, **(fixed or {}))
         return _Run(self, each, _Plants(self, candidates), shape).figures()
 
 

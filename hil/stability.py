@@ -218,7 +218,7 @@ def margins(answer: Array) -> tuple[float | None, float | None, float | None]:
     size = np.abs(loop)
     unity = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) <= 0)
     angles = np.abs(np.degrees(np.angle(-loop[unity])))
-    up, down = factors[factors > 1.0], factors[factors < 1.0]
+    up, down = factors[factors > 1.0], factors[(factors > 0.0) & (factors < 1.0)]
     return (
         float(up.min()) if up.size else None,
         float(down.max()) if down.size else None,
@@ -306,12 +306,13 @@ def _finite_difference_rates(rig: RigConfig) -> list[float | None]:
     return [finite_difference_lowest_rate(*values) for values in zip(masses, kp, kd, strict=True)]
 
 
-def check_stability(rig: RigConfig, *, lowest_rate: bool = False) -> StabilityReport:
+def check_stability(rig: RigConfig, *, lowest_rate: bool = False, ticks: int = ANSWER) -> StabilityReport:
     """Poles and margins of every axis of the rig's sampled loop; lowest_rate: also search the lowest stable rates.
+    ticks: of the answer, at least REALISED; the more, the finer the frequencies at which margins are taken.
 
     Raises ValueError where the law cannot be made from its gains.
     """
-    answer, motion = pulse_response(rig, ANSWER)
+    answer, motion = pulse_response(rig, ticks)
     rates: list[float | None] = [*_lowest_rates(rig)] if lowest_rate else [None] * len(rig.axes)
     differences = _finite_difference_rates(rig) if lowest_rate else rates
     axes = {}

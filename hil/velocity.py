@@ -210,12 +210,13 @@ def compare_velocity(rig: RigConfig, base_dir: Path, seconds: float) -> list[dic
     return rows
 
 
-def velocity_table(rows: list[dict[str, Any]]) -> Any:
-    """RMS errors in um/s."""
+def velocity_table(rig: RigConfig, rows: list[dict[str, Any]]) -> Any:
+    """RMS errors in um/s (urad/s)."""
     from rich.table import Table
 
-    names = list(rows[0]["axes"])
-    table = Table("estimator", *(f"{name}, RMS µm/s" for name in names), title="velocity error at the sample")
+    table = Table("estimator", title=f"{rig.name}, {rig.law.name}: error of the velocity at the sample, RMS")
+    for name, axis in rig.axes.items():
+        table.add_column(f"{name}, {'µm/s' if axis.kind == 'linear' else 'µrad/s'}", justify="right")
     for row in rows:
-        table.add_row(row["estimator"], *(f"{row['axes'][name]['rms_error'] * 1e6:.0f}" for name in names))
+        table.add_row(row["estimator"], *(f"{row['axes'][name]['rms_error'] * 1e6:.3g}" for name in rig.axes))
     return table

@@ -20,7 +20,9 @@ RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 PERIOD = 1e-3
 LIMIT = np.array([5.0, 5.0])
 GRAVITY = np.array([0.0, 0.7])
-NAMES = [*LAWS, "learning"]
+TUNED = load_rig(RIGS / "paper.toml").law.tuned
+WITH_TUNED = ", gains of paper.toml"
+NAMES = [*LAWS, "learning", *(name + WITH_TUNED for name in TUNED)]
 
 
 def model(gravity: Array = GRAVITY) -> Model:
@@ -33,10 +35,15 @@ def model(gravity: Array = GRAVITY) -> Model:
     )
 
 
+def configured(name: str, **gains: Any) -> LawConfig:
+    if name == "learning":
+        return LawConfig(gains=gains, iterative_learning=True)
+    own = name.removesuffix(WITH_TUNED)
+    return LawConfig(name=own, gains={**(TUNED[own] if name != own else {}), **gains})
+
+
 def law(name: str, gravity: Array = GRAVITY, **gains: Any) -> Law:
-    learning = name == "learning"
-    config = LawConfig(name="pd-feedforward" if learning else name, gains=gains, iterative_learning=learning)
-    return make_law(config, model(gravity), PERIOD, LIMIT, repeat=(50_000_000, 0))
+    return make_law(configured(name, **gains), model(gravity), PERIOD, LIMIT, repeat=(50_000_000, 0))
 
 
 class Scene:
@@ -150,10 +157,8 @@ def test_a_batch_is_its_members_one_by_one(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_on_plain_floats_axis_by_axis_a_law_asks_for_the_same_bits_as_on_arrays(name: str) -> None:
-    learning = name == "learning"
-    config = LawConfig(name="pd-feedforward" if learning else name, iterative_learning=learning)
     arrays = law(name)
-    floats = make_axis_laws(config, model(), PERIOD, LIMIT, repeat=(50_000_000, 0))
+    floats = make_axis_laws(configured(name), model(), PERIOD, LIMIT, repeat=(50_000_000, 0))
     scene = Scene(150, seed=11)
     arrays.reset(scene.reference(0).position, GRAVITY)
     floats.reset(scene.reference(0).position.tolist(), GRAVITY.tolist())

@@ -1,23 +1,29 @@
 """Batches, sweeps, tuning and comparison: one arithmetic, whoever runs it."""
 
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from shutil import copy
+from typing import Any
 
 import numpy as np
 import pytest
 import tomlkit
+from rich.console import Console
 from typer.testing import CliRunner
 
 from hil.batch import BatchRun
 from hil.cli import build_app
-from hil.compare import LEARNING, cases, run_case
+from hil.compare import LEARNING, case_rig, cases, disturbances, run_case
+from hil.compare_report import comparison_table, draw, summary_table, worst_of
 from hil.config import RigError, load_rig
 from hil.invariants import Invariants
 from hil.lockstep import LockstepRun, simulate
 from hil.rehearsal import Rehearsal, Trial
+from hil.stability import check_stability, refuse_unstable
 from hil.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
-from hil.tune import SPACE, Bench, front, knob_scale, rounded, search, trials, write_gains
+from hil.tune import front, rounded, search, write_gains
+from hil.tune_bench import NO_MARGINS, SPACE, Bench, Margins, at_rate, knob_scale, margins_of, trials
 from sim_plant.stage import Truth
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
@@ -124,22 +130,19 @@ def test_late_and_lost_commands_in_a_rehearsal_are_those_of_the_wire() -> None:
         assert 0.5 < report.axes["x"]["rms_error"] / rehearsed[index] < 2.0
 
 
-def test_a_search_lowers_the_cost_and_never_loses_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.tune.SETTLE_S", 0.2)
-    monkeypatch.setattr("hil.tune.WINDOW_S", 0.2)
+@pytest.mark.usefixtures("short_trials")
+def test_a_search_lowers_the_cost_and_never_loses_its_start() -> None:
     rig = load_rig(PAPER, ["task.radius=0.01", "task.frequency_hz=4", "task.approach_s=0.2", "law.gains.kp=300"])
-    for axis in range(2):
-        bench = Bench(rig, "pd-feedforward", axis, [Trial("own", {}, 4.0), Trial("light", {}, 4.0, 0.8, 1.3)])
-        start = bench.point(rig.law.effective_gains())
-        before = bench.run(start[None]).cost[0]
-        best, met = search(bench, 8, 3, 1, lambda ratio: None)
-        after = bench.run(best[None]).cost[0]
-        assert after < before
-        trade = front(met)
-        assert all(one[0] < two[0] and one[1] > two[1] for one, two in pairwise(trade))
-        again, _ = search(bench, 8, 3, 1, lambda ratio: None)
-        assert np.array_equal(again, best)
-        assert rounded([bench.gains(best[None])] * 2)["kp"][0] == pytest.approx(bench.gains(best[None])["kp"][0], 1e-3)
+    bench = Bench(rig, "pd-feedforward", 1, [Trial("own", {}, 4.0), Trial("light", {}, 4.0, 0.8, 1.3)])
+    before = bench.run(bench.known()[None]).cost[0]
+    best, met = search(bench, 8, 3, 1, lambda outcome: None)
+    after = bench.run(best[None]).cost[0]
+    assert after < before
+    trade = front(met[:, :2])
+    assert all(one[0] < two[0] and one[1] > two[1] for one, two in pairwise(trade))
+    again, _ = search(bench, 8, 3, 1, lambda outcome: None)
+    assert np.array_equal(again, best)
+    assert rounded([bench.gains(best[None])] * 2)["kp"][0] == pytest.approx(bench.gains(best[None])["kp"][0], 1e-3)
 
 
 def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
@@ -154,15 +157,103 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
 def test_found_gains_go_into_the_rig_file_and_nothing_else_changes(tmp_path: Path) -> None:
     target = tmp_path / "rig.toml"
     copy(PAPER, target)
-    write_gains(target, "pd-feedforward", {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}, "found by a test")
+    write_gains(target, "magic", {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}, ["found by a test"])
     text = target.read_text()
     assert "# found by a test" in text
     for line in PAPER.read_text().splitlines():
         assert line in text
     changed = load_rig(target)
-    assert changed.law.tuned["pd-feedforward"] == {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}
+    assert changed.law.tuned["magic"] == {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}
     assert changed.plant == load_rig(PAPER).plant
-    assert tomlkit.parse(text)["law"]["tuned"]["structured-kalman"]  # type: ignore[index]
+    assert tomlkit.parse(text)["law"]["tuned"]["structured-kalman"]
+
+
+def test_found_gains_are_not_hidden_by_gains_that_were_there_before(tmp_path: Path) -> None:
+    """[law.gains] overrides what was tuned for the law that the file names."""
+    target = tmp_path / "rig.toml"
+    document = tomlkit.parse(PAPER.read_text())
+    document["law"] = {"name": "robust-pd", "gains": {"kp": 7.0, "beta": 50.0}}
+    target.write_text(tomlkit.dumps(document))
+    write_gains(target, "robust-pd", {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}, [])
+    assert load_rig(target).law.effective_gains() == {"kp": [1.0, 2.0], "kd": [0.5, 0.25], "beta": 50.0}
+    write_gains(target, "pid", {"beta": [1.0, 2.0]}, [])
+    assert load_rig(target).law.gains == {"beta": 50.0}
+
+
+SHORT = ["rate_hz=200", "task.kind=point_to_point", "task.target=[0.001, 0.001]", "task.move_s=0.5"]
+
+
+def tuned(rig_file: Path, *words: str) -> tuple[int, str]:
+    settings = [word for change in SHORT for word in ("--set", change)]
+    size = ["--population", "5", "--generations", "1"]
+    result = CliRunner().invoke(build_app("tune"), ["tune", str(rig_file), *size, *settings, *words])
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches are as long as their trials: these look at less than half a second."""
+    monkeypatch.setattr("hil.tune_bench.SETTLE_S", 0.2)
+    monkeypatch.setattr("hil.tune_bench.WINDOW_S", 0.2)
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: Path) -> None:
+    """And the rig that it writes loads, says where its gains came from, and is one that `hil run` does not refuse."""
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    words = ["--law", "pid", "--seed", "3", "--margin", "1", "--phase-margin", "0"]
+    code, output = tuned(target, *words)
+    assert code == 0, output
+    first = load_rig(target).law.tuned["pid"]
+    assert set(first) == set(SPACE["pid"])
+    assert "--law pid --population 5 --generations 1 --seed 3 --margin 1" in target.read_text()
+    assert "--set task.kind=point_to_point" in target.read_text()
+    refuse_unstable(load_rig(target, ["law.name=pid", "rate_hz=200"]))
+    write_gains(target, "pid", {"kp": [1.0, 2.0]}, ["not found by anything"])
+    tuned(target, *words)
+    assert load_rig(target).law.tuned["pid"] == first
+    assert target.read_text().count("[law.tuned.pid]") == 1
+    code, output = tuned(target, *words, "--start", "rig")
+    assert code == 0, output
+    assert "--start rig" in target.read_text()
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_gains_without_the_margins_asked_for_are_not_written(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    code, output = tuned(target, "--law", "pd-feedforward", "--margin", "20", "--phase-margin", "80")
+    assert code != 0
+    assert target.read_text() == PAPER.read_text()
+    assert "kp = [" in output  # shown all the same
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_a_candidate_pays_for_margins_it_lacks() -> None:
+    rig = load_rig(PAPER, ["law.name=pd-feedforward", *SHORT])
+    price = [
+        Bench(rig, "pd-feedforward", 0, [Trial("own", {}, 4.0)], Margins(gain_db, phase)).run(np.full((2, 2), 0.5)).cost
+        for gain_db, phase in ((0.0, 0.0), (40.0, 0.0), (0.0, 90.0))
+    ]
+    assert price[0][0] == price[0][1]
+    assert np.all(price[1] > price[0])
+    assert np.all(price[2] > price[0])
+    assert Margins(7.0, 35.0).short(Margins(6.0, 30.0)) == 0.0
+    assert NO_MARGINS.short(Margins(0.0, 0.0)) == 20.0
+
+
+def test_margins_of_candidates_are_those_of_hil_check() -> None:
+    """One axis of the rig, copied for every candidate, or the rig as it is: the same loop."""
+    rig = load_rig(PAPER, ["law.name=structured-kalman"])
+    report = check_stability(rig)
+    for index, axis in enumerate(report.axes.values()):
+        bench = Bench(rig, "structured-kalman", index, [Trial("own", {}, 4.0)])
+        gains = {key: np.array([values[index]] * 2) for key, values in rig.law.effective_gains().items()}
+        expected = margins_of(axis)
+        assert expected.gain_db > 3.0
+        for found in bench.margins(gains):
+            assert found == pytest.approx(expected, rel=0.01)
 
 
 def test_knob_scales_follow_mass_rate_and_encoder() -> None:
@@ -184,9 +275,53 @@ def test_compare_runs_every_combination_asked_for() -> None:
     row = run_case(work[0])
     assert row["law"] == "pid"
     assert row["state"] == "ACTIVE"
+    assert row["refused"] == []
     assert row["axes"]["x"]["max_error"] > 0
     with pytest.raises(RigError, match="the laws are"):
         cases(PAPER, ["magic"], [], [], corners=False, disturbed=False, seconds=1.0)
+
+
+def test_at_another_rate_gains_are_what_their_unit_makes_of_them() -> None:
+    """A stiffness of 1 kHz would shake the axis at 250 Hz; gains without a unit of time stay."""
+    changes = ["law.name=pid", "law.gains.kp=1600", "law.gains.kd=8", "law.gains.ki=[320, 640]"]
+    rig = load_rig(PAPER, changes)
+    scaled = at_rate(rig, "pid", rig.law.effective_gains(), 250.0)
+    assert scaled == {"kp": [100.0] * 2, "kd": [2.0] * 2, "ki": [5.0, 10.0]}
+    for law in rig.law.tuned:
+        (_, slow) = cases(PAPER, [law], [], [250.0], corners=False, disturbed=False, seconds=1.0)
+        refuse_unstable(case_rig(slow))
+
+
+def test_disturbances_fit_the_rig() -> None:
+    assert disturbances(load_rig(PAPER))["ripple"] == [
+        "plant.ripple_amplitude=[0.05, 0.05]",
+        "plant.ripple_period=0.05",
+    ]
+    microscope = RIGS / "microscope.toml"
+    for law, extra in disturbances(load_rig(microscope)).items():
+        assert load_rig(microscope, extra), law
+    assert "off grid" not in disturbances(load_rig(microscope))
+
+
+def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None:
+    rig = load_rig(PAPER)
+
+    def row(law: str, corner: str, largest: float, state: str = "ACTIVE") -> dict[str, Any]:
+        figures = {"max_error": largest, "rms_error": largest / 2, "peak_force": 1.0, "chatter": 0.1}
+        axes = {"x": figures, "y": figures}
+        base = {"law": law, "corner": corner, "rate_hz": 1000.0, "axes": axes, "state": state, "faults": {}}
+        return {**base, "refused": ["unstable"] if state == "FAULT" else []}
+
+    rows = [row("pid", "nominal", 2e-6), row("pid", "ripple", float("nan"), "FAULT"), row("pid", "stribeck", 9e-6)]
+    assert worst_of(rows, "x")["corner"] == "ripple"
+    console = Console(width=130, record=True, file=StringIO())
+    console.print(comparison_table(rig, rows), summary_table(rig, rows))
+    text = console.export_text()
+    assert "2 / 2" in text
+    assert "FAULT, unstable: hil run refuses" in text
+    assert "(ripple)" in text
+    draw(tmp_path / "c.png", rig, rows)
+    assert (tmp_path / "c.png").stat().st_size > 1000
 
 
 def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
@@ -205,6 +340,7 @@ def test_compare_on_the_command_line_writes_rows(tmp_path: Path) -> None:
         build_app("compare"),
         [
             *("compare", str(PAPER), "--laws", "pid", "--seconds", "1", "--json", str(target)),
+            "--undisturbed",
             *(*settings, "--picture", str(tmp_path / "c.png"), "--workers", "1"),
         ],
     )

@@ -13,7 +13,7 @@ from hil.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.laws.pd_feedforward import PdFeedforward
 from hil.laws.per_axis import Coupled, PerAxis
 from hil.laws.pid import Pid
-from hil.laws.robust_pd import RobustPd
+from hil.laws.robust_pd import AlphaBracketsPd, FilteredErrorPd, RobustPd
 from hil.laws.sliding_mode import SlidingMode
 from hil.laws.slotine_li import SlotineLi
 from hil.laws.structured_kalman import StructuredKalman
@@ -27,6 +27,8 @@ LAWS: dict[str, type[Law]] = {
     for law in (
         PdFeedforward,
         RobustPd,
+        FilteredErrorPd,
+        AlphaBracketsPd,
         Pid,
         ComputedTorque,
         SlidingMode,

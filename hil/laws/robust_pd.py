@@ -98,3 +98,23 @@ class RobustPd(Law):
 
     def _size(self, value: Number) -> Number:
         return root(self._squared(value)) if self.coupled else abs(value)
+
+
+class FilteredErrorPd(RobustPd):
+    """RobustPd in the reading filtered-error: a law of its own, with its own gains in a rig file."""
+
+    name = "robust-pd-filtered-error"
+    GAINS: ClassVar[dict[str, Any]] = {key: value for key, value in RobustPd.GAINS.items() if key != "reading"}
+
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        super().__init__(model, period, force_limit, reading="filtered-error", **gains)
+
+
+class AlphaBracketsPd(RobustPd):
+    """RobustPd in the reading alpha-brackets: a law of its own, with its own gains in a rig file."""
+
+    name = "robust-pd-alpha-brackets"
+    GAINS: ClassVar[dict[str, Any]] = FilteredErrorPd.GAINS
+
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        super().__init__(model, period, force_limit, reading="alpha-brackets", **gains)

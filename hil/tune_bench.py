@@ -1,0 +1,279 @@
+"""What `hil tune` searches: every law's knobs, the tasks and plants that candidates are tried on, and their price.
+
+The simulation is hil/rehearsal.py: a whole generation of candidates, times all trials, is one batch through the cycle's
+own arithmetic. The margins are those of `hil check`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.config import RigConfig
+from hil.estimation import per_axis
+from hil.laws.base import Array, Model
+from hil.rehearsal import Rehearsal, Trial
+from hil.stability import AxisStability, check_stability
+
+CORNERS = ((1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3))  # scales of mass and friction
+SETTLE_S = 4.0
+WINDOW_S = 4.0
+PLAN_FROM_S, PLAN_S, PLAN_DWELL_S = 2.0, 9.0, 0.6  # the injection plan: from the focal range on, and over
+PLAN_COUNTS = 4.0  # RMS, encoder counts
+QUIET = 0.03  # of the force limit: RMS change of force from tick to tick that costs nothing
+PER_DB = 3.0  # cost of a decibel of gain margin too few: what an error e times as large in every trial costs
+ANSWER = 1000  # ticks of the loops' answers: what a candidate is worth; the gains found are checked as by `hil check`
+DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: each as dear as the other
+
+
+class Knob(NamedTuple):
+    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass, rate, force limit and encoder."""
+
+    low: float
+    high: float
+    scale: str = "1"
+
+
+def _pd(**more: Knob) -> dict[str, Knob]:
+    return {"kp": Knob(0.01, 0.2, "m/T2"), "kd": Knob(0.1, 0.9, "m/T"), **more}
+
+
+# Near rest nu is a damping of rho^2 / epsilon.
+_ROBUST = {"alpha": Knob(1e-3, 0.2, "1/T"), "epsilon": Knob(0.05, 100.0, "T/m")}
+SPACE: dict[str, dict[str, Knob]] = {
+    "pd-feedforward": _pd(),
+    "pid": _pd(ki=Knob(1e-4, 1e-2, "m/T3")),
+    "computed-torque": _pd(sign_width=Knob(1e-4, 2e-2)),
+    "robust-pd": _pd(**_ROBUST),
+    "robust-pd-filtered-error": _pd(**_ROBUST),
+    "robust-pd-alpha-brackets": {  # alpha stands before kp and kd
+        "kp": Knob(0.02, 5.0, "m/T"),
+        "kd": Knob(0.1, 100.0, "m"),
+        "alpha": Knob(5e-3, 0.3, "1/T"),
+        "epsilon": _ROBUST["epsilon"],
+    },
+    "sliding-mode": {"rate": Knob(0.02, 0.4, "1/T"), "reach": Knob(0.02, 0.5, "F"), "layer": Knob(1e-3, 1.0)},
+    "super-twisting": {
+        "rate": Knob(0.02, 0.4, "1/T"),
+        "k1": Knob(1e-3, 1.0, "F"),
+        "k2": Knob(0.1, 100.0, "F"),
+        "linear": Knob(0.02, 0.5, "m/T"),
+        "smooth": Knob(1e-3, 1e-1),
+    },
+    "slotine-li": {
+        "rate": Knob(0.02, 0.4, "1/T"),
+        "kd": Knob(0.05, 0.5, "m/T"),
+        "mass_gain": Knob(1e-7, 1e-2),
+        "coulomb_gain": Knob(0.1, 1e3),
+        "viscous_gain": Knob(1e-3, 1e2),
+        "bias_gain": Knob(0.1, 1e3),
+    },
+    "disturbance-observer": _pd(bandwidth=Knob(0.05, 1.5, "1/T")),
+    "structured-kalman": {
+        "bandwidth": Knob(0.1, 0.45),
+        "damping": Knob(0.3, 1.4),
+        "acceleration_noise": Knob(1e-4, 30.0),
+        "reversal_noise": Knob(3e-3, 1.0),
+        "bias_noise": Knob(1e-4, 10.0),
+        "coulomb_noise": Knob(1e-4, 30.0),
+        "viscous_noise": Knob(1e-4, 10.0),
+        "mass_noise": Knob(1e-6, 1.0),
+        "measurement_noise": Knob(0.29, 3.0, "count"),
+    },
+}
+
+
+def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, resolution: float) -> Array:
+    """What a knob's number is multiplied by, (n_axes,); resolution: m per encoder count."""
+    one = np.ones_like(model.mass)
+    scale: Array = {
+        "1": one,
+        "1/T": one / period,
+        "m": model.mass * one,
+        "m/T": model.mass / period,
+        "T/m": period / model.mass,
+        "m/T2": model.mass / period**2,
+        "m/T3": model.mass / period**3,
+        "F": force_limit * one,
+        "count": resolution * one,
+    }[knob.scale]
+    return scale
+
+
+def trials(rig: RigConfig) -> list[Trial]:
+    """The rig's own task, and for figures variations of it in size, speed and kind, light and heavy plants, commands
+    late and lost: gains found on one task alone do not generalise (PAPER.md).
+    """
+    task = rig.task
+    if task.injection is not None:
+        plan = task.injection.model_copy(update={"cells": 2, "dwell_s": min(task.injection.dwell_s, PLAN_DWELL_S)})
+        return [Trial("two cells", {"injection": plan}, PLAN_COUNTS, rms=True)]
+    if task.kind not in ("circle", "lissajous"):
+        return [Trial("own task", {}, 4.0)]
+    error = 0.06  # of the force limit: what friction exceeds the model by; the paper's Delta of 0.3 N at its 5 N
+
+    def figure(size: float, speed: float, **more: Any) -> dict[str, Any]:
+        shape = {"radius": size * task.radius, "frequency_hz": speed * task.frequency_hz, "phase": 0.0}
+        return {"approach_s": min(task.approach_s, 1.0), **shape, **more}
+
+    def there_and_back(size: float, seconds: float) -> dict[str, Any]:
+        target = [size * task.radius] * len(task.axes)
+        return {"kind": "point_to_point", "target": target, "move_s": seconds, "dwell_s": 0.5}
+
+    own = figure(1.0, 1.0)
+    late = 2.0 * math.pi * task.frequency_hz * 0.3 * rig.period_ns * 1e-9
+    chosen = {
+        "own task": Trial("", own, 4.0),
+        "light, sticky": Trial("", own, 4.0, *CORNERS[2]),
+        "heavy, slippery": Trial("", own, 4.0, *CORNERS[3]),
+        "own, late commands": Trial("", own, 12.0, jitter=50e-6),
+        "own, lost commands": Trial("", own, 8.0, loss=0.01),
+        "own, off the grid": Trial("", figure(1.0, 1.0, phase=-late), 20.0),
+        "small and quick": Trial("", figure(0.001, 2.0), 7.0),
+        "small and slow": Trial("", figure(0.001, 0.4), 7.0),
+        "quick": Trial("", figure(0.1, 2.0), 7.0),
+        "slow": Trial("", figure(0.2, 0.25), 7.0),
+        "slow Lissajous": Trial("", figure(0.5, 0.5, kind="lissajous"), 7.0),
+        "long moves": Trial("", there_and_back(0.5, 1.0), 7.0),
+        "moves": Trial("", there_and_back(0.1, 1.0), 7.0),
+        "short moves": Trial("", there_and_back(0.001, 0.5), 7.0),
+    }
+    return [trial._replace(name=name, error=error) for name, trial in chosen.items()]
+
+
+def law_gains(rig: RigConfig, law: str) -> dict[str, Any]:
+    """The rig file's gains for a law; [law.gains] belongs to the law the file names."""
+    return rig.law.effective_gains() if law == rig.law.name else dict(rig.law.tuned.get(law, {}))
+
+
+class Margins(NamedTuple):
+    """Of a loop: how many decibels its gain may rise or fall, whichever is less, and degrees of phase it may lose."""
+
+    gain_db: float
+    phase_deg: float
+
+    def short(self, least: "Margins") -> float:
+        """What is missing to the least margins, in decibels; a degree counts as DB_PER_DEGREE."""
+        phase = max(least.phase_deg - self.phase_deg, 0.0) * DB_PER_DEGREE
+        return max(least.gain_db - self.gain_db, 0.0) + phase
+
+
+ANY = Margins(0.0, 0.0)
+NO_MARGINS = Margins(-20.0, 0.0)  # of an unstable loop: dearer than any error
+
+
+def margins_of(axis: AxisStability) -> Margins:
+    """Infinite where nothing is met; NO_MARGINS where the axis is unstable."""
+    if not axis.stable:
+        return NO_MARGINS
+    up, down = axis.gain_margin or math.inf, axis.gain_margin_down or 0.0
+    factor = min(up, 1.0 / down if down else math.inf)
+    phase = math.inf if axis.phase_margin_deg is None else axis.phase_margin_deg
+    return Margins(20.0 * math.log10(factor) if factor < math.inf else math.inf, phase)
+
+
+def at_rate(rig: RigConfig, law: str, gains: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
+    """Gains found at the rig's rate as they are at another: by how their unit scales with the period."""
+    n, old, new = len(rig.axes), rig.period_ns * 1e-9, 1.0 / rate_hz
+    one = Model(*(np.ones(n) for _ in Model.__slots__))
+    scaled = dict(gains)
+    for name, knob in SPACE[law].items():
+        if name in gains:
+            factor = knob_scale(knob, one, new, np.ones(n), 1.0) / knob_scale(knob, one, old, np.ones(n), 1.0)
+            scaled[name] = (per_axis(gains[name], n) * factor).tolist()
+    return scaled
+
+
+class Outcome(NamedTuple):
+    """Per candidate: error in the trial that did worst by its own measure (m), and as a multiple of what is good there;
+    chatter (N); gain margin (dB, NO_MARGINS' where unstable) and phase margin (degrees); cost.
+    """
+
+    error: Array
+    ratio: Array
+    chatter: Array
+    gain_db: Array
+    phase_deg: Array
+    cost: Array
+
+
+class Bench:
+    """Runs candidates of one law for one axis on every trial. least: margins below which candidates pay."""
+
+    def __init__(
+        self, rig: RigConfig, law: str, axis: int, chosen: Sequence[Trial] | None = None, least: Margins = ANY
+    ) -> None:
+        self.rig, self.law, self.space, self.axis = rig, law, SPACE[law], axis
+        self.trials = list(chosen or trials(rig))
+        self._least = least
+        known = law_gains(rig, law)
+        self._known = {name: value for name, value in known.items() if name in self.space}
+        self._fixed = {
+            name: value if isinstance(value, str) else float(per_axis(value, len(rig.axes))[axis])
+            for name, value in known.items()
+            if name not in self.space
+        }
+        plan = rig.task.injection is not None
+        first, seconds = (PLAN_FROM_S, PLAN_S) if plan else (SETTLE_S, SETTLE_S + WINDOW_S)
+        self._rehearsal = Rehearsal(rig, axis, self.trials, round(first * rig.rate_hz), round(seconds * rig.rate_hz), 1)
+        resolution = [*rig.axes.values()][axis].encoder_resolution
+        self._good = np.array([trial.good for trial in self.trials]) * resolution
+        self._scale = [
+            float(knob_scale(knob, self._rehearsal.model, rig.period_ns * 1e-9, self._rehearsal.limit, resolution)[0])
+            for knob in self.space.values()
+        ]
+
+    def gains(self, points: Array) -> dict[str, Array]:
+        """Gains (candidates,) of points (candidates, knobs) in the logarithmic unit cube."""
+        return {
+            name: knob.low * (knob.high / knob.low) ** points[..., index] * scale
+            for index, ((name, knob), scale) in enumerate(zip(self.space.items(), self._scale, strict=True))
+        }
+
+    def point(self, gains: Mapping[str, Any]) -> Array:
+        """The point (knobs,) of known gains (a number or one per axis); the middle where one is not given."""
+        point = np.full(len(self.space), 0.5)
+        for index, ((name, knob), scale) in enumerate(zip(self.space.items(), self._scale, strict=True)):
+            if name in gains:
+                value = per_axis(gains[name], len(self.rig.axes))[self.axis]
+                point[index] = math.log(max(float(value) / scale / knob.low, 1e-12)) / math.log(knob.high / knob.low)
+        clipped: Array = np.clip(point, 0.0, 1.0)
+        return clipped
+
+    def known(self) -> Array:
+        """The point (knobs,) of the rig file's gains for this law."""
+        return self.point(self._known)
+
+    def run(self, points: Array) -> Outcome:
+        """Every trial of every point (candidates, knobs)."""
+        gains = self.gains(points)
+        figures = self._rehearsal.run(self.law, gains, self._fixed)
+        by_rms = np.array([trial.rms for trial in self.trials])
+        errors = np.where(by_rms, figures.rms, figures.largest)
+        ratios = errors / self._good
+        worst = ratios.argmax(axis=1)
+        rows = np.arange(len(points))
+        # Noise that shakes the drives is no price for accuracy: chatter counts beyond a few per cent of the limit.
+        chatter = figures.chatter.max(axis=1)
+        loud = np.log(np.maximum(chatter / (QUIET * self._rehearsal.limit), 1.0))
+        logs = np.log(ratios)
+        margins = self.margins(gains)
+        short = np.array([PER_DB * each.short(self._least) for each in margins])
+        cost = logs.mean(axis=1) + 2.0 * logs.max(axis=1) + 2.0 * loud + short
+        gain_db, phase_deg = np.array(margins).T
+        return Outcome(errors[rows, worst], ratios[rows, worst], chatter, gain_db, phase_deg, cost)
+
+    def margins(self, gains: Mapping[str, Array]) -> list[Margins]:
+        """One per candidate: `hil check` on a rig that has one copy of the axis for every candidate."""
+        rig, count = self.rig, next(iter(gains.values())).size
+        lists = {name: values.tolist() for name, values in gains.items()}
+        law = rig.law.model_copy(update={"name": self.law, "gains": {**self._fixed, **lists}, "tuned": {}})
+        noises = ("disturbance_noise", "acceleration_noise")
+        estimator = rig.estimator.model_copy(
+            update={name: float(per_axis(getattr(rig.estimator, name), len(rig.axes))[self.axis]) for name in noises}
+        )
+        copies = dict.fromkeys((f"c{index}" for index in range(count)), [*rig.axes.values()][self.axis])
+        copied = rig.model_copy(update={"law": law, "estimator": estimator, "axes": copies})
+        report = check_stability(copied, ticks=ANSWER)
+        return [margins_of(axis) for axis in report.axes.values()]
