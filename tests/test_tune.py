@@ -331,6 +331,7 @@ def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_pat
     rows = {row["estimator"]: row["axes"]["x"]["rms_error"] for row in compare_velocity(rig, RIGS, 4.0)}
     assert rows["Kalman, constant acceleration of the error"] < 0.6 * rows["finite difference"]
     assert rows["Kalman, constant velocity of the error"] < 0.6 * rows["Kalman, constant velocity"]
+    assert rows["Kalman, structured"] < 0.6 * rows["Kalman, model, input and disturbance"]
 
 
 def test_compare_on_the_command_line_writes_rows(tmp_path: Path) -> None:

@@ -117,6 +117,11 @@ class StructuredKalman(Law):
         self._begun = False
         self._acting = zero + force  # in the interval before the newest sample
 
+    @property
+    def error_rate(self) -> Number:
+        """Rate of the error at the newest sample, estimated (m/s)."""
+        return self._memory.rate
+
     def _acted(self, inputs: LawInputs) -> tuple[Number, Number]:
         """The forces that acted before the newest sample and after it."""
         before, last = self._acting, inputs.force_last
