@@ -26,7 +26,7 @@ CORNERS = {
 }
 OFF_GRID = 0.3  # of a period
 RIPPLE, RIPPLE_PERIOD = 0.01, 0.05  # of the force limit; m, where the rig file has no ripple of its own
-WIDTH = 130  # characters of a table that goes to a file
+WIDTH, WIDTH_PER_AXIS = 50, 40  # characters of a table that goes to a file
 
 
 class Case(NamedTuple):
@@ -161,11 +161,11 @@ def compare(
 
     from hil.sim import write_json
 
-    console = Console(stderr=json_target == "-")
-    if not console.is_terminal:
-        console = Console(stderr=json_target == "-", width=WIDTH)
     changes = list(overrides or ())
     rig = load_rig(rig_file, changes)
+    console = Console(stderr=json_target == "-")
+    if not console.is_terminal:
+        console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
     if velocity:
         from hil.velocity import compare_velocity, velocity_table
 

@@ -30,9 +30,14 @@ def _units(rig: RigConfig) -> tuple[str, str]:
     )
 
 
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
 def _joined(row: Row, key: str, scale: float) -> str:
-    values = [axis[key] * scale for axis in row["axes"].values()]
-    return " / ".join(f"{value:.3g}" if math.isfinite(value) else "-" for value in values)
+    return " / ".join(_number(axis[key] * scale) for axis in row["axes"].values())
 
 
 def _ended(row: Row) -> str:
@@ -85,7 +90,7 @@ def summary_table(rig: RigConfig, rows: Sequence[Row]) -> Any:
         cells = [_joined(nominal, key, 1e6) for key in ("max_error", "rms_error")]
         for axis in rig.axis_names:
             worst = worst_of(runs, axis)
-            cells.append(f"{worst['axes'][axis]['max_error'] * 1e6:.3g} ({worst['corner']})")
+            cells.append(f"{_number(worst['axes'][axis]['max_error'] * 1e6)} ({worst['corner']})")
         table.add_row(law, *cells)
     return table
 
@@ -99,7 +104,7 @@ def draw(path: Path, rig: RigConfig, rows: Sequence[Row]) -> None:
 
     laws = list(dict.fromkeys(row["law"] for row in rows))
     labels = list(dict.fromkeys(case_name(row, rig.rate_hz) for row in rows))
-    size = (2.6 + 4.2 * len(rig.axes), 1.5 + 2 * (0.6 + 0.3 * len(laws)))
+    size = (2.6 + 4.2 * len(rig.axes), 1.5 + 2 * (0.6 + 0.42 * len(laws)))
     figure, panels = pyplot.subplots(2, len(rig.axes), figsize=size, layout="constrained", sharey=True, squeeze=False)
     for line, (key, word) in zip(panels, (("max_error", "largest"), ("rms_error", "RMS")), strict=True):
         for panel, (axis, config) in zip(line, rig.axes.items(), strict=True):
@@ -107,10 +112,14 @@ def draw(path: Path, rig: RigConfig, rows: Sequence[Row]) -> None:
                 chosen = [row for row in rows if case_name(row, rig.rate_hz) == label]
                 errors = [row["axes"][axis][key] * 1e6 for row in chosen]
                 style = {"marker": MARKERS[index % len(MARKERS)], "color": f"C{index % 10}", "alpha": 0.75}
-                panel.plot(errors, [laws.index(row["law"]) for row in chosen], linestyle="", label=label, **style)
+                above = 0.7 * (index + 0.5) / len(labels) - 0.35  # side by side, or they hide each other
+                heights = [laws.index(row["law"]) + above for row in chosen]
+                panel.plot(errors, heights, linestyle="", label=label, markersize=5, **style)
             panel.set_xscale("log")
             panel.set_xlabel(f"{word} error on {axis}, {'µm' if config.kind == 'linear' else 'µrad'}")
-            panel.grid(alpha=0.3)
+            panel.grid(alpha=0.3, axis="x")
+            for between in range(1, len(laws)):
+                panel.axhline(between - 0.5, color="0.85", linewidth=0.8)
     panels[0][0].set_yticks(range(len(laws)), laws)
     panels[0][0].invert_yaxis()
     handles, names = panels[0][0].get_legend_handles_labels()

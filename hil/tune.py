@@ -23,6 +23,7 @@ from hil.stability import check_stability
 from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of
 
 DIGITS = 4
+WIDTH = 120  # characters of a table that goes to a file
 SLACK = Margins(0.05, 0.3)  # beyond the margins asked for: the gains are rounded to DIGITS
 
 
