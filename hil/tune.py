@@ -119,11 +119,11 @@ class Found(NamedTuple):
 
 def tune_axis(
     rig: RigConfig, law: str, axis: int, size: tuple[int, int], seed: int, least: Margins, start: Start,
-    report: Callable[[Outcome], None],
+    report: Callable[[Outcome], None], only: Sequence[str] = (),
 ) -> Found:  # fmt: skip
-    """Search one axis' gains; size: candidates per generation, generations."""
+    """Search one axis' gains; size: candidates per generation, generations; only: of these knobs, all if empty."""
     wanted = Margins(*(value + slack if value else 0.0 for value, slack in zip(least, SLACK, strict=True)))
-    bench = Bench(rig, law, axis, least=wanted)
+    bench = Bench(rig, law, axis, least=wanted, only=only)
     best, met = search(bench, *size, seed, report, start)
     return Found(bench.run(np.stack([bench.known(), best])), met, bench.gains(best[None]))
 
@@ -153,6 +153,9 @@ def tune(
     seed: Annotated[int, typer.Option(min=0, help="of the search")] = 1,
     margin: Annotated[float, typer.Option(min=0.0, max=20.0, help="least gain margin, dB")] = 6.0,
     phase_margin: Annotated[float, typer.Option(min=0.0, max=80.0, help="least phase margin, degrees")] = 30.0,
+    only: Annotated[
+        str, typer.Option(help="knobs to search, comma-separated; the others stay as the file has them")
+    ] = "",
     start: Annotated[Start, typer.Option(help="where to begin: mid-range, or the rig file's gains")] = Start.MIDDLE,
     dry_run: Annotated[bool, typer.Option(help="do not write the rig file")] = False,
 ) -> None:
@@ -168,6 +171,12 @@ def tune(
     if name not in SPACE:
         raise RigError([f"--law {name}: the laws are {', '.join(SPACE)}"])
     console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    chosen = [key.strip() for key in only.split(",") if key.strip()]
+    for key in chosen:
+        if key not in SPACE[name]:
+            raise RigError([f"--only {key}: {name} has {', '.join(SPACE[name])}"])
     least = Margins(margin, phase_margin)
     found = []
     with Progress(console=console, transient=True) as bar:
@@ -178,9 +187,8 @@ def tune(
                 note = f"{name}, {axis_name}: {outcome.ratio[outcome.cost.argmin()]:.3g} times what is good"
                 bar.update(job, advance=1, description=note)
 
-            found.append(tune_axis(rig, name, axis, (population, generations), seed, least, start, report))
-    fixed = {key: value for key, value in law_gains(rig, name).items() if key not in SPACE[name]}
-    gains = {**fixed, **rounded([axis.gains for axis in found])}
+            found.append(tune_axis(rig, name, axis, (population, generations), seed, least, start, report, chosen))
+    gains = {**law_gains(rig, name), **rounded([axis.gains for axis in found])}
     _show(console, rig, found)
     for key, values in gains.items():
         console.print(f"{key} = {values}", markup=False)
@@ -189,6 +197,7 @@ def tune(
     if not dry_run:
         options = {"--law": name, "--population": population, "--generations": generations, "--seed": seed}
         options |= {"--margin": f"{margin:g}", "--phase-margin": f"{phase_margin:g}", "--start": start.value}
+        options |= {"--only": ",".join(chosen)} if chosen else {}
         words = [word for key, value in options.items() for word in (key, str(value))]
         words += [word for text in overrides or () for word in ("--set", text)]
         write_gains(rig_file, name, gains, [shlex.join(["hil", "tune", str(rig_file), *words]), _achieved(rig, found)])

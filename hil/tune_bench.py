@@ -44,7 +44,7 @@ _ROBUST = {"alpha": Knob(1e-3, 0.2, "1/T"), "epsilon": Knob(0.05, 100.0, "T/m")}
 SPACE: dict[str, dict[str, Knob]] = {
     "pd-feedforward": _pd(),
     "pid": _pd(ki=Knob(1e-4, 1e-2, "m/T3")),
-    "computed-torque": _pd(sign_width=Knob(1e-4, 2e-2)),
+    "computed-torque": _pd(sign_width=Knob(1e-3, 0.5)),  # narrower than coulomb over kd it circles at rest
     "robust-pd": _pd(**_ROBUST),
     "robust-pd-filtered-error": _pd(**_ROBUST),
     "robust-pd-alpha-brackets": {  # alpha stands before kp and kd
@@ -199,12 +199,16 @@ class Outcome(NamedTuple):
 
 
 class Bench:
-    """Runs candidates of one law for one axis on every trial. least: margins below which candidates pay."""
+    """Runs candidates of one law for one axis on every trial. least: margins below which candidates pay. only: knobs
+    to turn, all if empty; the others stay as the rig file has them.
+    """
 
     def __init__(
-        self, rig: RigConfig, law: str, axis: int, chosen: Sequence[Trial] | None = None, least: Margins = ANY
-    ) -> None:
-        self.rig, self.law, self.space, self.axis = rig, law, SPACE[law], axis
+        self, rig: RigConfig, law: str, axis: int, chosen: Sequence[Trial] | None = None, least: Margins = ANY,
+        only: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        self.rig, self.law, self.axis = rig, law, axis
+        self.space = {name: knob for name, knob in SPACE[law].items() if not only or name in only}
         self.trials = list(chosen or trials(rig))
         self._least = least
         known = law_gains(rig, law)

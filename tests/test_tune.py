@@ -220,6 +220,21 @@ def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: P
 
 
 @pytest.mark.usefixtures("short_trials")
+def test_a_search_of_some_knobs_leaves_the_others_alone(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    write_gains(target, "pid", {"kp": [40.0, 20.0], "kd": [1.0, 0.5], "ki": [123.4, 56.78]}, [])
+    code, output = tuned(target, "--law", "pid", "--margin", "1", "--phase-margin", "0", "--only", "kp,kd")
+    assert code == 0, output
+    found = load_rig(target).law.tuned["pid"]
+    assert found["ki"] == [123.4, 56.78]
+    assert found["kp"] != [40.0, 20.0]
+    assert "--only kp,kd" in target.read_text()
+    code, output = tuned(target, "--law", "pid", "--only", "kq")
+    assert code != 0
+
+
+@pytest.mark.usefixtures("short_trials")
 def test_gains_without_the_margins_asked_for_are_not_written(tmp_path: Path) -> None:
     target = tmp_path / "rig.toml"
     copy(PAPER, target)
