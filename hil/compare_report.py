@@ -58,7 +58,7 @@ def comparison_table(rig: RigConfig, rows: Sequence[Row]) -> Any:
     table.add_column("case", no_wrap=True)
     for _, label in FIGURES.values():
         table.add_column(label, no_wrap=True, justify="right")
-    table.add_column("ended")
+    table.add_column("ended", no_wrap=True)
     last = ""
     for row in rows:
         if last and row["law"] != last:

@@ -179,11 +179,24 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
-        answer, motion = np.empty((ticks, n)), np.empty((ticks, n))
+        answer, motion, alone = np.empty((3, ticks, n))
         for k in range(ticks):
-            answer[k] = _answer(loop.step(pulse if k == 0 else quiet))
+            errors = loop.step(pulse if k == 0 else quiet)
+            answer[k], alone[k] = _answer(errors), errors[-1]
             motion[k] = _answer(loop.motion())
+    unseen = _circles(alone) & (np.abs(motion).max(axis=0) < GROWN)
+    answer[:, unseen] = motion[:, unseen] = np.inf
     return answer, motion
+
+
+def _circles(error: Array) -> Array:
+    """Axes (n_axes,) whose loop moves to and fro by itself, of its errors (ticks, n_axes): a limit cycle forgets a
+    pulse as a stable loop does. Second differences, for a slow integrator may still be on its way.
+    """
+    swing = np.abs(np.diff(error, 2, axis=0))
+    quarter = max(len(swing) // 4, 1)
+    calm: Array = swing[-quarter:].max(axis=0) <= np.maximum(PULSE, DECAYED * swing[:quarter].max(axis=0))
+    return ~calm
 
 
 def _answer(errors: Array) -> Array:

@@ -90,6 +90,15 @@ def test_a_law_that_has_not_settled_yet_has_its_margin_all_the_same() -> None:
     assert slow.gain_margin == pytest.approx(plain.gain_margin, rel=0.02)
 
 
+def test_a_loop_that_circles_for_ever_is_unstable_though_it_forgets_a_pulse() -> None:
+    """Friction's sign taken over a width in which it drives more than the law damps."""
+    gains = ["law.gains.kp=1930", "law.gains.kd=6.3", "law.gains.sign_width={}"]
+    for width in (0.0451, 0.0454, 0.0457):
+        report = check_stability(load_rig(RIG, ["law.name=computed-torque", *(g.format(width) for g in gains)]))
+        assert not report.axes["x"].stable
+    assert check_stability(load_rig(RIG, ["law.name=computed-torque", *(g.format(0.002) for g in gains)])).stable
+
+
 @pytest.mark.parametrize("law", ["pd-feedforward", "structured-kalman"])
 def test_the_rigs_own_laws_pass(law: str) -> None:
     refuse_unstable(load_rig(RIG, [f"law.name={law}"]))
