@@ -189,14 +189,14 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple
     return answer, motion
 
 
-def _circles(error: Array) -> Array:
+def _circles(error: Array) -> Any:
     """Axes (n_axes,) whose loop moves to and fro by itself, of its errors (ticks, n_axes): a limit cycle forgets a
     pulse as a stable loop does. Second differences, for a slow integrator may still be on its way.
     """
     swing = np.abs(np.diff(error, 2, axis=0))
     quarter = max(len(swing) // 4, 1)
-    calm: Array = swing[-quarter:].max(axis=0) <= np.maximum(PULSE, DECAYED * swing[:quarter].max(axis=0))
-    return ~calm
+    bearable = np.maximum(PULSE, DECAYED * swing[:quarter].max(axis=0))
+    return np.logical_not(swing[-quarter:].max(axis=0) <= bearable)
 
 
 def _answer(errors: Array) -> Array:
