@@ -252,7 +252,7 @@ class Port:
         old = self._medium
         self._use(medium)
         old.close()
-        return self._counts[_STATE] is BusState.ERROR_ACTIVE
+        return self._counts[_STATE] == BusState.ERROR_ACTIVE
 
     def purge(self) -> bool:
         """Drop what waits to be sent, so that no old torque comes out when the bus recovers.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from hil.state_machine import Event
 from hil.tick import CommandKind, OperatorCommand
 
-EVENTS = {
+EVENTS: dict[int, Event] = {
     CommandKind.ACTIVATE: Event.ACTIVATE,
     CommandKind.STOP: Event.STOP,
     CommandKind.RESET: Event.RESET,

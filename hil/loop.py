@@ -253,12 +253,12 @@ class ControlLoop:
     def _after_commands(self) -> None:
         """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
         handled = self._cycle.commands.handled
-        self.stop = self.stop or any(c.kind is CommandKind.SHUTDOWN and accepted for c, accepted in handled)
+        self.stop = self.stop or any(c.kind == CommandKind.SHUTDOWN and accepted for c, accepted in handled)
 
     def _before_commands(self, commands: tuple[OperatorCommand, ...]) -> None:
         """A controller in bus-off is restarted by nobody but the operator, and without the torques it still holds."""
         if self._port.counters().state < BusState.BUS_OFF or self._cycle.state in TORQUE_STATES:
             return
-        if any(command.kind is CommandKind.RESET for command in commands):
+        if any(command.kind == CommandKind.RESET for command in commands):
             self._port.purge()
             self._port.rebind()

@@ -6,11 +6,16 @@ both the same bits.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 Number = Any  # float, or an array of float64; every function maps one kind to the same kind
+
+# np.where by a type of its own: numpy's overloads mean the one that returns a tuple where the arguments are Any, and a
+# compiled build (deploy/compiled.mk) believes them.
+where: Callable[[Any, Any, Any], Any] = np.where
 
 
 def bounded(value: Number, bound: Number) -> Number:
@@ -31,7 +36,7 @@ def select(condition: Any, then: Number, otherwise: Number) -> Number:
     """`then` where the condition holds, else `otherwise`; both have been evaluated."""
     if isinstance(condition, bool):
         return then if condition else otherwise
-    return np.where(condition, then, otherwise)
+    return where(condition, then, otherwise)
 
 
 def root(value: Number) -> Number:

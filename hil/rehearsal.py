@@ -6,6 +6,7 @@ out once and serve every generation of a search.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,7 +100,7 @@ class Rehearsal:
         self._period = rig.period_ns * 1e-9
         pick = slice(axis, axis + 1)
         whole = rig_model(rig)
-        self.model = Model(*(getattr(whole, name)[pick] for name in Model.__slots__))
+        self.model = Model(*(getattr(whole, field.name)[pick] for field in fields(Model)))
         self.limit = np.array([[*rig.axes.values()][axis].limits.force])
         gains, _ = design_gains(rig)
         self._gains = list(gains[:, pick])

@@ -24,9 +24,11 @@ class CommandKind(IntEnum):
 
 
 class OperatorCommand(NamedTuple):
-    """A command from the mailbox. sequence: strictly increasing per sender session. expires_ns: monotonic ns."""
+    """A command from the mailbox. kind: a CommandKind; any other number is refused. sequence: strictly increasing per
+    sender session. expires_ns: monotonic ns.
+    """
 
-    kind: CommandKind
+    kind: int
     sequence: int
     expires_ns: int
 

@@ -6,6 +6,7 @@ own arithmetic. The margins are those of `hil check`.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,7 +177,7 @@ def margins_of(axis: AxisStability) -> Margins:
 def at_rate(rig: RigConfig, law: str, gains: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
     """Gains found at the rig's rate as they are at another: by how their unit scales with the period."""
     n, old, new = len(rig.axes), rig.period_ns * 1e-9, 1.0 / rate_hz
-    one = Model(*(np.ones(n) for _ in Model.__slots__))
+    one = Model(*(np.ones(n) for _ in fields(Model)))
     scaled = dict(gains)
     for name, knob in SPACE[law].items():
         if name in gains:

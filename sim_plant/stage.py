@@ -5,7 +5,6 @@ most 1 ms on which sgn(v) does not change; the instants of stops, breakaways and
 integration restarts there, so that nothing chatters at zero speed.
 """
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -241,11 +240,15 @@ class Stage:
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
         """Position, velocity, pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
-        ahead = copy.copy(self)
-        ahead._axes = [copy.copy(axis) for axis in self._axes]
-        ahead._state = State(*(array.copy() for array in self._state))
-        ahead.advance(duration_ns, force)
-        return ahead.position, ahead.velocity, ahead.pierced
+        batch, singles = self._state, [axis.state for axis in self._axes]
+        self._state = State(*(array.copy() for array in batch))
+        try:
+            self.advance(duration_ns, force)
+            return self.position, self.velocity, self.pierced
+        finally:
+            self._state = batch
+            for axis, state in zip(self._axes, singles, strict=True):
+                axis.position, axis.velocity, axis.pierced = state
 
     def _advance_batch(self, pieces: int, h: float, force: Array) -> None:
         drive = (force + self.truth.gravity).reshape(-1)

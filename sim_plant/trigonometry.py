@@ -5,13 +5,13 @@ the nearest integer, each of which IEEE 754 defines exactly. One turn is 2 pi ra
 absolute error is below 4e-16 for |x| < 2**51 turns.
 """
 
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Number = TypeVar("Number", float, Array)
+Number = Any  # float, or an array; every function maps one kind to the same kind
 
 TURN = 6.283185307179586  # rad, 2 pi rounded to double
 _TO_INTEGER = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
@@ -71,7 +71,8 @@ def sincos_turns(turns: float) -> tuple[float, float]:
     fraction = turns - round(turns)
     quarter = round(4.0 * fraction)
     angle = (fraction - 0.25 * quarter) * TURN
-    sine, cosine = _sine(angle), _cosine(angle)
+    sine: float = _sine(angle)
+    cosine: float = _cosine(angle)
     if quarter == 0:
         return sine, cosine
     if quarter == 1:
@@ -86,7 +87,8 @@ def sincos_turns_array(turns: Array) -> tuple[Array, Array]:
     fraction = turns - np.rint(turns)
     quarter = np.rint(4.0 * fraction)
     angle = (fraction - 0.25 * quarter) * TURN
-    sine, cosine = _sine(angle), _cosine(angle)
+    sine: Array = _sine(angle)
+    cosine: Array = _cosine(angle)
     odd = np.abs(quarter) == 1.0
     swapped_sine = np.where(odd, cosine, sine)
     swapped_cosine = np.where(odd, sine, cosine)
@@ -103,11 +105,16 @@ def sin_turns(turns: float) -> float:
     fraction = turns - (turns + _TO_INTEGER - _TO_INTEGER)
     quarter = 4.0 * fraction + _TO_INTEGER - _TO_INTEGER
     angle = (fraction - 0.25 * quarter) * TURN
+    sine: float
     if quarter == 0.0:
-        return _sine(angle)
-    if quarter == 1.0:
-        return _cosine(angle)
-    return -_cosine(angle) if quarter == -1.0 else -_sine(angle)
+        sine = _sine(angle)
+    elif quarter == 1.0:
+        sine = _cosine(angle)
+    elif quarter == -1.0:
+        sine = -_cosine(angle)
+    else:
+        sine = -_sine(angle)
+    return sine
 
 
 def sin_turns_array(turns: Array) -> Array:

@@ -183,7 +183,7 @@ def one_axis(inputs: LawInputs, axis: int) -> LawInputs:
 
     def pick(value: Any) -> Any:
         if isinstance(value, Reference):
-            return Reference(*(float(getattr(value, field)[axis]) for field in Reference.__slots__))
+            return Reference(*(float(getattr(value, field.name)[axis]) for field in dataclasses.fields(Reference)))
         return float(value[axis]) if isinstance(value, np.ndarray) else value
 
     return LawInputs(**{field.name: pick(getattr(inputs, field.name)) for field in dataclasses.fields(LawInputs)})

@@ -6,6 +6,7 @@ is left to enable single axes; the torque value -2048, which no force maps to, s
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
@@ -14,7 +15,7 @@ from drivers.protocols.checksum import IdentifiedCrc8
 from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
 from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
 
-DBC = Path(__file__).with_suffix(".dbc")
+DBC = Path(__file__).with_name("stage_classic.dbc")
 COMMAND_NAMES = ("torque_0", "torque_1", "torque_2", "torque_3", "sequence", "reset", "reserved", "checksum")
 FEEDBACK_NAMES = ("position", "sample_time", "sequence", "status", "checksum")
 
@@ -34,9 +35,7 @@ class _Layout:
     """What both ends share: identifiers, codecs, scales."""
 
     name = "stage_classic"
-    sequence_modulus = SEQUENCE_MODULUS
     fd = False
-    echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
@@ -46,6 +45,8 @@ class _Layout:
         if (self._command.length, self._feedback.length) != (LENGTH, LENGTH):
             raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 8 and 8")
         self.n_axes = n_axes
+        self.sequence_modulus = SEQUENCE_MODULUS
+        self.echo_id: int | None = None
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         self._rated = list(rated_force)
@@ -96,7 +97,7 @@ class StageClassicHost(_Layout):
 class StageClassicDevice(_Layout):
     """DeviceProtocol of stage_classic. force_resolution: half a step as a fraction of the rated force."""
 
-    force_resolution = 0.5 / FULL_SCALE
+    force_resolution: ClassVar[float] = 0.5 / FULL_SCALE
 
     def decode_command(self, frame: Frame) -> Command | Reject:
         """The command for all axes; refused whole where any field is out of its range."""

@@ -11,7 +11,7 @@ from drivers.protocols.base import Command, Message, Reject, Sample
 from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
 from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
 
-DBC = Path(__file__).with_suffix(".dbc")
+DBC = Path(__file__).with_name("stage_fd.dbc")
 COMMAND_NAMES = ("force_0", "force_1", "force_2", "force_3", "sequence", "flags", "checksum")
 FEEDBACK_NAMES = ("position", "sample_time", "status", "sequence", "checksum")
 
@@ -33,9 +33,7 @@ class _Layout:
     """What both ends share: identifiers, codecs, limits."""
 
     name = "stage_fd"
-    sequence_modulus = SEQUENCE_MODULUS
     fd = True
-    echo_id: int | None = None
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
@@ -47,6 +45,8 @@ class _Layout:
         if (self._command.length, self._feedback.length) != (COMMAND_LENGTH, FEEDBACK_LENGTH):
             raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 24 and 16")
         self.n_axes = n_axes
+        self.sequence_modulus = SEQUENCE_MODULUS
+        self.echo_id: int | None = None
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         # The largest force after rounding to single precision, so that a command of exactly the rated force passes.

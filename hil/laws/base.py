@@ -100,16 +100,16 @@ class Law(ABC):
     at its floor.
     """
 
-    name: str
+    name: ClassVar[str]
     GAINS: ClassVar[dict[str, Any]]
     coupled: bool = False
-    told_of_learning: bool = False
+    told_of_learning: ClassVar[bool] = False
     stiffness: Number = 0.0
     damping: Number = 0.0
     denominator_floors: int = 0
 
-    @abstractmethod
-    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None: ...
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:  # noqa: B027
+        """Every law is made like this. period: s. force_limit: N."""
 
     @abstractmethod
     def reset(self, position: Number, force: Number) -> None:

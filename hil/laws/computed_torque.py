@@ -15,7 +15,7 @@ class ComputedTorque(Law):
     zero speed the sign of an estimate is noise.
     """
 
-    name = "computed-torque"
+    name: ClassVar[str] = "computed-torque"
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None, "sign_width": 0.01}
 
     def __init__(

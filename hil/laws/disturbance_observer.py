@@ -15,7 +15,7 @@ class DisturbanceObserver(Law):
     bandwidth: rad/s; None: from the rate. d stays within the force limit.
     """
 
-    name = "disturbance-observer"
+    name: ClassVar[str] = "disturbance-observer"
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None, "bandwidth": None}
 
     def __init__(
@@ -30,7 +30,7 @@ class DisturbanceObserver(Law):
     ) -> None:
         self._kp = 0.5 * default_stiffness(model, period) if kp is None else kp
         self._kd = 0.7 * default_damping(model, period) if kd is None else kd
-        omega = 0.4 / period if bandwidth is None else bandwidth
+        omega: Number = 0.4 / period if bandwidth is None else bandwidth
         pole = 1.0 / (1.0 + omega * period)
         slow = 1.0 - pole
         self._gain_error = 1.0 - pole * pole * pole

@@ -7,7 +7,7 @@ every frequency up to the Nyquist one, so that an event shorter than the loop's 
 between two samples) is learnt too, without phase error.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 from hil.laws.base import Law, LawInputs, Model
 from hil.number import Number, bounded
@@ -37,7 +37,7 @@ class IterativeLearning(Law):
     and is not changed in ticks with missing samples or a force at its limit.
     """
 
-    name = "iterative-learning"
+    name: ClassVar[str] = "iterative-learning"
     GAINS = LEARNING_GAINS
 
     def __init__(

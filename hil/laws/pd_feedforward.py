@@ -14,7 +14,7 @@ class PdFeedforward(Law):
     N s/m; None: from mass and rate. A constant disturbance D leaves the plateau e = D / Kp.
     """
 
-    name = "pd-feedforward"
+    name: ClassVar[str] = "pd-feedforward"
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None}
 
     def __init__(

@@ -20,8 +20,12 @@ def gather(axes: Sequence[LawInputs]) -> LawInputs:
         return np.array([getattr(x, name) for x in axes])
 
     def reference(name: str) -> Reference:
-        each = [getattr(x, name) for x in axes]
-        return Reference(*(np.array([getattr(r, field) for r in each]) for field in Reference.__slots__))
+        each: list[Reference] = [getattr(x, name) for x in axes]
+        return Reference(
+            np.array([r.position for r in each]),
+            np.array([r.velocity for r in each]),
+            np.array([r.acceleration for r in each]),
+        )
 
     return LawInputs(
         sample=reference("sample"), start=reference("start"), end=reference("end"), task_ns=axes[0].task_ns,

@@ -15,7 +15,7 @@ class Pid(Law):
     limit and stops while it would push a saturated force further out.
     """
 
-    name = "pid"
+    name: ClassVar[str] = "pid"
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "ki": None, "kd": None}
 
     def __init__(

@@ -27,7 +27,8 @@ class RobustPd(Law):
     sqrt(epsilon / beta): it is held at or above `floor`, and `denominator_floors` counts how often.
     """
 
-    name = "robust-pd"
+    name: ClassVar[str] = "robust-pd"
+    READING: ClassVar[str] = ""  # of a class that has but one
     GAINS: ClassVar[dict[str, Any]] = {
         "kp": None,
         "kd": None,
@@ -56,6 +57,7 @@ class RobustPd(Law):
         reading: str = "printed",
         norm: str = "vector",
     ) -> None:
+        reading = self.READING or reading
         for key, value, allowed in (("reading", reading, READINGS), ("norm", norm, NORMS)):
             if value not in allowed:
                 raise ValueError(f"law.gains.{key} = {value!r}: expected one of {', '.join(allowed)}")
@@ -103,18 +105,14 @@ class RobustPd(Law):
 class FilteredErrorPd(RobustPd):
     """RobustPd in the reading filtered-error: a law of its own, with its own gains in a rig file."""
 
-    name = "robust-pd-filtered-error"
+    name: ClassVar[str] = "robust-pd-filtered-error"
+    READING: ClassVar[str] = "filtered-error"
     GAINS: ClassVar[dict[str, Any]] = {key: value for key, value in RobustPd.GAINS.items() if key != "reading"}
-
-    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
-        super().__init__(model, period, force_limit, reading="filtered-error", **gains)
 
 
 class AlphaBracketsPd(RobustPd):
     """RobustPd in the reading alpha-brackets: a law of its own, with its own gains in a rig file."""
 
-    name = "robust-pd-alpha-brackets"
+    name: ClassVar[str] = "robust-pd-alpha-brackets"
+    READING: ClassVar[str] = "alpha-brackets"
     GAINS: ClassVar[dict[str, Any]] = FilteredErrorPd.GAINS
-
-    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
-        super().__init__(model, period, force_limit, reading="alpha-brackets", **gains)

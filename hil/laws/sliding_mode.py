@@ -17,7 +17,7 @@ class SlidingMode(Law):
     loop with Kd = K / phi + lambda M and Kp = lambda K / phi.
     """
 
-    name = "sliding-mode"
+    name: ClassVar[str] = "sliding-mode"
     GAINS: ClassVar[dict[str, Any]] = {"rate": None, "reach": None, "layer": None}
 
     def __init__(

@@ -17,7 +17,7 @@ class SlotineLi(Law):
     is saturated outwards.
     """
 
-    name = "slotine-li"
+    name: ClassVar[str] = "slotine-li"
     GAINS: ClassVar[dict[str, Any]] = {
         "rate": None,
         "kd": None,

@@ -8,7 +8,7 @@ covariance step is two rows and, by symmetry, one 2 x 2 block.
 import numpy as np
 
 from hil.laws.base import Array
-from hil.number import Number, at_least, root
+from hil.number import Number, at_least, root, where
 
 TINY = 1e-300  # keeps 0 / 0 from happening where the reference rests
 INSTANT = 1e-15  # s, likewise for intervals of no length
@@ -74,16 +74,16 @@ def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -
     reverses = v0 * v1 < 0.0
     if not reverses.any():
         return plain, NOTHING, NOTHING
-    direction = np.where(v1 > 0.0, 1.0, -1.0)
+    direction = where(v1 > 0.0, 1.0, -1.0)
     coulomb = np.maximum(coulomb, 0.0)
     late = reverses & (a0 * (1.0 - LATE) > LATE * a1) & (mass * (a0 + a1) < coulomb * time)
-    safe = np.where(reverses, a0 + a1, 1.0)  # the other elements' results are not used
-    mean = _early_sign(np.where(reverses, a0, safe), a1, mass / time, coulomb)
+    safe = where(reverses, a0 + a1, 1.0)  # the other elements' results are not used
+    mean = _early_sign(where(reverses, a0, safe), a1, mass / time, coulomb)
     early = reverses & ~late
     return (
-        np.where(early, direction * mean, np.where(late, -direction, plain)),
-        np.where(late, mass * v1 / time, 0.0),
-        np.where(early, _early_shift(v0, v1, mean, time), np.where(late, _late_shift(v0, a1, safe, time), 0.0)),
+        where(early, direction * mean, where(late, -direction, plain)),
+        where(late, mass * v1 / time, 0.0),
+        where(early, _early_shift(v0, v1, mean, time), where(late, _late_shift(v0, a1, safe, time), 0.0)),
     )
 
 
@@ -143,17 +143,17 @@ def slide(velocity: Number, push: Number, dry: Number, time: Number, inverse_mas
         end = beyond * inverse_mass * left
         return end, 0.5 * (velocity * stop + end * left)
     onward = (velocity > 0.0) | ((velocity == 0.0) & (push > 0.0))
-    slowing = np.where(onward, push - dry, push + dry) * inverse_mass
+    slowing = where(onward, push - dry, push + dry) * inverse_mass
     end = velocity + slowing * time
     way = 0.5 * (velocity + end) * time
-    stops = ~np.where(onward, end >= 0.0, end <= 0.0)
+    stops = ~where(onward, end >= 0.0, end <= 0.0)
     if not stops.any():
         return end, way
-    stop = -velocity / np.where(stops, slowing, 1.0)
+    stop = -velocity / where(stops, slowing, 1.0)
     left = time - stop
-    beyond = np.where(push > dry, push - dry, np.where(push < -dry, push + dry, 0.0))
+    beyond = where(push > dry, push - dry, where(push < -dry, push + dry, 0.0))
     turned = beyond * inverse_mass * left
-    return np.where(stops, turned, end), np.where(stops, 0.5 * (velocity * stop + turned * left), way)
+    return where(stops, turned, end), where(stops, 0.5 * (velocity * stop + turned * left), way)
 
 
 def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval) -> Covariance:

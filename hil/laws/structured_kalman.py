@@ -58,8 +58,8 @@ class StructuredKalman(Law):
     deviation of a sample; not below 29 nm at 0.1 um counts. Estimates are bounded by the force limit.
     """
 
-    name = "structured-kalman"
-    told_of_learning = True
+    name: ClassVar[str] = "structured-kalman"
+    told_of_learning: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Any]] = {
         "kp": None,
         "kd": None,

@@ -18,7 +18,7 @@ class SuperTwisting(Law):
     half the force limit and stops while it would push a saturated force further out.
     """
 
-    name = "super-twisting"
+    name: ClassVar[str] = "super-twisting"
     GAINS: ClassVar[dict[str, Any]] = {"rate": None, "k1": None, "k2": None, "linear": None, "smooth": 1e-3}
 
     def __init__(

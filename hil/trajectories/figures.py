@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeVar
 
 import numpy as np
 
 from hil.laws.base import Array
+from hil.number import Number
 from hil.trajectories.base import Times, Trajectory
 from hil.trajectories.minimum_jerk import minimum_jerk
 from sim_plant.trigonometry import TURN, sincos_turns, sincos_turns_array
@@ -15,7 +15,7 @@ from sim_plant.trigonometry import TURN, sincos_turns, sincos_turns_array
 SECOND = 1_000_000_000  # ns
 INT64_LIMIT = 2**62
 
-V = TypeVar("V", float, Array)
+Motion = tuple[Number, Number, Number]  # position, velocity, acceleration; or s and its derivatives
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Figure(Trajectory):
     From s = 1 on it is the figure itself; position, velocity and acceleration are continuous at the join.
     """
 
-    phase_names = ("approach", "figure")
+    phase_names: tuple[str, ...] = ("approach", "figure")
 
     def __init__(self, oscillations: Mapping[int, Oscillation], start: Array, approach_ns: int, settle_ns: int) -> None:
         super().__init__(len(start))
@@ -88,8 +88,9 @@ class Figure(Trajectory):
             return np.full(t_ns.shape, self._start[axis]), zero, zero
         p, m = oscillation.cycle
         sine, cosine = sincos_turns_array((t_ns % m * p % m) / m + oscillation.offset)
-        figure = self._derivatives(oscillation, sine, cosine)
-        blended = self._blend(axis, figure, *minimum_jerk(np.minimum(t_ns, self._approach_ns) / self._approach_ns))
+        figure: tuple[Array, Array, Array] = self._derivatives(oscillation, sine, cosine)
+        s, ds, dds = minimum_jerk(np.minimum(t_ns, self._approach_ns) / self._approach_ns)
+        blended: tuple[Array, Array, Array] = self._blend(axis, figure, s, ds, dds)
         done = t_ns >= self._approach_ns
         return (
             np.where(done, figure[0], blended[0]),
@@ -98,12 +99,12 @@ class Figure(Trajectory):
         )
 
     @staticmethod
-    def _derivatives(oscillation: Oscillation, sine: V, cosine: V) -> tuple[V, V, V]:
+    def _derivatives(oscillation: Oscillation, sine: Number, cosine: Number) -> Motion:
         omega = TURN * float(oscillation.frequency_hz)
         speed = oscillation.amplitude * omega
         return oscillation.amplitude * cosine, -speed * sine, -(speed * omega) * cosine
 
-    def _blend(self, axis: int, figure: tuple[V, V, V], s: V, ds: V, dds: V) -> tuple[V, V, V]:
+    def _blend(self, axis: int, figure: Motion, s: Number, ds: Number, dds: Number) -> Motion:
         start, rate = self._start[axis], self._per_second
         away, velocity, acceleration = figure[0] - start, figure[1], figure[2]
         s1, s2 = ds * rate, dds * (rate * rate)

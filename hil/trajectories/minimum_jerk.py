@@ -1,14 +1,9 @@
 """Minimum-jerk transition (Flash and Hogan, J. Neuroscience 5(7), 1985): a quintic with rest at both ends."""
 
-from typing import TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
-
-Value = TypeVar("Value", float, NDArray[np.float64])
+from hil.number import Number
 
 
-def minimum_jerk(u: Value) -> tuple[Value, Value, Value]:
+def minimum_jerk(u: Number) -> tuple[Number, Number, Number]:
     """s, ds/du, d2s/du2 at the fraction u in [0, 1] of the transition; s runs from 0 to 1."""
     u2 = u * u
     rest = 1.0 - u

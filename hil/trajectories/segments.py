@@ -69,8 +69,8 @@ class Segments(Trajectory):
         derived = [2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5]
         whole = np.concatenate([self._table, np.stack(derived, axis=1)], axis=1)
         # [axis][segment]: coefficients of position, then those of velocity and acceleration that follow from them
-        self._lists = whole.transpose(2, 0, 1).tolist()
-        self._still = (self._table[:, 1:] == 0.0).all(axis=1).T.tolist()  # [axis][segment]
+        self._lists: list[list[list[float]]] = whole.transpose(2, 0, 1).tolist()
+        self._still: list[list[bool]] = (self._table[:, 1:] == 0.0).all(axis=1).T.tolist()  # [axis][segment]
         self._phases = [segment.phase for segment in segments] + [len(phase_names) - 1] * (not repeat)
         self._repeats = repeat
         self.phase_names = phase_names
