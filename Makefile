@@ -39,6 +39,7 @@ lock:  ## renew the lock files (needs uv)
 
 include deploy/vm/vm.mk
 include deploy/package.mk
+include deploy/compiled.mk
 
 .PHONY: proto
 proto: setup  ## renew the generated protobuf module

@@ -3,11 +3,13 @@
 import importlib
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from importlib.metadata import version
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from hil.config import EXIT_CONFIG, RigError
+from hil.control_path import control_path
 from sim_plant.config import PlantError
 
 
@@ -54,9 +56,24 @@ def _not_loaded() -> None:
     raise AssertionError("only the command asked for is loaded")
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hil {version('hil')}, control path {control_path()}")
+        raise typer.Exit
+
+
+def _options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version, and how it was built")
+    ] = False,
+) -> None:
+    pass
+
+
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line with `wanted` loaded and all others as lines of help."""
     app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+    app.callback(help=__doc__)(_options)
     for name, entry in COMMANDS.items():
         command: Callable[..., Any] | typer.Typer = _load(entry.target) if name == wanted else _not_loaded
         if isinstance(command, typer.Typer):

@@ -20,6 +20,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from hil.control_path import control_path
+
 Figures = dict[str, float]
 
 
@@ -118,6 +120,7 @@ def machine_facts() -> dict[str, Any]:
         "isolated_cores": _first_line("/sys/devices/system/cpu/isolated") or "",
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "control_path": control_path(),
         "load_1min": os.getloadavg()[0],
     }
 

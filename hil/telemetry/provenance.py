@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.config import RigConfig, build_rig, rig_hash
+from hil.control_path import control_path
 
 
 def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[str, Any]:
@@ -30,6 +31,7 @@ def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[
         "version": importlib.metadata.version("hil"),
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "control_path": control_path(),
         "platform": platform.platform(),
     }
 

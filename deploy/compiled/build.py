@@ -1,0 +1,134 @@
+"""Compiles the hot path with mypyc into a virtual environment of its own: `make compiled`.
+
+    python deploy/compiled/build.py DIRECTORY     make DIRECTORY/bin/hil
+    python deploy/compiled/build.py --check       only say whether this machine can (exit status 1: why not)
+
+The sources are copied first: nothing compiled ever lies beside a source file, where Python would prefer it to the file
+however much that is edited. The environment shares its other packages with .venv, takes tests/, deploy/ and docs/ from
+the checkout by links, and starts with Python's safe path, in all its children too, so that it never loads the sources
+of a checkout it happens to stand in.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+WORK = ROOT / "build" / "compiled"
+PACKAGES = ("hil", "drivers", "sim_plant")
+LINKED = ("tests", "deploy", "docs")
+
+# Every module a tick runs through. Not among them: what defines ctypes structures (hil/clock.py,
+# drivers/receive_block.py), which mypyc cannot compile; what users, tests and the fault campaign replace or inherit
+# from (hil/lockstep.py, hil/laws/per_axis.py, hil/state_machine.py, drivers/wire_faults.py), which compiled classes do
+# not allow; what runs once a run.
+MODULES = """
+hil: commands cycle estimation faults gate inbox loop number sampling setpoints stage_clock stop tick timing
+hil/laws: base computed_torque disturbance_observer feedback feedforward iterative_learning pd_feedforward pid robust_pd
+hil/laws: sliding_mode slotine_li structured_filter structured_kalman super_twisting
+hil/telemetry: mailbox record
+hil/trajectories: base figures minimum_jerk segments
+drivers: bus counters frame frame_bytes frame_length wire wire_node
+drivers/protocols: base checksum sampling stage stage_classic stage_fd
+sim_plant: drive emulator single_axis trigonometry
+"""
+
+# The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
+# where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.
+FLAGS = ["-ffp-contract=off", "-g0"]
+
+LAUNCHER = """#!{python} -P
+import os
+
+os.environ["PYTHONSAFEPATH"] = "1"  # for the programs this one starts
+
+from hil.cli import main
+
+if __name__ == "__main__":  # worker processes of a sweep read this file too
+    main()
+"""
+
+
+def modules() -> list[str]:
+    """Paths of the modules to compile, below the root."""
+    lines = [line.partition(": ") for line in MODULES.strip().splitlines()]
+    return [f"{folder}/{name}.py" for folder, _, names in lines for name in names.split()]
+
+
+def missing() -> str:
+    """What this machine lacks, and how to get it; empty where it lacks nothing."""
+    lacks = []
+    if shutil.which("cc") is None:
+        lacks.append("a C compiler (Debian: apt install gcc)")
+    header = Path(sysconfig.get_path("include"), "Python.h")
+    if not header.exists():
+        lacks.append(f"{header} (Debian: apt install python3-dev)")
+    return " and ".join(lacks)
+
+
+def copy_sources() -> None:
+    """The packages as they are now, without what an earlier build left."""
+    shutil.rmtree(WORK, ignore_errors=True)
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, WORK / package, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    shutil.copy(ROOT / "pyproject.toml", WORK)  # mypy's options
+
+
+def compile_modules() -> None:
+    """Put an extension module beside every copy named in MODULES. Exits where mypyc gives up or has to guess."""
+    script = f"""
+from mypyc.build import mypycify
+from setuptools import setup
+
+extensions = mypycify(["--follow-imports=silent", "--no-warn-unused-configs", *{modules()!r}], opt_level="2")
+for extension in extensions:
+    extension.extra_compile_args += {FLAGS!r}
+setup(name="hil-compiled", packages=[], py_modules=[], ext_modules=extensions)
+"""
+    command = [sys.executable, "-c", script, "-q", "build_ext", "--inplace"]
+    done = subprocess.run(command, cwd=WORK, capture_output=True, text=True, check=False)
+    told = (done.stdout + done.stderr).splitlines()
+    # A default that mypyc leaves out would be an attribute that is missing.
+    left_out = [line for line in told if "Unsupported default attribute value" in line]
+    if done.returncode or left_out:
+        sys.exit("\n".join(["compiled: mypyc or the C compiler failed", *(left_out or told[-40:])]))
+
+
+def make_environment(directory: Path) -> None:
+    """The copies and what was compiled from them as an environment with `bin/hil`."""
+    shutil.rmtree(directory, ignore_errors=True)
+    venv.create(directory, symlinks=True, with_pip=False)
+    packages = Path(sysconfig.get_path("purelib", "venv", {"base": str(directory), "platbase": str(directory)}))
+    for folder in (*WORK.glob("*.so"), *(WORK / package for package in PACKAGES)):
+        shutil.move(folder, packages / folder.name)
+    for name in LINKED:
+        (packages / name).symlink_to(ROOT / name)
+    # Behind our own on the path. Its .pth files do not count there, so that the sources it is installed from stay out.
+    (packages / "shared.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    launcher = directory / "bin" / "hil"
+    launcher.write_text(LAUNCHER.format(python=directory / "bin" / "python"))
+    launcher.chmod(0o755)
+
+
+def main() -> None:
+    """Command line."""
+    if lacking := missing():
+        sys.exit(f"compiled: needs {lacking}")
+    if sys.argv[1:] == ["--check"]:
+        return
+    directory = ROOT / sys.argv[1]
+    print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
+    copy_sources()
+    compile_modules()
+    make_environment(directory)
+    environment = {**os.environ, "PYTHONSAFEPATH": "1"}
+    subprocess.run([directory / "bin" / "hil", "--version"], env=environment, check=True)
+    (directory / ".built").touch()
+
+
+if __name__ == "__main__":
+    main()

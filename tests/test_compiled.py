@@ -1,0 +1,84 @@
+"""`make compiled`: the compiled build is what it says it is, and computes the same bytes.
+
+Its other tests are those of the source, run on it by `make test-compiled`.
+"""
+
+import os
+import subprocess
+import sys
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import pytest
+
+from deploy.compiled.build import modules
+from hil.control_path import control_path
+from tests.hashes import RUNS, Situation, ask
+
+ROOT = Path(__file__).resolve().parent.parent
+HERE = ROOT / ".venv-compiled"
+TICKS = 3000
+
+needs_build = pytest.mark.skipif(
+    not (HERE / ".built").exists(), reason="no compiled build: make compiled (needs a C compiler and Python's headers)"
+)
+
+
+def told(*command: str | Path, cwd: Path = ROOT) -> str:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_nothing_compiled_lies_beside_a_source() -> None:
+    stray = [path for package in ("hil", "drivers", "sim_plant") for path in (ROOT / package).rglob("*.so")]
+    assert stray == []
+
+
+def test_the_list_of_modules_names_files_that_exist_once() -> None:
+    named = modules()
+    assert len(set(named)) == len(named)
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
+@needs_build
+def test_the_build_says_that_it_is_compiled_even_among_the_sources(tmp_path: Path) -> None:
+    for folder in (ROOT, tmp_path):
+        assert told(HERE / "bin" / "hil", "--version", cwd=folder).endswith("control path compiled")
+
+
+@needs_build
+def test_every_module_listed_is_the_compiled_one() -> None:
+    packages = next(HERE.glob("lib/python*/site-packages"))
+    for name in modules():
+        stem = (packages / name).with_suffix("")
+        assert any(stem.with_name(stem.name + suffix).exists() for suffix in EXTENSION_SUFFIXES), name
+
+
+@needs_build
+def test_the_programs_it_starts_are_compiled_too() -> None:
+    start_another = f"""
+import contextlib, runpy, subprocess, sys
+sys.argv[1:] = ["--version"]
+with contextlib.suppress(SystemExit):
+    runpy.run_path({str(HERE / "bin" / "hil")!r}, run_name="__main__")
+subprocess.run([sys.executable, "-m", "hil", "--version"])  # as `hil demo` and the benchmarks do
+"""
+    said = told(HERE / "bin" / "python", "-P", "-c", start_another).splitlines()
+    assert len(said) == 2
+    assert said[1].endswith("control path compiled")
+
+
+def test_the_sources_say_that_they_are_interpreted() -> None:
+    if sys.prefix == str(HERE):
+        assert control_path() == "compiled"
+    else:
+        assert control_path() == "interpreted"
+
+
+@needs_build
+def test_it_computes_the_same_bytes_as_the_interpreted_source() -> None:
+    names = list(RUNS)
+    source = Situation("source", ROOT / ".venv" / "bin" / "python", {"PYTHONPATH": str(ROOT)})
+    compiled = Situation("compiled", HERE / "bin" / "python", {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"})
+    assert ask(compiled, names, TICKS) == ask(source, names, TICKS)
