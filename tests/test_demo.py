@@ -116,7 +116,9 @@ def test_a_demo_runs_is_seen_from_elsewhere_and_sums_up(show: Show) -> None:
     assert summary["frames"]["sent"] <= summary["ticks"]
     assert summary["frames"]["received"] > 3 * summary["frames"]["sent"]
     assert list(summary["axes"]) == ["x", "y", "z", "theta"]
-    assert all(0 < axis["rms_error"] <= axis["max_error"] < 1e-3 for axis in summary["axes"].values())
+    # theta rests for most of it, on a count as often as not: as measured, without any error
+    assert all(0 <= axis["rms_error"] <= axis["max_error"] < 1e-3 for axis in summary["axes"].values())
+    assert summary["axes"]["z"]["rms_error"] > 0
     assert summary["lateness"]["p50"] <= summary["lateness"]["p99"] <= summary["lateness"]["max"]
     assert (show.out / "tracking.png").read_bytes().startswith(b"\x89PNG")
     assert "next, try" in show.text

@@ -95,8 +95,9 @@ def test_a_recording_cut_short_replays_as_far_as_it_goes(recording: Path, tmp_pa
 
 
 def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -> None:
-    same = replay_run(recording, ("law.gains.kp=[60000.0, 40000.0, 16000.0, 13.0]",))
-    other = replay_run(recording, ("law.gains.kp=[30000.0, 40000.0, 16000.0, 13.0]",))
+    bandwidth = load_rig(RIG_FILE).law.effective_gains()["bandwidth"]
+    same = replay_run(recording, (f"law.gains.bandwidth={bandwidth}",))
+    other = replay_run(recording, (f"law.gains.bandwidth={[0.5 * bandwidth[0], *bandwidth[1:]]}",))
     assert (same.different, other.different) == (0, 0)
     assert same.other_force is not None
     assert other.other_force is not None

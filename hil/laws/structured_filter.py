@@ -5,6 +5,8 @@ See hil/laws/structured_kalman.py for the model. The transition is sparse: only 
 covariance step is two rows and, by symmetry, one 2 x 2 block.
 """
 
+from typing import Any
+
 import numpy as np
 
 from hil.laws.base import Array
@@ -114,6 +116,39 @@ def force_of(d: Disturbance, mean_sign: Number, mean_velocity: Number, mean_acce
     return bias + coulomb * mean_sign + viscous * mean_velocity + mass * mean_acceleration
 
 
+def peak(mean_sign: Number, mean_velocity: Number, slowness: Number) -> Number:
+    """sgn(v) / (1 + (slowness v)^2), slowness in s/m: friction that falls with speed from its peak at rest (Stribeck).
+
+    The rational form of Hess and Soom (J. Tribology 112, 1990), in Armstrong-Helouvry, Dupont, Canudas de Wit,
+    Automatica 30(7), 1994, section 2.
+    """
+    ratio = mean_velocity * slowness
+    return mean_sign / (1.0 + ratio * ratio)
+
+
+def keep_disturbance(p: Covariance, before: Covariance, kept: Any) -> Covariance:
+    """P with the block of d0, theta1, theta2 and theta3 as it was `before`, where `kept`.
+
+    The same as noise on them of just what was learnt: P stays positive semidefinite.
+    """
+    return choose(kept, p[:11] + before[11:], p)
+
+
+def standing(before: Covariance, measurement: Number) -> Covariance:
+    """P of an axis that is seen to stand: its error as uncertain as a sample (variance, m^2), its rate known, and
+    neither a word about the disturbance, of which nothing new is known.
+    """
+    o = before[0] - before[0]
+    return (measurement + o, *[o] * 10, *before[11:])
+
+
+def choose(condition: Any, p: Covariance, otherwise: Covariance) -> Covariance:
+    """One P or the other, element by element."""
+    if isinstance(condition, bool):
+        return p if condition else otherwise
+    return tuple(where(condition, one, other) for one, other in zip(p, otherwise, strict=True))
+
+
 def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: Interval) -> tuple[Number, Number]:
     """Error and its rate at the end of an interval in which the net force (N) on the mass was constant.
 
@@ -156,16 +191,20 @@ def slide(velocity: Number, push: Number, dry: Number, time: Number, inverse_mas
     return where(stops, turned, end), where(stops, 0.5 * (velocity * stop + turned * left), way)
 
 
-def predict(p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval) -> Covariance:
+def predict(
+    p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval, third: Number
+) -> Covariance:
     """P <- F P F' + Q.
 
+    third: what theta2 multiplies.
     noise: variances per second of ė; of ė at a reversal, over the square of the speed gained there; per second of d0,
     theta1, theta2 and theta3. The thetas drift only in motion. Where the reference reverses, the plant stops a little
     early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
     """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
-    time, _, gained, before, s, v, a, _, _ = over
+    time, _, gained, before, s, _, a, _, _ = over
     after = before + gained
+    v = third
     g = time * inverse_mass
     half = 0.5 * time
     # Rows: the rate loses what the disturbance takes; the error gains the mean of the rate before and after.
