@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compiled.build import modules
+from deploy.compiled.build import MODULES, modules
 from hil.control_path import control_path
+from hil.laws import LAWS
 from tests.hashes import RUNS, Situation, ask
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,10 +36,12 @@ def test_nothing_compiled_lies_beside_a_source() -> None:
     assert stray == []
 
 
-def test_the_list_of_modules_names_files_that_exist_once() -> None:
-    named = modules()
-    assert len(set(named)) == len(named)
-    assert [name for name in named if not (ROOT / name).is_file()] == []
+def test_every_module_listed_is_a_file_and_every_law_is_listed() -> None:
+    found, listed = modules(), [name for line in MODULES.strip().splitlines() for name in line.split()[1:]]
+    assert len(set(found)) == len(found)
+    assert {Path(name).stem for name in found} >= set(listed) - {"*"}
+    laws = {law.__module__.replace(".", "/") + ".py" for law in LAWS.values()}
+    assert laws <= set(found)
 
 
 @needs_build
