@@ -282,11 +282,12 @@ def summed_up(scene: Scene, console: Console) -> dict[str, Any] | None:
 
 def _what_next(scene: Scene, console: Console) -> None:
     rig, out = scene.rig_file, scene.out
+    other = "structured-kalman" if scene.rig.law.name == "pd-feedforward" else "pd-feedforward"
     console.print(
         f"in {out}/: summary.json, tracking.png, run.mcap, and the processes' logs\n"
         "next, try:\n"
         f"  hil replay {out}/run.mcap                     every torque frame again, byte for byte\n"
-        f"  hil demo {rig} --set law.name=structured-kalman\n"
+        f"  hil demo {rig} --set law.name={other}\n"
         f"  hil sim {rig} --seconds 20       the same in exact virtual time\n"
         "  hil doctor                                    what this machine grants a real-time loop",
         soft_wrap=True,
