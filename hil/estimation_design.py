@@ -12,16 +12,23 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 
+def transition(mass: float, t: float) -> tuple[Any, Any]:
+    """State transition (3, 3) and input (3, 1) over t s of [position m, velocity m/s, disturbance N] of one axis.
+
+    Acceleration = (force - disturbance) / mass, constant meanwhile (zero-order hold).
+    """
+    f = np.array([[1.0, t, -t * t / (2.0 * mass)], [0.0, 1.0, -t / mass], [0.0, 0.0, 1.0]])
+    return f, np.array([[t * t / (2.0 * mass)], [t / mass], [0.0]])
+
+
 def make_filter(mass: float, period: float, disturbance_noise: float, acceleration_noise: float, sigma: float) -> Any:
     """filterpy's filter on [position m, velocity m/s, disturbance N] with input force (N), one axis.
 
-    Acceleration = (force - disturbance) / mass, constant over a period (zero-order hold). disturbance_noise: N/sqrt(s);
-    acceleration_noise: m/s^2/sqrt(Hz); sigma: standard deviation of a position sample, m.
+    disturbance_noise: N/sqrt(s); acceleration_noise: m/s^2/sqrt(Hz); sigma: standard deviation of a position sample, m.
     """
     kf = KalmanFilter(dim_x=3, dim_z=1, dim_u=1)
     t = period
-    kf.F = np.array([[1.0, t, -t * t / (2.0 * mass)], [0.0, 1.0, -t / mass], [0.0, 0.0, 1.0]])
-    kf.B = np.array([[t * t / (2.0 * mass)], [t / mass], [0.0]])
+    kf.F, kf.B = transition(mass, period)
     kf.H = np.array([[1.0, 0.0, 0.0]])
     kf.R = np.array([[sigma**2]])
     walk = disturbance_noise**2

@@ -179,10 +179,13 @@ def constant_acceleration(data: Data, axis: int) -> Array:
 
 def model_input(data: Data, axis: int) -> Array:
     """Model and input, no disturbance: biased by whatever the model lacks."""
+    from hil.estimation_design import transition
+
     mass = float(data.model.mass[axis])
 
     def over(t: float) -> Matrices:
-        return _coast(t)[0], np.array([t * t / 2, t]) / mass
+        f, b = transition(mass, t)
+        return f[:2, :2], b[:2, 0]
 
     q = _white_acceleration(data.period, MODEL_ACCELERATION)
     z = data.position[:, axis]
@@ -193,14 +196,14 @@ def model_input(data: Data, axis: int) -> Array:
 
 def model_input_disturbance(data: Data, axis: int) -> Array:
     """Model, input and a random-walk disturbance: the rig's own filter."""
-    from hil.estimation_design import make_filter
+    from hil.estimation_design import make_filter, transition
 
     kf = make_filter(**data.parameters[axis])
     mass = data.parameters[axis]["mass"]
 
     def over(t: float) -> Matrices:
-        g = t * t / (2.0 * mass)
-        return np.array([[1.0, t, -g], [0.0, 1.0, -t / mass], [0.0, 0.0, 1.0]]), np.array([g, t / mass, 0.0])
+        f, b = transition(mass, t)
+        return f, b[:, 0]
 
     z = data.position[:, axis]
     start = np.array([z[0], data.reference[0, axis], 0.0])
