@@ -102,8 +102,8 @@ class StabilityReport:
 
 
 class _Loop:
-    """Filter and law as in the cycle, around m a = force - (what the reference needs); plants (n_axes + 1, n_axes): one
-    to pulse on each axis, the last is left alone.
+    """Filter and law as in the cycle, around m a = force - (what the reference needs); plants (rows, n_axes): all axes
+    of the first to pulse, or each axis of one of its own where the law looks at all of them; the last is left alone.
     """
 
     def __init__(self, rig: RigConfig, model: Model, plant_gain: float) -> None:
@@ -115,7 +115,9 @@ class _Loop:
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
         plain = rig.law.model_copy(update={"iterative_learning": False})
         self._law = make_law(plain, model, self._period, limit)
-        self._inputs: LawInputs = blank_inputs((n + 1, n))
+        self.pulsed = np.arange(n) if self._law.coupled else np.zeros(n, dtype=int)  # the plant, for each axis
+        self.shape = shape = (int(self.pulsed.max()) + 2, n)
+        self._inputs: LawInputs = blank_inputs(shape)
         self._inputs.fresh = np.ones(n)
         self._inputs.sample_interval = self._inputs.ahead = np.full(n, self._period)
         self._speed = np.full(n, CRUISE)
@@ -124,11 +126,11 @@ class _Loop:
         self._needed = (
             model.coulomb + model.viscous * self._speed + model.quadratic * (self._speed * self._speed) + model.gravity
         )  # N, friction along the reference
-        self._error, self._rate = np.zeros((n + 1, n)), np.zeros((n + 1, n))
-        self._net = [np.zeros((n + 1, n)) for _ in range(2)]  # force less what the reference needs: last, before
+        self._error, self._rate = np.zeros(shape), np.zeros(shape)
+        self._net = [np.zeros(shape) for _ in range(2)]  # force less what the reference needs: last, before
         self._index = 0
-        self._filter.reseed(np.zeros((n + 1, n)))
-        self._law.reset(np.zeros((n + 1, n)), model.gravity)
+        self._filter.reseed(np.zeros(shape))
+        self._law.reset(np.zeros(shape), model.gravity)
 
     def _reference(self) -> None:
         inputs, k = self._inputs, self._index
@@ -175,15 +177,23 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple
     model = rig_model(rig)
     n = model.mass.size
     loop = _Loop(rig, model, plant_gain)
-    quiet, pulse = np.zeros((n + 1, n)), PULSE * np.eye(n + 1, n)
+    own = (loop.pulsed, np.arange(n))
+    quiet, pulse = np.zeros(loop.shape), np.zeros(loop.shape)
+    pulse[own] = PULSE
+
+    def beyond(errors: Array) -> Array:
+        """Of every axis where it is pulsed, beyond the plant left alone, in pulses."""
+        answer: Array = (errors[own] - errors[-1]) / PULSE
+        return answer
+
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
         answer, motion, alone = np.empty((3, ticks, n))
         for k in range(ticks):
             errors = loop.step(pulse if k == 0 else quiet)
-            answer[k], alone[k] = _answer(errors), errors[-1]
-            motion[k] = _answer(loop.motion())
+            answer[k], alone[k] = beyond(errors), errors[-1]
+            motion[k] = beyond(loop.motion())
     unseen = _circles(alone) & (np.abs(motion).max(axis=0) < GROWN)
     answer[:, unseen] = motion[:, unseen] = np.inf
     return answer, motion
@@ -197,12 +207,6 @@ def _circles(error: Array) -> Any:
     quarter = max(len(swing) // 4, 1)
     bearable = np.maximum(PULSE, DECAYED * swing[:quarter].max(axis=0))
     return np.logical_not(swing[-quarter:].max(axis=0) <= bearable)
-
-
-def _answer(errors: Array) -> Array:
-    """Of every pulsed plant on its own axis, beyond the plant left alone, in pulses."""
-    beyond: Array = (np.diagonal(errors[:-1]) - errors[-1]) / PULSE
-    return beyond
 
 
 def realise_poles(answer: Array) -> list[complex]:
