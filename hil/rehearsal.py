@@ -56,13 +56,19 @@ class Figures(NamedTuple):
 
 
 class Schedule:
-    """When commands arrive, (ticks + 1, trials) ns, and which do not; drawn from `seed`, so the same for every rig."""
+    """When commands arrive, (ticks + 1, trials) ns, and which do not; drawn from `seed`, so the same for every rig.
+    Trials of the same jitter have the same delays, so that their plants can move together, and trials of the same loss
+    lose the same commands: one lost just where a figure reverses costs any law friction T^2 / m, and says nothing of
+    gains.
+    """
 
     def __init__(self, trials: Sequence[Trial], ticks: int, period_ns: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
         shape = (ticks + 1, len(trials))
-        delay = rng.random(shape) * [2e9 * trial.jitter for trial in trials]
-        lost = rng.random(shape) < [trial.loss for trial in trials]
+        self.jitter = jitter = np.array([trial.jitter for trial in trials])
+        loss = np.array([trial.loss for trial in trials])
+        delay = rng.random(shape)[:, _first_alike(jitter)] * (2e9 * jitter)
+        lost = rng.random(shape)[:, _first_alike(loss)] < loss
         lost[1:] &= ~lost[:-1]  # two in a row may be a fault, and then no law matters
         lost[:STEADY_TICK] = False
         self.lost = lost
@@ -70,6 +76,12 @@ class Schedule:
         self.arrival = self.delay + np.arange(ticks + 1)[:, None] * period_ns
         self.latency = np.array([round(trial.jitter * 1e9) for trial in trials])
         self.regular = not self.delay.any()
+
+
+def _first_alike(values: Array) -> Any:
+    """For each of (n,) values, where the first one equal to it is."""
+    _, first, alike = np.unique(values, return_index=True, return_inverse=True)
+    return first[alike]
 
 
 class _Table:
@@ -152,12 +164,11 @@ class Rehearsal:
 
 
 class _Plants:
-    """Stages of all candidates and trials: one for the trials without jitter, one for each of the others."""
+    """Stages of all candidates and trials: one for every jitter."""
 
     def __init__(self, of: Rehearsal, candidates: int) -> None:
-        late = of.schedule.delay.any(axis=0)
-        groups = [np.flatnonzero(~late), *(np.array([index]) for index in np.flatnonzero(late))]
-        self._groups = [group for group in groups if group.size]
+        jitter = of.schedule.jitter
+        self._groups = [np.flatnonzero(jitter == each) for each in np.unique(jitter)]
         self._stages = []
         for group in self._groups:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)

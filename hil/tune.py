@@ -20,7 +20,7 @@ from hil.laws.base import Array
 from hil.rehearsal import LOST
 from hil.sim import metres
 from hil.stability import check_stability
-from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of
+from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, trials
 
 DIGITS = 4
 WIDTH = 120  # characters of a table that goes to a file
@@ -119,11 +119,13 @@ class Found(NamedTuple):
 
 def tune_axis(
     rig: RigConfig, law: str, axis: int, size: tuple[int, int], seed: int, least: Margins, start: Start,
-    report: Callable[[Outcome], None], only: Sequence[str] = (),
+    report: Callable[[Outcome], None], only: Sequence[str] = (), repeats: int = 1,
 ) -> Found:  # fmt: skip
-    """Search one axis' gains; size: candidates per generation, generations; only: of these knobs, all if empty."""
+    """Search one axis' gains; size: candidates per generation, generations; only: of these knobs, all if empty;
+    repeats: of the trials.
+    """
     wanted = Margins(*(value + slack if value else 0.0 for value, slack in zip(least, SLACK, strict=True)))
-    bench = Bench(rig, law, axis, least=wanted, only=only)
+    bench = Bench(rig, law, axis, trials(rig, repeats), wanted, only)
     best, met = search(bench, *size, seed, report, start)
     return Found(bench.run(np.stack([bench.known(), best])), met, bench.gains(best[None]))
 
@@ -156,6 +158,9 @@ def tune(
     only: Annotated[
         str, typer.Option(help="knobs to search, comma-separated; the others stay as the file has them")
     ] = "",
+    repeats: Annotated[
+        int, typer.Option(min=1, max=10, help="of every trial, in sizes a little apart: luck counts less")
+    ] = 1,
     start: Annotated[Start, typer.Option(help="where to begin: mid-range, or the rig file's gains")] = Start.MIDDLE,
     dry_run: Annotated[bool, typer.Option(help="do not write the rig file")] = False,
 ) -> None:
@@ -187,7 +192,9 @@ def tune(
                 note = f"{name}, {axis_name}: {outcome.ratio[outcome.cost.argmin()]:.3g} times what is good"
                 bar.update(job, advance=1, description=note)
 
-            found.append(tune_axis(rig, name, axis, (population, generations), seed, least, start, report, chosen))
+            found.append(
+                tune_axis(rig, name, axis, (population, generations), seed, least, start, report, chosen, repeats)
+            )
     gains = {**law_gains(rig, name), **rounded([axis.gains for axis in found])}
     _show(console, rig, found)
     for key, values in gains.items():
@@ -197,6 +204,7 @@ def tune(
     if not dry_run:
         options = {"--law": name, "--population": population, "--generations": generations, "--seed": seed}
         options |= {"--margin": f"{margin:g}", "--phase-margin": f"{phase_margin:g}", "--start": start.value}
+        options |= {"--repeats": repeats} if repeats > 1 else {}
         options |= {"--only": ",".join(chosen)} if chosen else {}
         words = [word for key, value in options.items() for word in (key, str(value))]
         words += [word for text in overrides or () for word in ("--set", text)]

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.config import RigConfig
+from hil.config import RigConfig, RigError
 from hil.estimation import per_axis
+from hil.laws import LAWS
 from hil.laws.base import Array, Model
 from hil.rehearsal import Rehearsal, Trial
 from hil.stability import AxisStability, check_stability
@@ -22,6 +23,7 @@ SETTLE_S = 4.0
 WINDOW_S = 4.0
 PLAN_FROM_S, PLAN_S, PLAN_DWELL_S = 2.0, 9.0, 0.6  # the injection plan: from the focal range on, and over
 PLAN_COUNTS = 4.0  # RMS, encoder counts
+SMALLER = 0.05  # from one repeat of the figures to the next
 QUIET = 0.03  # of the force limit: RMS change of force from tick to tick that costs nothing
 PER_DB = 3.0  # cost of a decibel of gain margin too few: what an error e times as large in every trial costs
 ANSWER = 1000  # ticks of the loops' answers: what a candidate is worth; the gains found are checked as by `hil check`
@@ -29,15 +31,27 @@ DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: eac
 
 
 class Knob(NamedTuple):
-    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass, rate, force limit and encoder."""
+    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass, rate, force limit and encoder.
+
+    of: another knob, whose gain this one is given in. density: in time (per sqrt(s)), so the same at every rate.
+    """
 
     low: float
     high: float
     scale: str = "1"
+    of: str = ""
+    density: bool = False
 
 
 def _pd(**more: Knob) -> dict[str, Knob]:
     return {"kp": Knob(0.01, 0.2, "m/T2"), "kd": Knob(0.1, 0.9, "m/T"), **more}
+
+
+def _learnt(low: float, high: float, scale: str) -> Knob:
+    """Noise of a parameter of the disturbance: how much of a force as large as that of the acceleration's noise is put
+    down to it per period.
+    """
+    return Knob(low, high, scale, "acceleration_noise", density=True)
 
 
 # Near rest nu is a damping of rho^2 / epsilon.
@@ -71,16 +85,18 @@ SPACE: dict[str, dict[str, Knob]] = {
         "bias_gain": Knob(0.1, 1e3),
     },
     "disturbance-observer": _pd(bandwidth=Knob(0.05, 1.5, "1/T")),
+    # What a filter does with a sample depends on ratios: of the acceleration's noise to the encoder's, and of a slow
+    # parameter's noise to the acceleration's, which is how quickly it is learnt.
     "structured-kalman": {
-        "bandwidth": Knob(0.1, 0.45),
-        "damping": Knob(0.3, 1.4),
-        "acceleration_noise": Knob(1e-4, 30.0),
-        "reversal_noise": Knob(3e-3, 1.0),
-        "bias_noise": Knob(1e-4, 10.0),
-        "coulomb_noise": Knob(1e-4, 30.0),
-        "viscous_noise": Knob(1e-4, 10.0),
-        "mass_noise": Knob(1e-6, 1.0),
-        "measurement_noise": Knob(0.29, 3.0, "count"),
+        "bandwidth": Knob(0.15, 0.45),
+        "damping": Knob(0.4, 1.2),
+        "acceleration_noise": Knob(1.0, 3e3, "count/T1.5", density=True),
+        "reversal_noise": Knob(1e-2, 1.0),
+        "bias_noise": _learnt(1e-5, 0.3, "m/T"),
+        "coulomb_noise": _learnt(3e-3, 1.0, "m/T"),
+        "viscous_noise": _learnt(1e-3, 1.0, "m2/FT2"),
+        "mass_noise": _learnt(0.03, 30.0, "m2/FT"),
+        "measurement_noise": Knob(0.29, 1.0, "count"),
     },
 }
 
@@ -96,30 +112,43 @@ def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, reso
         "T/m": period / model.mass,
         "m/T2": model.mass / period**2,
         "m/T3": model.mass / period**3,
+        "m2/FT": model.mass**2 / (force_limit * period),
+        "m2/FT2": model.mass**2 / (force_limit * period**2),
         "F": force_limit * one,
         "count": resolution * one,
+        "count/T1.5": resolution * one / period**1.5,
     }[knob.scale]
     return scale
 
 
-def trials(rig: RigConfig) -> list[Trial]:
+def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
     """The rig's own task, and for figures variations of it in size, speed and kind, light and heavy plants, commands
     late and lost: gains found on one task alone do not generalise (PAPER.md).
+
+    repeats: of every figure, each SMALLER than the one before. Raises RigError where the task is none.
     """
     task = rig.task
+    if task.kind in ("circle", "lissajous"):
+        return [trial for turn in range(repeats) for trial in _figure_trials(rig, 1.0 - SMALLER * turn)]
+    if repeats > 1:
+        raise RigError([f"--repeats {repeats}: task.kind = '{task.kind}' has no sizes; 1 is its only value here"])
     if task.injection is not None:
         plan = task.injection.model_copy(update={"cells": 2, "dwell_s": min(task.injection.dwell_s, PLAN_DWELL_S)})
         return [Trial("two cells", {"injection": plan}, PLAN_COUNTS, rms=True)]
-    if task.kind not in ("circle", "lissajous"):
-        return [Trial("own task", {}, 4.0)]
+    return [Trial("own task", {}, 4.0)]
+
+
+def _figure_trials(rig: RigConfig, whole: float) -> list[Trial]:
+    """whole: size of all of them, 1 for the rig's own."""
+    task = rig.task
     error = 0.06  # of the force limit: what friction exceeds the model by; the paper's Delta of 0.3 N at its 5 N
 
     def figure(size: float, speed: float, **more: Any) -> dict[str, Any]:
-        shape = {"radius": size * task.radius, "frequency_hz": speed * task.frequency_hz, "phase": 0.0}
+        shape = {"radius": whole * size * task.radius, "frequency_hz": speed * task.frequency_hz, "phase": 0.0}
         return {"approach_s": min(task.approach_s, 1.0), **shape, **more}
 
     def there_and_back(size: float, seconds: float) -> dict[str, Any]:
-        target = [size * task.radius] * len(task.axes)
+        target = [whole * size * task.radius] * len(task.axes)
         return {"kind": "point_to_point", "target": target, "move_s": seconds, "dwell_s": 0.5}
 
     own = figure(1.0, 1.0)
@@ -140,7 +169,8 @@ def trials(rig: RigConfig) -> list[Trial]:
         "moves": Trial("", there_and_back(0.1, 1.0), 7.0),
         "short moves": Trial("", there_and_back(0.001, 0.5), 7.0),
     }
-    return [trial._replace(name=name, error=error) for name, trial in chosen.items()]
+    ending = f", {whole:.0%}" if whole < 1.0 else ""
+    return [trial._replace(name=name + ending, error=error) for name, trial in chosen.items()]
 
 
 def law_gains(rig: RigConfig, law: str) -> dict[str, Any]:
@@ -180,7 +210,7 @@ def at_rate(rig: RigConfig, law: str, gains: Mapping[str, Any], rate_hz: float) 
     one = Model(*(np.ones(n) for _ in fields(Model)))
     scaled = dict(gains)
     for name, knob in SPACE[law].items():
-        if name in gains:
+        if name in gains and not knob.density:
             factor = knob_scale(knob, one, new, np.ones(n), 1.0) / knob_scale(knob, one, old, np.ones(n), 1.0)
             scaled[name] = (per_axis(gains[name], n) * factor).tolist()
     return scaled
@@ -228,21 +258,29 @@ class Bench:
             float(knob_scale(knob, self._rehearsal.model, rig.period_ns * 1e-9, self._rehearsal.limit, resolution)[0])
             for knob in self.space.values()
         ]
+        self._apart = self._fixed | {key: value for key, value in LAWS[law].GAINS.items() if key not in known}
 
     def gains(self, points: Array) -> dict[str, Array]:
         """Gains (candidates,) of points (candidates, knobs) in the logarithmic unit cube."""
-        return {
+        plain = {
             name: knob.low * (knob.high / knob.low) ** points[..., index] * scale
             for index, ((name, knob), scale) in enumerate(zip(self.space.items(), self._scale, strict=True))
         }
+        return {name: values * self._unit(self.space[name], plain) for name, values in plain.items()}
+
+    def _unit(self, knob: Knob, gains: Mapping[str, Array]) -> Any:
+        """The gain that a knob's is given in, where there is one; of a knob that is not turned, its value."""
+        return (gains if knob.of in self.space else self._apart)[knob.of] if knob.of else 1.0
 
     def point(self, gains: Mapping[str, Any]) -> Array:
         """The point (knobs,) of known gains (a number or one per axis); the middle where one is not given."""
         point = np.full(len(self.space), 0.5)
+        known = {name: per_axis(gains[name], len(self.rig.axes))[self.axis] for name in self.space if name in gains}
+        units = self.gains(point) | known
         for index, ((name, knob), scale) in enumerate(zip(self.space.items(), self._scale, strict=True)):
-            if name in gains:
-                value = per_axis(gains[name], len(self.rig.axes))[self.axis]
-                point[index] = math.log(max(float(value) / scale / knob.low, 1e-12)) / math.log(knob.high / knob.low)
+            if name in known:
+                ratio = float(known[name] / self._unit(knob, units)) / scale / knob.low
+                point[index] = math.log(max(ratio, 1e-12)) / math.log(knob.high / knob.low)
         clipped: Array = np.clip(point, 0.0, 1.0)
         return clipped
 
