@@ -6,8 +6,7 @@ Output depends on the rig, the inputs and this object's own state alone; time co
 
 import math
 from collections.abc import Sequence
-from itertools import chain
-from operator import attrgetter, sub
+from operator import sub
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,6 @@ from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
 from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import make_trajectory, task_repeat
 
-_FILTER_STATE = attrgetter("position", "velocity", "disturbance", "innovation")  # in the record's order
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
 ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
 ENABLED, UNWELL = int(DriveStatus.ENABLED), int(UNHEALTHY)  # flags' own operators are slow
@@ -330,20 +328,18 @@ class ControlCycle:
 
     def _record(self, tick: Tick, received: Sequence[Frame], sent: list[Frame]) -> np.void:
         records, inbox, inputs, filters = self._records, self.inbox, self.inputs, self.filters
-        flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | bool(sent) << 4
-        records.head(
-            tick.index, tick.scheduled_ns, tick.now_ns, self.machine.state, self.fault, self.monitor.active, flags,
-            max(self.sent_sequence, 0), self.setpoints.task_ns,
-        )  # fmt: skip
+        index, scheduled_ns, now_ns, port, _, stop, recorder_ok, realtime_ok, rig_ok = tick[:]
+        flags = stop | recorder_ok << 1 | realtime_ok << 2 | rig_ok << 3 | bool(sent) << 4
         measured, setpoint = self._measured, [x.sample.position for x in inputs]
-        records.motion(
-            *measured, *chain.from_iterable(zip(*map(_FILTER_STATE, filters), strict=True)), *setpoint,
+        records.state(
+            index, scheduled_ns, now_ns, self.machine.state, self.fault, self.monitor.active, flags,
+            max(self.sent_sequence, 0), self.setpoints.task_ns,
+            *measured, *[f.position for f in filters], *[f.velocity for f in filters],
+            *[f.disturbance for f in filters], *[f.innovation for f in filters], *setpoint,
             *[x.sample.velocity for x in inputs], *map(sub, measured, setpoint), *self._requested, *self.gate.force,
+            *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port,
+            *inbox.rejects, inbox.lost, 0, 0, 0, self.machine.refused, self.commands.refused,
+            self.law.denominator_floors, *self.gate.saturations,
         )  # fmt: skip
-        status = [0 if s is None else s.status for s in inbox.samples]
-        records.axes(self.sampling.instants, inbox.age, status, tick.port, inbox.rejects)
-        records.counts(
-            inbox.lost, self.machine.refused, self.commands.refused, self.law.denominator_floors, self.gate.saturations
-        )
         records.traffic(self.commands.handled, sent, received)
         return records.record

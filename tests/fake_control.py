@@ -16,7 +16,7 @@ from hil.state_machine import Event, State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
 from hil.telemetry.provenance import describe_run
-from hil.telemetry.record import MOTION_FIELDS, RecordBuilder
+from hil.telemetry.record import MOTION_FIELDS, REJECT_REASONS, RecordBuilder
 from hil.telemetry.ring import RingWriter
 from hil.tick import PortCounters
 
@@ -35,7 +35,8 @@ def main(rig_file: str, ticks: int) -> None:
             return True
         return False
 
-    desk, builder, pacer = CommandDesk(), RecordBuilder(len(rig.axes)), Pacer(rig.period_ns)
+    n = len(rig.axes)
+    desk, builder, pacer = CommandDesk(), RecordBuilder(n), Pacer(rig.period_ns)
     with (
         Mailbox.create(rig_places.mailbox) as mailbox,
         RingWriter(
@@ -51,9 +52,10 @@ def main(rig_file: str, ticks: int) -> None:
             pacer.wait()
             desk.handle(mailbox.poll(), pacer.now_ns, act)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
-            builder.head(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
-            builder.motion(*[math.sin(pacer.index * 1e-3)] * len(rig.axes) * len(MOTION_FIELDS))
-            builder.axes([0] * len(rig.axes), [0] * len(rig.axes), [1] * len(rig.axes), PortCounters(), [0] * 10)
+            head = (pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
+            motion = [math.sin(pacer.index * 1e-3)] * n * len(MOTION_FIELDS)
+            per_axis = [0] * 2 * n + [1] * n  # stamp_ns, age_ticks, drive_status
+            builder.state(*head, *motion, *per_axis, *PortCounters(), *[0] * REJECT_REASONS, *[0] * 7, *[0] * n)
             builder.traffic(desk.handled, [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4)
             ring.append(builder.record)
 

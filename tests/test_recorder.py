@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.frame import Frame
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, RecordBuilder
+from hil.telemetry.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
 from hil.telemetry.recorder import Recorder, Recording, RecordingError
 from hil.tick import BusState, CommandKind, OperatorCommand, PortCounters
 
@@ -34,10 +34,11 @@ def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorComm
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
-        builder.head(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
-        builder.motion(*(np.arange(len(MOTION_FIELDS) * 3) + index).tolist())
+        head = (index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
+        motion = (np.arange(len(MOTION_FIELDS) * 3) + index).tolist()
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
-        builder.axes([index, -5, 2**60], [0, 1, 2], [1, 2, 4], port, [0] * 10)
+        per_axis = (index, -5, 2**60, 0, 1, 2, 1, 2, 4)  # stamp_ns, age_ticks, drive_status
+        builder.state(*head, *motion, *per_axis, *port, *[0] * REJECT_REASONS, *[0] * 7, 0, 0, 0)
         builder.traffic(commands, sent, received)
         records[index] = builder.record
     return records

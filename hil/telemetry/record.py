@@ -4,7 +4,8 @@ Little-endian, SI units, 4096 bytes. Per-axis arrays have MAX_AXES places; those
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -97,55 +98,37 @@ MOTION_FIELDS = (
     "force",
 )
 _OFFSET = {name: int(offset[1]) for name, offset in (RECORD.fields or {}).items()}
-_MOTION_AT, _COUNTERS_AT, _TAIL_AT = _OFFSET["position"], _OFFSET["stamp_ns"], _OFFSET["samples_lost"]
-_SATURATIONS_AT, _COUNTS_AT, _COMMANDS_AT = _OFFSET["saturations"], _OFFSET["n_commands"], _OFFSET["commands"]
+_COUNTS_AT, _COMMANDS_AT = _OFFSET["n_commands"], _OFFSET["commands"]
 _SENT_AT, _RECEIVED_AT = _OFFSET["sent"], _OFFSET["received"]
-_HEAD = struct.Struct("<qqqIIQIIq")
-_TAIL = struct.Struct("<7Q")
-_FRAME = struct.Struct("<qIBBH64s")
+_FRAME = struct.Struct("<qIBB2x64s")
 _pack_frame, _FRAME_SIZE = _FRAME.pack_into, _FRAME.size
 _COMMAND = struct.Struct("<IIQq")
-_COUNTS = struct.Struct("<4H")
+_COUNTS = struct.Struct("<3H2x")
 _MAX_U32, _MAX_U64, _MAX_I64 = 2**32 - 1, 2**64 - 1, 2**63 - 1
 
 
 class RecordBuilder:
-    """One record, written over and over; packing beats a numpy field assignment four times over."""
+    """One record, written over and over; packing beats a numpy field assignment four times over.
+
+    state: takes everything from `index` to `saturations` in the record's order, one value per axis for the per-axis
+    fields, and packs it in one call.
+    """
 
     def __init__(self, n_axes: int) -> None:
         self.buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
         rest = MAX_AXES - n_axes
-        self._motion = struct.Struct("<" + f"{n_axes}d{8 * rest}x" * len(MOTION_FIELDS))
+        motion = f"{n_axes}d{8 * rest}x" * len(MOTION_FIELDS)
         ages = f"{n_axes}I{4 * rest}x"
-        self._counters = struct.Struct(f"<{n_axes}q{8 * rest}x{ages}{ages}12Q{REJECT_REASONS}Q")
-        self._saturations = struct.Struct(f"<{n_axes}Q")
-
-    def head(self, *values: int) -> None:
-        """index, scheduled_ns, now_ns, state, fault, faults_active, flags, sequence, task_ns."""
-        _HEAD.pack_into(self.buffer, 0, *values)
-
-    def motion(self, *values: float) -> None:
-        """The fields MOTION_FIELDS one after another, one value an axis."""
-        self._motion.pack_into(self.buffer, _MOTION_AT, *values)
-
-    def axes(
-        self, stamps: list[int], ages: list[int], status: list[int], port: Sequence[int], rejects: list[int]
-    ) -> None:
-        """Per-axis integers and the counters of port and inbox."""
-        self._counters.pack_into(self.buffer, _COUNTERS_AT, *stamps, *ages, *status, *port, *rejects)
-
-    def counts(self, lost: int, illegal: int, refused: int, floors: int, saturations: list[int]) -> None:
-        """Counters of the cycle; the shell's own (missed_*, longest_streak) become zero until it writes them."""
-        _TAIL.pack_into(self.buffer, _TAIL_AT, lost, 0, 0, 0, illegal, refused, floors)
-        self._saturations.pack_into(self.buffer, _SATURATIONS_AT, *saturations)
+        layout = f"<qqqIIQIIq{motion}{n_axes}q{8 * rest}x{ages}{ages}12Q{REJECT_REASONS}Q7Q{n_axes}Q"
+        self.state: Callable[..., None] = partial(struct.Struct(layout).pack_into, self.buffer, 0)
 
     def traffic(
         self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
     ) -> None:
         """All that went in and out of the tick."""
         buffer = self.buffer
-        _COUNTS.pack_into(buffer, _COUNTS_AT, len(commands), len(received), len(sent), 0)
+        _COUNTS.pack_into(buffer, _COUNTS_AT, len(commands), len(received), len(sent))
         offset = _COMMANDS_AT
         for command, accepted in commands:
             # Cut to the fields' widths: no sender's number, however absurd, may raise in the control process.
@@ -155,9 +138,9 @@ class RecordBuilder:
             offset += _COMMAND.size
         offset = _SENT_AT
         for can_id, data, flags, stamp in sent:
-            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, 0, data)
+            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, data)
             offset += _FRAME_SIZE
         offset = _RECEIVED_AT
         for can_id, data, flags, stamp in received:
-            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, 0, data)
+            _pack_frame(buffer, offset, stamp, can_id, len(data), flags, data)
             offset += _FRAME_SIZE
