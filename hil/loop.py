@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
-from hil.clock import Pacer, own_share
+from hil.clock import Pacer, own_share, sleeper
 from hil.cycle import RECORD
 from hil.notify import Notifier
 from hil.realtime import Claim
@@ -33,6 +33,7 @@ CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
 _UNSIGNED_32 = 0xFFFFFFFF
 _NO_AGE = -1
+_new = tuple.__new__  # what Tick(...) ends in, without the detour through Python
 
 _FIELDS: dict[str, Any] = dict(RECORD_DTYPE.fields or {})
 _MISSED = struct.Struct("<3Q")  # missed_own, missed_host, longest_streak
@@ -109,7 +110,8 @@ class ControlLoop:
         rig = parts.cycle.rig
         self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
         self._clock = stage_clock
-        self.pacer = Pacer(rig.period_ns)
+        alone = threading.active_count() == 1
+        self.pacer = Pacer(rig.period_ns, sleep_until=sleeper(alone=alone))
         self.ledger = MissLedger(rig.period_ns)
         self._rig_ok = True
         self._realtime_ok = parts.claim.verdict.ok
@@ -161,10 +163,10 @@ class ControlLoop:
         commands = mailbox.poll()
         if commands:
             self._before_commands(commands)
-        tick = Tick(
+        tick: Tick = _new(Tick, (
             pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
             self._realtime_ok, self._rig_ok,
-        )  # fmt: skip
+        ))  # fmt: skip
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()
@@ -193,12 +195,15 @@ class ControlLoop:
         """Time per stage, for the timing file and the next record."""
         cycle, pacer = self._cycle, self.pacer
         estimate, control, gate, _ = cycle.stamps
-        self._stages = stages = (estimate - began, control - estimate, gate - control, sending - gate, ended - sending)
+        read, estimated, controlled, gated = estimate - began, control - estimate, gate - control, sending - gate
+        sent = ended - sending
+        self._stages = (read, estimated, controlled, gated, sent)
         age = sent_ns - min(cycle.sampling.instants) if all(cycle.inbox.fresh) else _NO_AGE
         mark = time.thread_time_ns()
         self._cpu_ns = mark - self._cpu_mark_ns
         self._cpu_mark_ns = mark
-        self._timing.note(pacer.now_ns - pacer.scheduled_ns, *stages, self._cpu_ns, age)
+        lateness = pacer.now_ns - pacer.scheduled_ns
+        self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
 
     def _book_miss(self) -> None:
         since = time.thread_time_ns() - self._cpu_mark_ns

@@ -81,7 +81,7 @@ class StageFdHost(_Layout):
         if status > STATUS_MASK:
             return Reject.INVALID_VALUE
         earliest = received - _HALF
-        return tuple.__new__(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
+        return _new(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
@@ -93,7 +93,7 @@ class StageFdHost(_Layout):
         flags = enable & self._enable_mask | (RESET if reset else 0)
         data = self._pack_command(a, b, c, d, sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
-        return [tuple.__new__(Frame, (self._command_id, data, FD | BRS, 0))]
+        return [_new(Frame, (self._command_id, data, FD | BRS, 0))]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""
