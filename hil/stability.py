@@ -106,9 +106,9 @@ class _Loop:
     of the first to pulse, or each axis of one of its own where the law looks at all of them; the last is left alone.
     """
 
-    def __init__(self, rig: RigConfig, model: Model, plant_gain: float) -> None:
+    def __init__(self, rig: RigConfig, model: Model) -> None:
         n = model.mass.size
-        self._mass = model.mass / plant_gain
+        self.mass = model.mass  # of the plant
         self._period = rig.period_ns * 1e-9
         gains, _ = design_gains(rig)
         self._filter = MotionFilter(list(gains), model.mass)
@@ -155,7 +155,7 @@ class _Loop:
         inputs.force_last, inputs.force_before = last + self._needed, before + self._needed
         asked = self._law.force(inputs) - self._needed
         # The sample is from the start of the last period: its force moves the plant to the next sample.
-        change = last / self._mass * self._period
+        change = last / self.mass * self._period
         self._error = self._error + (self._rate + 0.5 * change) * self._period
         self._rate = self._rate + change
         self._net = [asked.copy(), last]
@@ -167,16 +167,17 @@ class _Loop:
         return self._error + self._rate * self._period
 
 
-def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple[Array, Array]:
+def pulse_response(rig: RigConfig, ticks: int, plant_gain: float | Array = 1.0) -> tuple[Array, Array]:
     """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, n_axes).
 
     The motion is the true error moved on by one period at its rate: a force that alternates from tick to tick shows in
-    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one. Both
-    less those of a loop without the pulse: an integrator or an observer that has not settled yet still moves.
+    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one, for
+    all axes or each (n_axes,), from the pulse on: before, the loop settles from a start that no rig has, at full speed.
+    Both less those of a loop without the pulse: an integrator or an observer that has not settled yet still moves.
     """
     model = rig_model(rig)
     n = model.mass.size
-    loop = _Loop(rig, model, plant_gain)
+    loop = _Loop(rig, model)
     own = (loop.pulsed, np.arange(n))
     quiet, pulse = np.zeros(loop.shape), np.zeros(loop.shape)
     pulse[own] = PULSE
@@ -189,6 +190,7 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float = 1.0) -> tuple
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
+        loop.mass = model.mass / plant_gain
         answer, motion, alone = np.empty((3, ticks, n))
         for k in range(ticks):
             errors = loop.step(pulse if k == 0 else quiet)
