@@ -101,14 +101,15 @@ class _Table:
 
 
 class Rehearsal:
-    """One axis of a rig on a set of trials, from activation on, for `ticks` control periods.
-
-    Figures are taken from `first` on.
+    """One axis of a rig on a set of trials, from activation on; figures of its ticks `first` <= tick < `last`, which
+    None takes from every trial's own task: from where its statistics begin until it ends.
     """
 
-    def __init__(self, rig: RigConfig, axis: int, trials: Sequence[Trial], first: int, ticks: int, seed: int) -> None:
+    def __init__(
+        self, rig: RigConfig, axis: int, trials: Sequence[Trial], first: int | None, last: int | None, seed: int
+    ) -> None:
         n = len(rig.axes)
-        self._rig, self._axis, self._first, self._ticks = rig, axis, first, ticks
+        self._rig, self._axis = rig, axis
         self._period = rig.period_ns * 1e-9
         pick = slice(axis, axis + 1)
         whole = rig_model(rig)
@@ -122,10 +123,15 @@ class Rehearsal:
         initial = per_axis(rig.plant.initial_position, n)
         self._initial = float(initial[axis])
         self._truths = [self._truth(trial, pick) for trial in trials]
-        self.schedule = schedule = Schedule(trials, ticks, rig.period_ns, seed)
         origin = np.rint(initial / self._resolution) * self._belief
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
         paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns) for task in tasks]
+        self._window = (
+            np.array([path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]),
+            np.array([(path.duration_ns or 0) // rig.period_ns + 1 if last is None else last for path in paths]),
+        )
+        self._ticks = ticks = int(self._window[1].max())
+        self.schedule = schedule = Schedule(trials, ticks, rig.period_ns, seed)
         # Instants of the samples, and the regular grid on which forces are expected to begin, from one tick before the
         # first; the task's clock starts in tick 1, where commands are expected at the latency.
         starts = schedule.latency + rig.period_ns
@@ -202,15 +208,17 @@ class _Run:
         of = self._of
         shape = self._force.shape
         largest, squares, changes = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        first, last = (ticks[:, None] for ticks in of._window)
         with np.errstate(all="ignore"):
             for tick in range(of._ticks):
                 before = self._force
                 self._tick(tick)
-                if tick >= of._first:
-                    largest = np.maximum(largest, np.abs(self._error))
-                    squares += self._error * self._error
-                    changes += (self._force - before) ** 2
-        count = of._ticks - of._first
+                counts = (first <= tick) & (tick < last)
+                if counts.any():
+                    largest = np.where(counts, np.maximum(largest, np.abs(self._error)), largest)
+                    squares += np.where(counts, self._error * self._error, 0.0)
+                    changes += np.where(counts, (self._force - before) ** 2, 0.0)
+        count = last - first
         bad = ~(largest < LOST)
         largest = np.where(bad, LOST, np.maximum(largest, 1e-12))
         rms = np.where(bad, LOST, np.sqrt(squares / count))

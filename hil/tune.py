@@ -20,7 +20,7 @@ from hil.laws.base import Array
 from hil.rehearsal import LOST
 from hil.sim import metres
 from hil.stability import check_stability
-from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, trials
+from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
 
 DIGITS = 4
 WIDTH = 120  # characters of a table that goes to a file
@@ -180,8 +180,8 @@ def tune(
         console.width = WIDTH
     chosen = [key.strip() for key in only.split(",") if key.strip()]
     for key in chosen:
-        if key not in SPACE[name]:
-            raise RigError([f"--only {key}: {name} has {', '.join(SPACE[name])}"])
+        if key not in space_of(rig, name):
+            raise RigError([f"--only {key}: {name} has {', '.join(space_of(rig, name))}"])
     least = Margins(margin, phase_margin)
     found = []
     with Progress(console=console, transient=True) as bar:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.config import RigConfig, RigError
+from hil.config import InjectionConfig, RigConfig, RigError
 from hil.estimation import per_axis
 from hil.laws import LAWS
 from hil.laws.base import Array, Model
@@ -21,8 +21,8 @@ from hil.stability import AxisStability, check_stability
 CORNERS = ((1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3))  # scales of mass and friction
 SETTLE_S = 4.0
 WINDOW_S = 4.0
-PLAN_FROM_S, PLAN_S, PLAN_DWELL_S = 2.0, 9.0, 0.6  # the injection plan: from the focal range on, and over
-PLAN_COUNTS = 4.0  # RMS, encoder counts
+PLAN_DWELL_S = 0.3  # of the injection plan's dwells, where they need not be as long as they are
+PLAN_COUNTS, FAR_COUNTS = 4.0, 30.0  # RMS over the plan, encoder counts: near the rig's own plant, and in its corners
 SMALLER = 0.05  # from one repeat of the figures to the next
 QUIET = 0.03  # of the force limit: RMS change of force from tick to tick that costs nothing
 PER_DB = 3.0  # cost of a decibel of gain margin too few: what an error e times as large in every trial costs
@@ -31,7 +31,8 @@ DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: eac
 
 
 class Knob(NamedTuple):
-    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass, rate, force limit and encoder.
+    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass and Coulomb friction, rate, force
+    limit and encoder.
 
     of: another knob, whose gain this one is given in. density: in time (per sqrt(s)), so the same at every rate.
     """
@@ -99,6 +100,31 @@ SPACE: dict[str, dict[str, Knob]] = {
         "measurement_noise": Knob(0.29, 1.0, "count"),
     },
 }
+# Injection: a stage believed to a few per cent, at rest again and again, that has to be right at once. So the filter's
+# beginnings and its creep up to breakaway count, and everything is sized by the mass and friction believed.
+PLAN_SPACE: dict[str, dict[str, Knob]] = {
+    "structured-kalman": {
+        "bandwidth": Knob(0.15, 0.35),
+        "damping": Knob(0.6, 1.0),
+        "acceleration_noise": Knob(5e-5, 1e-3),
+        "reversal_noise": Knob(5e-3, 0.1),
+        "bias_noise": Knob(3e-4, 0.1, "C"),
+        "coulomb_noise": Knob(3e-3, 0.1, "C"),
+        "mass_noise": Knob(0.01, 1.0, "m"),
+        "measurement_noise": Knob(0.5, 1.0, "count"),
+        "bias_prior": Knob(1e-3, 1.0, "C"),
+        "coulomb_prior": Knob(0.03, 1.0, "C"),
+        "viscous_prior": Knob(0.03, 0.5, "C"),
+        "mass_prior": Knob(0.01, 0.1, "m"),
+        "breakaway_rate": Knob(5.0, 50.0, "C"),
+    },
+}
+
+
+def space_of(rig: RigConfig, law: str) -> dict[str, Knob]:
+    """A law's knobs on the rig's task."""
+    own = PLAN_SPACE if rig.task.kind == "injection" else SPACE
+    return own.get(law, SPACE[law])
 
 
 def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, resolution: float) -> Array:
@@ -115,6 +141,7 @@ def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, reso
         "m2/FT": model.mass**2 / (force_limit * period),
         "m2/FT2": model.mass**2 / (force_limit * period**2),
         "F": force_limit * one,
+        "C": model.coulomb * one,
         "count": resolution * one,
         "count/T1.5": resolution * one / period**1.5,
     }[knob.scale]
@@ -122,8 +149,8 @@ def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, reso
 
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
-    """The rig's own task, and for figures variations of it in size, speed and kind, light and heavy plants, commands
-    late and lost: gains found on one task alone do not generalise (PAPER.md).
+    """The rig's own task, variations of it in size and speed, light and heavy plants, for figures other kinds of task
+    and commands lost as well: gains found on one task alone do not generalise (PAPER.md).
 
     repeats: of every figure, each SMALLER than the one before. Raises RigError where the task is none.
     """
@@ -132,9 +159,8 @@ def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
         return [trial for turn in range(repeats) for trial in _figure_trials(rig, 1.0 - SMALLER * turn)]
     if repeats > 1:
         raise RigError([f"--repeats {repeats}: task.kind = '{task.kind}' has no sizes; 1 is its only value here"])
-    if task.injection is not None:
-        plan = task.injection.model_copy(update={"cells": 2, "dwell_s": min(task.injection.dwell_s, PLAN_DWELL_S)})
-        return [Trial("two cells", {"injection": plan}, PLAN_COUNTS, rms=True)]
+    if task.kind == "injection" and task.injection is not None:
+        return _plan_trials(task.injection)
     return [Trial("own task", {}, 4.0)]
 
 
@@ -173,6 +199,30 @@ def _figure_trials(rig: RigConfig, whole: float) -> list[Trial]:
     return [trial._replace(name=name + ending, error=error) for name, trial in chosen.items()]
 
 
+def _plan_trials(plan: InjectionConfig) -> list[Trial]:
+    dwell = min(plan.dwell_s, PLAN_DWELL_S)
+
+    def cells(number: int, scale: float = 1.0, dwell_s: float = dwell) -> dict[str, Any]:
+        changes = {
+            "cells": number,
+            "dwell_s": dwell_s,
+            "pitch": [scale * length for length in plan.pitch],
+            "approach_s": scale * plan.approach_s,
+            "transfer_s": scale * plan.transfer_s,
+        }
+        return {"injection": plan.model_copy(update=changes)}
+
+    return [
+        Trial("two cells", cells(2), PLAN_COUNTS, rms=True),
+        Trial("a fifth quicker", cells(2, 0.8), PLAN_COUNTS, rms=True),
+        Trial("a fifth slower", cells(1, 1.2, 4.0 * dwell), PLAN_COUNTS, rms=True),
+        # A few per cent off the rig's own plant, as a stage is from one day to the next.
+        Trial("heavier, stickier", cells(2), PLAN_COUNTS, 1.02, 1.08, rms=True),
+        Trial("lighter, late commands", cells(2), PLAN_COUNTS, 0.98, 0.92, jitter=50e-6, rms=True),
+        *(Trial(f"far, {plant}", cells(1), FAR_COUNTS, *plant, rms=True) for plant in CORNERS[1:]),
+    ]
+
+
 def law_gains(rig: RigConfig, law: str) -> dict[str, Any]:
     """The rig file's gains for a law; [law.gains] belongs to the law the file names."""
     return rig.law.effective_gains() if law == rig.law.name else dict(rig.law.tuned.get(law, {}))
@@ -209,7 +259,7 @@ def at_rate(rig: RigConfig, law: str, gains: Mapping[str, Any], rate_hz: float) 
     n, old, new = len(rig.axes), rig.period_ns * 1e-9, 1.0 / rate_hz
     one = Model(*(np.ones(n) for _ in fields(Model)))
     scaled = dict(gains)
-    for name, knob in SPACE[law].items():
+    for name, knob in space_of(rig, law).items():
         if name in gains and not knob.density:
             factor = knob_scale(knob, one, new, np.ones(n), 1.0) / knob_scale(knob, one, old, np.ones(n), 1.0)
             scaled[name] = (per_axis(gains[name], n) * factor).tolist()
@@ -239,7 +289,7 @@ class Bench:
         only: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.rig, self.law, self.axis = rig, law, axis
-        self.space = {name: knob for name, knob in SPACE[law].items() if not only or name in only}
+        self.space = {name: knob for name, knob in space_of(rig, law).items() if not only or name in only}
         self.trials = list(chosen or trials(rig))
         self._least = least
         known = law_gains(rig, law)
@@ -249,9 +299,10 @@ class Bench:
             for name, value in known.items()
             if name not in self.space
         }
-        plan = rig.task.injection is not None
-        first, seconds = (PLAN_FROM_S, PLAN_S) if plan else (SETTLE_S, SETTLE_S + WINDOW_S)
-        self._rehearsal = Rehearsal(rig, axis, self.trials, round(first * rig.rate_hz), round(seconds * rig.rate_hz), 1)
+        first = last = None
+        if rig.task.kind != "injection":
+            first, last = (round(seconds * rig.rate_hz) for seconds in (SETTLE_S, SETTLE_S + WINDOW_S))
+        self._rehearsal = Rehearsal(rig, axis, self.trials, first, last, 1)
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [

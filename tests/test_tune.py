@@ -1,5 +1,6 @@
 """Batches, sweeps, tuning and comparison: one arithmetic, whoever runs it."""
 
+import shlex
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -23,11 +24,11 @@ from hil.rehearsal import Rehearsal, Trial
 from hil.stability import check_stability, refuse_unstable
 from hil.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
 from hil.tune import front, rounded, search, write_gains
-from hil.tune_bench import NO_MARGINS, SPACE, Bench, Margins, at_rate, knob_scale, margins_of, trials
+from hil.tune_bench import NO_MARGINS, SPACE, Bench, Knob, Margins, at_rate, knob_scale, margins_of, space_of, trials
 from sim_plant.stage import Truth
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
-PAPER = RIGS / "paper.toml"
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 
@@ -82,10 +83,13 @@ def test_a_sweep_without_a_steady_window_is_refused() -> None:
         jobs(load_rig(PAPER, ["wire.jitter=1e-5"]), RIGS, 10, 20.0, seed=1)
 
 
-def test_every_law_can_be_tuned_and_points_turn_back_into_gains() -> None:
-    for law, space in SPACE.items():
-        for axis in range(2):
-            bench = Bench(load_rig(PAPER, [f"law.name={law}"]), law, axis, [Trial("own", {}, 4.0)])
+@pytest.mark.parametrize("rig_file", [PAPER, MICROSCOPE])
+def test_every_law_can_be_tuned_and_points_turn_back_into_gains(rig_file: Path) -> None:
+    rig = load_rig(rig_file)
+    for law in SPACE:
+        space = space_of(rig, law)
+        for axis in range(len(rig.axes)):
+            bench = Bench(load_rig(rig_file, [f"law.name={law}"]), law, axis, [Trial("own", {}, 4.0)])
             points = np.random.default_rng(1).random((3, len(space)))
             gains = bench.gains(points)
             for candidate in range(3):
@@ -150,8 +154,35 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
     assert {trial.task["kind"] for trial in figures if "kind" in trial.task} == {"lissajous", "point_to_point"}
     assert any(trial.jitter for trial in figures)
     assert any(trial.loss for trial in figures)
-    (plan,) = trials(load_rig(RIGS / "microscope.toml"))
-    assert plan.rms
+    plans = trials(load_rig(MICROSCOPE))
+    assert all(trial.rms and set(trial.task) == {"injection"} for trial in plans)
+    assert {trial.task["injection"].approach_s for trial in plans} == {1.6, 2.0, 2.4}
+    assert {(0.8, 0.7), (1.2, 1.3)} < {(trial.mass, trial.friction) for trial in plans}
+    near, far = (
+        {trial.good for trial in plans if (abs(trial.mass - 1.0) > 0.1) == off_the_belief}
+        for off_the_belief in (False, True)
+    )
+    assert max(near) < min(far)  # a plant like the rig's own weighs more
+
+
+SMALL_PLAN = ["cells=1", "approach_s=0.3", "transfer_s=0.2", "withdraw_s=0.2", "dwell_s=0.1"]
+
+
+def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -> None:
+    """Each trial over a window of its own, whatever runs beside it."""
+    rig = load_rig(MICROSCOPE, ["wire.stuffing=worst", *(f"task.injection.{change}" for change in SMALL_PLAN)])
+    assert rig.task.injection is not None
+    longer = rig.task.injection.model_copy(update={"dwell_s": 0.3})
+    report, _ = simulate(rig, RIGS, 1.37)
+    gains = rig.law.effective_gains()
+    for axis, name in enumerate(rig.axis_names):
+        pair = [Trial("own", {}, 4.0, rms=True), Trial("longer", {"injection": longer}, 4.0, rms=True)]
+        found = Rehearsal(rig, axis, pair, None, None, 1).run(
+            "structured-kalman", {key: np.array([values[axis]]) for key, values in gains.items()}
+        )
+        assert found.largest[0, 0] == report.axes[name]["max_error"]
+        assert found.rms[0, 0] == pytest.approx(report.axes[name]["rms_error"], rel=0.01)
+        assert found.rms[0, 1] < found.rms[0, 0]
 
 
 def test_repeats_are_the_same_trials_a_little_smaller() -> None:
@@ -314,13 +345,32 @@ def test_gains_of_the_rig_are_whole_with_margins_and_say_how_they_were_found(law
         assert margins_of(axis).short(Margins(6.0, 30.0)) == 0.0
 
 
-def test_knob_scales_follow_mass_rate_and_encoder() -> None:
+@pytest.mark.parametrize("rig_file", [PAPER, MICROSCOPE])
+def test_gains_in_the_rig_files_come_from_a_search_that_is_written_above_them(rig_file: Path) -> None:
+    """The command names this file and law, and every gain it searched lies within what is searched."""
+    rig = load_rig(rig_file)
+    lines = rig_file.read_text().splitlines()
+    for law, gains in rig.law.tuned.items():
+        (header,) = (index for index, line in enumerate(lines) if line.startswith(f"[law.tuned.{law}]"))
+        command = shlex.split(lines[header + 1])
+        assert command[:6] == ["#", "hil", "tune", f"deploy/rigs/{rig_file.name}", "--law", law]
+        options = dict(zip(command[4::2], command[5::2], strict=True))
+        searched = options.get("--only", ",".join(space_of(rig, law))).split(",")
+        for axis in range(len(rig.axes)):
+            bench = Bench(rig, law, axis, [Trial("own", {}, 4.0)], only=searched)
+            for name, values in bench.gains(bench.known()[None]).items():
+                assert values[0] == pytest.approx(gains[name][axis], rel=1e-3), (law, name)
+
+
+def test_knob_scales_follow_mass_rate_friction_and_encoder() -> None:
     from hil.belief import rig_model
 
     model = rig_model(load_rig(PAPER))
     knob = SPACE["pd-feedforward"]["kp"]
     slow, fast = (knob_scale(knob, model, period, np.ones(2), 1e-7) for period in (2e-3, 1e-3))
     assert fast == pytest.approx(4 * slow)
+    friction = knob_scale(Knob(0.1, 1.0, "C"), model, 1e-3, np.ones(2), 1e-7)
+    assert friction.tolist() == [1.146, 0.172]
     noise = SPACE["structured-kalman"]["measurement_noise"]
     assert knob_scale(noise, model, 1e-3, np.ones(2), 1e-7) * noise.low == pytest.approx(1e-7 / 12**0.5, rel=0.01)
 
