@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.clock import MAX_RESLEEPS, Pacer, own_share
+from hil.clock import MAX_RESLEEPS, Pacer, own_share, sleeper
 
 PERIOD = 1_000_000
 
@@ -40,7 +40,7 @@ def started(world):
 def test_an_undisturbed_loop_visits_every_slot_on_its_deadline():
     world = World()
     pacer = started(world)
-    epoch = world.time
+    epoch = pacer.scheduled_ns
     for index in range(100):
         pacer.wait()
         assert (pacer.index, pacer.scheduled_ns, pacer.now_ns) == (index, epoch + (index + 1) * PERIOD, world.time)
@@ -48,10 +48,22 @@ def test_an_undisturbed_loop_visits_every_slot_on_its_deadline():
         world.work(PERIOD // 3)
 
 
+@given(st.integers(0, 2**62), st.sampled_from([500_000, PERIOD, 1_333_333]))
+def test_slots_lie_half_a_period_off_the_kernels_tick_and_the_first_comes_within_a_period(now, period):
+    world = World()
+    world.time = now
+    pacer = Pacer(period, world.now, world.sleep_until)
+    pacer.start()
+    pacer.wait()
+    assert pacer.index == 0
+    assert now < pacer.scheduled_ns <= now + period
+    assert pacer.scheduled_ns % period == period // 2
+
+
 def test_lateness_does_not_add_up():
     world = World(oversleep=[50_000] * 1000)
     pacer = started(world)
-    epoch = world.time
+    epoch = pacer.scheduled_ns
     for _ in range(1000):
         pacer.wait()
     assert pacer.scheduled_ns == epoch + 1000 * PERIOD
@@ -82,7 +94,7 @@ def test_a_wake_later_than_half_a_period_waits_for_the_next_slot_instead_of_crow
 def test_when_every_wake_is_late_the_tick_still_runs_so_that_stop_and_watchdog_live():
     world = World(oversleep=[3 * PERIOD + 700_000] * MAX_RESLEEPS)
     pacer = started(world)
-    epoch = world.time
+    epoch = pacer.scheduled_ns
     pacer.wait()
     assert pacer.skipped == pacer.index > 0
     assert pacer.scheduled_ns == epoch + (pacer.index + 1) * PERIOD
@@ -99,7 +111,7 @@ def test_when_every_wake_is_late_the_tick_still_runs_so_that_stop_and_watchdog_l
 def test_whatever_happens_the_index_is_the_slot_and_ticks_are_never_crowded(history):
     world = World()
     pacer = started(world)
-    epoch, previous, skipped = world.time, None, 0
+    epoch, previous, skipped = pacer.scheduled_ns, None, 0
     for work, oversleep in history:
         world.oversleep = list(oversleep)
         pacer.wait()
@@ -124,18 +136,18 @@ def test_the_real_sleep_ends_at_or_after_its_deadline_and_survives_signals():
     assert pacer.index >= 19
 
 
-def test_a_signal_during_the_sleep_runs_its_handler_and_does_not_end_the_sleep():
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_signal_during_the_sleep_runs_its_handler_and_does_not_end_the_sleep(alone):
     seen = []
     before = signal.signal(signal.SIGALRM, lambda *_: seen.append(time.monotonic_ns()))
+    deadline = time.monotonic_ns() + 50_000_000
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.005)
-        pacer = Pacer(50_000_000)
-        pacer.start()
-        pacer.wait()
+        sleeper(alone=alone)(deadline)
     finally:
         signal.signal(signal.SIGALRM, before)
     assert len(seen) == 1
-    assert seen[0] < pacer.scheduled_ns <= pacer.now_ns
+    assert seen[0] < deadline <= time.monotonic_ns()
 
 
 def test_a_period_that_is_not_positive_is_refused():
