@@ -8,8 +8,8 @@ Rules:
   make the drives sample while the answers to the first one are still on the bus.
 - The deadline is computed from the slot's number, never from when the last tick ended: lateness does not add up.
 - Deadlines lie half a period off the multiples of the period on CLOCK_MONOTONIC. The kernel's own tick comes on
-  multiples of its period (4 ms at 250 Hz) and brings softirqs, 16 to 40 us of them. Where it fell into the loop's ticks,
-  it made three of four of their slowest hundredth.
+  multiples of its period (4 ms at 250 Hz) and brings softirqs, 16 to 40 us. Where it fell into the loop's ticks, it
+  made three of four of their slowest hundredth.
 
 Why clock_nanosleep through ctypes (kernel 6.18, 2-core guest, FIFO 80, DMA latency held, 4 blocks of 4000 ticks each):
 lateness p50 14-19 us against 20-23 us for a periodic timerfd (its wake-up passes a wait queue); time.sleep() does as
