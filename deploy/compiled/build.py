@@ -23,9 +23,10 @@ PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through; *: all of the folder, so that a new law is compiled with the others. Not among them:
-# what defines ctypes structures (hil/clock.py, drivers/receive_block.py), which mypyc cannot compile; what users, tests
-# and the fault campaign replace or inherit from (hil/lockstep.py, hil/laws/per_axis.py, hil/state_machine.py,
-# drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
+# what sleeps (hil/clock.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
+# would never see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
+# users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/laws/per_axis.py,
+# hil/state_machine.py, drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
 MODULES = """
 hil: commands cycle estimation faults gate inbox loop number sampling setpoints stage_clock stop tick timing
 hil/laws: *
