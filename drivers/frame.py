@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+# What a NamedTuple's constructor ends in, without its detour through Python: for the innermost loops.
+new_tuple = tuple.__new__
+
 EXTENDED = 0x80000000  # CAN_EFF_FLAG, in can_id
 REMOTE = 0x40000000  # CAN_RTR_FLAG, in can_id
 ERROR = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic

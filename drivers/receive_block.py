@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
-from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame
+from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
 from drivers.frame_bytes import CANFD_MTU
 
 SLOTS = 32  # messages per system call
@@ -161,7 +161,7 @@ class ReceiveBlock:
         frames: list[Frame] = []
         # Local names and no call that can be saved: this is the innermost loop.
         expected, flags, error = self._head, self._flags, ERROR
-        append, new, kind = frames.append, tuple.__new__, Frame
+        append, new, kind = frames.append, new_tuple, Frame
         for can_id, head, data, ns in self._unpack(slots):
             if head == expected and first <= ns <= last and (can_id < error or not can_id & error):
                 append(new(kind, (can_id, data, flags, base_ns + ns)))

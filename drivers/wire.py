@@ -14,7 +14,7 @@ from heapq import heappop, heappush
 from typing import Any
 
 from drivers.config import BusConfig, WireConfig
-from drivers.frame import Frame
+from drivers.frame import Frame, new_tuple
 from drivers.frame_length import INTERMISSION, frame_bits, longest_bits
 from drivers.wire_confinement import ERROR_FRAME, Confinement
 from drivers.wire_faults import FRAME_FAULTS, FaultKind, FrameFaults, Random, WireFault
@@ -23,8 +23,6 @@ from drivers.wire_script import LateDeliveries, NodeFaults
 
 LONGEST = 800  # bits; more than any frame has at either rate
 COLLISION_BIT = 20  # two senders with one identifier differ behind the arbitration field
-
-new_frame = tuple.__new__  # what Frame(...) ends in, without the detour through Python
 
 Observer = Callable[[int, int, str, Frame, bool], None]
 
@@ -234,7 +232,7 @@ class Wire:
         if not targets and not self._acknowledged(sender):
             self.confinement.not_acknowledged(sender)
             return
-        received = new_frame(Frame, (can_id, data, flags, end_ns))
+        received = new_tuple(Frame, (can_id, data, flags, end_ns))
         self.sender = self.fate = None
         self.free_ns = end_ns + self._intermission_ns
         self.busy_ns += self.free_ns - self.start_ns

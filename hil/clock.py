@@ -30,10 +30,6 @@ _TIMER_ABSTIME = 1
 _SECOND_NS = 1_000_000_000
 
 
-class _Timespec(ctypes.Structure):
-    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-
 def sleeper(*, alone: bool = False) -> Callable[[int], None]:
     """A function that sleeps until an instant of CLOCK_MONOTONIC, ns.
 
@@ -42,12 +38,12 @@ def sleeper(*, alone: bool = False) -> Callable[[int], None]:
     """
     call = (ctypes.PyDLL if alone else ctypes.CDLL)(None).clock_nanosleep
     call.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
-    until = _Timespec()
-    fields, address = memoryview(until).cast("B").cast("l"), ctypes.byref(until)
+    until = (ctypes.c_long * 2)()  # struct timespec
+    address = ctypes.byref(until)
     interrupted = errno.EINTR
 
     def sleep_until(deadline_ns: int) -> None:
-        fields[0], fields[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
+        until[0], until[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
         while result := call(_CLOCK_MONOTONIC, _TIMER_ABSTIME, address, None):
             if result != interrupted:  # a signal's Python handler has run by now; sleep on
                 raise OSError(result, f"clock_nanosleep: {os.strerror(result)}")

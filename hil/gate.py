@@ -12,8 +12,6 @@ from typing import NamedTuple
 from drivers.frame import Frame
 from drivers.protocols.base import Command, HostProtocol
 
-_new = tuple.__new__  # what Command(...) ends in, without the detour through Python
-
 
 class ForceLimits(NamedTuple):
     """Bounds of one axis: N, m, m, and N per tick."""
@@ -74,7 +72,7 @@ class TorqueGate:
             if let_out != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._protocol.encode(_new(Command, (sequence, force, self._all_axes, False)))
+        return self._protocol.encode(Command(sequence, force, self._all_axes, False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

@@ -33,7 +33,6 @@ CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
 _UNSIGNED_32 = 0xFFFFFFFF
 _NO_AGE = -1
-_new = tuple.__new__  # what Tick(...) ends in, without the detour through Python
 
 _FIELDS: dict[str, Any] = dict(RECORD_DTYPE.fields or {})
 _MISSED = struct.Struct("<3Q")  # missed_own, missed_host, longest_streak
@@ -163,10 +162,10 @@ class ControlLoop:
         commands = mailbox.poll()
         if commands:
             self._before_commands(commands)
-        tick: Tick = _new(Tick, (
+        tick = Tick(
             pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
             self._realtime_ok, self._rig_ok,
-        ))  # fmt: skip
+        )  # fmt: skip
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()

@@ -13,10 +13,10 @@ Rules:
 from collections.abc import Callable
 from typing import NamedTuple
 
+from drivers.frame import new_tuple
 from drivers.protocols.base import DriveStatus, Sample
 
 NEVER_NS = 1 << 62
-_new = tuple.__new__  # what Sample(...) ends in, without the detour through Python
 
 _ENABLED = int(DriveStatus.ENABLED)
 _FAULT = int(DriveStatus.FAULT)
@@ -122,7 +122,7 @@ class ServoDrive:
     def sample(self, position: float, now_ns: int) -> Sample:
         """The encoder's count at now_ns, answering the last fresh command. position: truth, m."""
         status = self.status | self.extra_status
-        sample = _new(Sample, (self.axis, round(position / self.resolution), status, self._sequence, now_ns))
+        sample = new_tuple(Sample, (self.axis, round(position / self.resolution), status, self._sequence, now_ns))
         for tap in self.taps:
             sample = tap(sample)
         return sample

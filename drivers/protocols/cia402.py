@@ -19,7 +19,7 @@ from typing import Any
 import canopen
 
 from drivers.config import BusConfig
-from drivers.frame import ECHO, FD, Frame
+from drivers.frame import ECHO, FD, Frame, new_tuple
 from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.cia301 import DriveState, mapping_entry
@@ -177,7 +177,7 @@ class Cia402Host:
         if state is not node.state:
             self._master.stir()
         node.on_state(state)
-        return tuple.__new__(Sample, (axis, position, status | node.alarms, -1, self._clock.instant(axis, frame)))
+        return new_tuple(Sample, (axis, position, status | node.alarms, -1, self._clock.instant(axis, frame)))
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         service = self._services.get(can_id)

@@ -6,7 +6,7 @@ from struct import Struct
 from zlib import crc32
 
 from drivers.config import BusConfig
-from drivers.frame import BRS, FD, Frame
+from drivers.frame import BRS, FD, Frame, new_tuple
 from drivers.protocols.base import Command, Message, Reject, Sample
 from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
 from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
@@ -26,7 +26,6 @@ RESIDUE = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least 
 _WRAP = 1 << 32  # sample_time, ns
 _HALF = 1 << 31
 _SINGLE = Struct("<f")
-_new = tuple.__new__  # what Frame(...) ends in, without the detour through Python
 
 
 class _Layout:
@@ -81,7 +80,7 @@ class StageFdHost(_Layout):
         if status > STATUS_MASK:
             return Reject.INVALID_VALUE
         earliest = received - _HALF
-        return _new(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
+        return new_tuple(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
@@ -93,7 +92,7 @@ class StageFdHost(_Layout):
         flags = enable & self._enable_mask | (RESET if reset else 0)
         data = self._pack_command(a, b, c, d, sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
-        return [_new(Frame, (self._command_id, data, FD | BRS, 0))]
+        return [new_tuple(Frame, (self._command_id, data, FD | BRS, 0))]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""
@@ -130,4 +129,4 @@ class StageFdDevice(_Layout):
         position = (position + _HALF) % _WRAP - _HALF
         data = self._feedback.pack(position, stamp % _WRAP, status & STATUS_MASK, sequence % SEQUENCE_MODULUS, 0)
         data = data[:FEEDBACK_CHECKED]
-        return _new(Frame, (can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS, 0))
+        return new_tuple(Frame, (can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS, 0))

@@ -111,7 +111,7 @@ class RecordBuilder:
     """One record, written over and over; packing beats a numpy field assignment four times over.
 
     state: takes everything from `index` to `saturations` in the record's order, one value per axis for the per-axis
-    fields, and packs it in one call.
+    fields, and packs it in one call. Zeros stand for missed_own, missed_host and longest_streak, which the shell knows.
     """
 
     def __init__(self, n_axes: int) -> None:
