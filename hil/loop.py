@@ -110,7 +110,9 @@ class ControlLoop:
         self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
         self._clock = stage_clock
         alone = threading.active_count() == 1
-        self.pacer = Pacer(rig.period_ns, sleep_until=sleeper(alone=alone))
+        self.pacer = Pacer(
+            rig.period_ns, sleep_until=sleeper(alone=alone), most_ahead_ns=round(rig.timing.wake_ahead_s * 1e9)
+        )
         self.ledger = MissLedger(rig.period_ns)
         self._rig_ok = True
         self._realtime_ok = parts.claim.verdict.ok
