@@ -12,47 +12,17 @@ Rules:
 - Deadlines lie half a period off the multiples of the period on CLOCK_MONOTONIC. The kernel's own tick comes on
   multiples of its period (4 ms at 250 Hz) and brings softirqs, 16 to 40 us. Where it fell into the loop's ticks, it
   made three of four of their slowest hundredth.
-
-Why clock_nanosleep through ctypes (kernel 6.18, 2-core guest, FIFO 80, DMA latency held, 4 blocks of 4000 ticks each):
-lateness p50 14-19 us against 20-23 us for a periodic timerfd (its wake-up passes a wait queue); time.sleep() does as
-well but takes a relative time, so that a preemption between reading the clock and sleeping moves the deadline.
 """
 
-import ctypes
-import errno
-import os
 import time
 from collections.abc import Callable
+
+from hil.sleep import sleeper
 
 KEEP_WITHIN = 0.5  # of a period: a slot is kept when its tick starts this soon after its deadline
 WOKEN_IN_TIME = 9  # wakes for each one that comes later than it was allowed for
 AHEAD_STEP_NS = 20  # a change of what waking takes, by 10 us, is followed within fifty ticks up and five hundred down
 MAX_RESLEEPS = 3  # then the tick runs, however late: the stop flag and the watchdog live on ticks
-
-_CLOCK_MONOTONIC = 1
-_TIMER_ABSTIME = 1
-_SECOND_NS = 1_000_000_000
-
-
-def sleeper(*, alone: bool = False) -> Callable[[int], None]:
-    """A function that sleeps until an instant of CLOCK_MONOTONIC, ns.
-
-    alone: this process has no other thread, so the interpreter's lock is kept while asleep: taking it again would cost
-    half a microsecond between the deadline and the tick. Signals end the sleep all the same.
-    """
-    call = (ctypes.PyDLL if alone else ctypes.CDLL)(None).clock_nanosleep
-    call.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
-    until = (ctypes.c_long * 2)()  # struct timespec
-    address = ctypes.byref(until)
-    interrupted = errno.EINTR
-
-    def sleep_until(deadline_ns: int) -> None:
-        until[0], until[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
-        while result := call(_CLOCK_MONOTONIC, _TIMER_ABSTIME, address, None):
-            if result != interrupted:  # a signal's Python handler has run by now; sleep on
-                raise OSError(result, f"clock_nanosleep: {os.strerror(result)}")
-
-    return sleep_until
 
 
 class Pacer:

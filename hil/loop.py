@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
-from hil.clock import Pacer, own_share, sleeper
+from hil.clock import Pacer, own_share
 from hil.cycle import RECORD
 from hil.notify import Notifier
 from hil.realtime import Claim
+from hil.sleep import sleeper
 from hil.stage_clock import TimedCycle
 from hil.state_machine import TORQUE_STATES, State
 from hil.telemetry.mailbox import Mailbox

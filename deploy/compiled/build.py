@@ -23,14 +23,14 @@ PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through; *: all of the folder, so that a new law is compiled with the others. Not among them:
-# what sleeps (hil/clock.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
-# would never see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
+# what sleeps (hil/sleep.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
+# might not see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
 # users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/laws/per_axis.py,
 # hil/state_machine.py, drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
 MODULES = """
-hil: commands cycle estimation faults gate inbox loop number sampling setpoints stage_clock stop tick timing
+hil: clock commands cycle estimation faults gate inbox loop number sampling setpoints stage_clock stop tick timing
 hil/laws: *
-hil/telemetry: mailbox record
+hil/telemetry: mailbox record ring
 hil/trajectories: base figures minimum_jerk segments
 drivers: bus counters frame frame_bytes frame_length wire wire_node
 drivers/protocols: base checksum sampling stage stage_classic stage_fd

@@ -119,9 +119,8 @@ class RingWriter(Closing):
         """Copy one record (dtype RECORD) into the ring. Never waits; cheapest when the object is reused."""
         if record is not self._record:
             self._bind(record)
-        used = _USED[
-            self._counts[_N_RECEIVED]
-        ]  # slots beyond the frames received keep what they held; readers go by n_received
+        # Slots beyond the frames received keep what they held; readers go by n_received.
+        used = _USED[self._counts[_N_RECEIVED]]
         start = self._offset
         self._slots[start : start + used] = self._source[:used]
         start += RECORD_SIZE
@@ -309,7 +308,7 @@ class RingReader(Closing):
     def close(self) -> None:
         """Unmap the file."""
         if self._fd >= 0:
-            del self._words, self._slots
+            self._words, self._slots = self._words[:0].copy(), self._slots[:0].copy()  # nothing may hold the map
             self._map.close()
             os.close(self._fd)
             self._fd = -1
