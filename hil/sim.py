@@ -40,7 +40,7 @@ def metres(value: float, kind: str = "linear") -> str:
     for scale, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
         if abs(value) >= scale:
             return f"{value / scale:.3g} {prefix}{unit}"
-    return f"{value / 1e-9:.3g} n{unit}"
+    return f"{round(value / 1e-9, 3):.3g} n{unit}"  # less than that is rounding, not motion
 
 
 def axis_table(rig: RigConfig, axes: dict[str, dict[str, float]], title: str) -> Table:
