@@ -1,6 +1,7 @@
 """Benchmarks count what they claim to count."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 from hil.bench import harness
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
-from hil.bench.jitter import lateness_in_histogram
+from hil.bench.jitter import lateness_in_histogram, stalls
 from hil.bench.live import calls_per_tick
 from hil.bench.lockstep import measure
 from hil.bench.tick import allocations_per_tick, build_reference
@@ -90,6 +91,14 @@ CYCLICTEST = """\
 
 def test_the_histogram_of_cyclictest_is_read_bin_by_bin_and_overflows_count():
     assert sorted(lateness_in_histogram(CYCLICTEST).tolist()) == [12.5, 12.5, 12.5, 13.5, 20_000.0]
+
+
+def test_the_clock_reader_counts_the_periods_of_cpu_time_between_two_readings_of_its_clock():
+    cpu = min(os.sched_getaffinity(0))
+    allowed = os.sched_getaffinity(0)
+    found = stalls(cpu, 1, 20_000_000)  # a "period" of a nanosecond: every one lies between two readings
+    assert found["own_misses"] == pytest.approx(found["cpu_s"] * 1e9)
+    assert os.sched_getaffinity(0) == allowed  # the thread that read was pinned, not the benchmark
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: the C reference of hil bench tick is not built")
