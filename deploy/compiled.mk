@@ -10,7 +10,7 @@ $(COMPILED)/.built: $(VENV)/.installed $(shell find hil drivers sim_plant deploy
 
 # What the compiled modules do, from bytes to frames and back: the very tests of the source. PYTHONSAFEPATH: a working
 # directory full of sources must not take the build's place.
-COMPILED_TESTS := compiled gate inbox state_machine protocols protocol_tracking estimation laws trajectories \
+COMPILED_TESTS := compiled clock ring gate inbox state_machine protocols protocol_tracking estimation laws trajectories \
     cycle_faults safety_fuzz fuzz_frames lockstep determinism replay timing bus loop daemon mailbox wire stage drive \
     emulator cia402 plant_faults scenario paper
 # The one test left out puts a bug into the cycle's class at run time, which a compiled class does not allow.
