@@ -6,7 +6,8 @@
 - moteus: one `Transport.cycle` of four controllers over a stub device, so no I/O at all.
 
 Every subject gets the same core, priority and memory lock, and is paced at 1 kHz, so that its caches are cold. Figures
-are CPU time of the whole process per period, sleep and wake included: canopen receives in a thread of its own.
+are CPU time of the whole process per period, sleep and wake included: canopen receives in a thread of its own. All
+sleep to the deadline; what being woken ahead of it costs our loop besides is shown, and compared with nothing.
 """
 
 import asyncio
@@ -42,7 +43,8 @@ WARM_UP = 300
 AXES = 4
 SYNC, STATUS = 0x080, 0x1237
 CANOPEN_CHANNEL = "bench1"
-OURS, PYTHON_CAN, CANOPEN, MOTEUS = "hil run, all of it", "python-can + cantools", "canopen", "moteus, no I/O"
+OURS, AHEAD = "hil run, all of it", "hil run, woken ahead"
+PYTHON_CAN, CANOPEN, MOTEUS = "python-can + cantools", "canopen", "moteus, no I/O"
 
 Tick = Callable[[int], Awaitable[int]]  # number of the tick -> answers understood
 
@@ -51,6 +53,7 @@ def peers(
     rig: Annotated[Path, typer.Argument(help="rig file with four axes, stage_fd")] = Path(
         "deploy/rigs/microscope.toml"
     ),
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
     as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
@@ -58,9 +61,11 @@ def peers(
     """The whole tick against python-can + cantools, canopen and moteus."""
     if importlib.util.find_spec("moteus") is None:
         raise SystemExit("hil bench peers: moteus is not installed: pip install 'hil[bench]'")
+    sets = overrides or []
     cases = [
-        Case(OURS, partial(_ours, rig, ticks)),
-        Case(PYTHON_CAN, partial(_beside_emulator, rig, ticks)),
+        Case(OURS, partial(_ours, rig, [*sets, "timing.wake_ahead_s=0"], ticks)),
+        Case(AHEAD, partial(_ours, rig, sets, ticks)),
+        Case(PYTHON_CAN, partial(_beside_emulator, rig, sets, ticks)),
         Case(CANOPEN, partial(in_child, "canopen", ticks)),
         Case(MOTEUS, partial(in_child, "moteus", ticks)),
     ]
@@ -75,14 +80,14 @@ def peers(
     publish(result, [block_table("CPU per tick, us", measured, ["p50", "p99"])], as_json_to, lines)
 
 
-def _ours(rig: Path, ticks: int) -> Figures:
-    with emulator(rig, []):
-        timing = run_control(rig, [], ticks).timing
+def _ours(rig: Path, sets: list[str], ticks: int) -> Figures:
+    with emulator(rig, sets):
+        timing = run_control(rig, sets, ticks).timing
     return {name: timing.quantile("cpu", fraction) / 1e3 for name, fraction in (("p50", 0.5), ("p99", 0.99))}
 
 
-def _beside_emulator(rig: Path, ticks: int) -> Figures:
-    with emulator(rig, []):
+def _beside_emulator(rig: Path, sets: list[str], ticks: int) -> Figures:
+    with emulator(rig, sets):
         return in_child("python-can", ticks)
 
 
