@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.belief import blank_inputs, force_limits, rig_model
+from hil.belief import force_limits, rig_model
 from hil.config import RigConfig
 from hil.estimation import MotionFilter, design_gains, per_axis
 from hil.gate import ForceLimits
 from hil.laws import make_law
-from hil.laws.base import Array, Law
+from hil.laws.base import Array, Law, axis_inputs
 from hil.laws.per_axis import gather
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.trajectories import make_trajectory, task_repeat
@@ -72,7 +72,7 @@ class BatchRun:
         self._stage = Stage(truth, np.zeros(shape) + initial)
         self._origin = np.rint(initial / self._resolution) * self._belief
         # What all plants have in common, on floats as in the cycle.
-        self._shared = [blank_inputs(()) for _ in range(n)]
+        self._shared = [axis_inputs() for _ in range(n)]
         for x in self._shared:
             x.fresh = 1.0
             x.sample_interval = x.ahead = self._period_ns * 1e-9

@@ -5,8 +5,7 @@ import numpy as np
 from hil.config import RigConfig
 from hil.faults import AxisLimits
 from hil.gate import ForceLimits
-from hil.laws.base import LawInputs, Model, Reference
-from hil.number import Number
+from hil.laws.base import Array, LawInputs, Model, Reference
 
 
 def rig_model(rig: RigConfig) -> Model:
@@ -24,10 +23,10 @@ def rig_model(rig: RigConfig) -> Model:
 
 
 def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
-    """LawInputs of zeros, arrays of `shape`; of floats where the shape is ()."""
+    """LawInputs of zeros, arrays of `shape`."""
 
-    def zeros() -> Number:
-        return np.zeros(shape) if shape else 0.0
+    def zeros() -> Array:
+        return np.zeros(shape)
 
     def rest() -> Reference:
         return Reference(zeros(), zeros(), zeros())

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import UNHEALTHY, DriveStatus, HostProtocol
-from hil.belief import axis_limits, blank_inputs, force_limits, rig_model
+from hil.belief import axis_limits, force_limits, rig_model
 from hil.commands import CommandDesk
 from hil.config import RigConfig
 from hil.estimation import MotionFilter, design_gains
@@ -23,6 +23,7 @@ from hil.gate import TorqueGate
 from hil.homing import home_trajectory
 from hil.inbox import Inbox
 from hil.laws import make_axis_laws
+from hil.laws.base import axis_inputs, axis_model
 from hil.sampling import Sampling
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
@@ -48,7 +49,7 @@ class ControlCycle:
         period = rig.period_ns * 1e-9
         axes = list(rig.axes.values())
         model = rig_model(rig)
-        self.models = [model.axis(index) for index in range(n)]
+        self.models = [axis_model(model, index) for index in range(n)]
 
         self.protocol: HostProtocol = host_protocol(
             rig.bus, n, [axis.rated_force for axis in axes], base_dir, rig.period_ns
@@ -66,7 +67,7 @@ class ControlCycle:
         force = np.array([axis.limits.force for axis in axes])
         self.law = make_axis_laws(rig.law, model, period, force, repeat)
         self.commands = CommandDesk()
-        self.inputs = [blank_inputs(()) for _ in range(n)]
+        self.inputs = [axis_inputs() for _ in range(n)]
         resolution = [axis.encoder_resolution for axis in axes]
         self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns)
         self.setpoints = Setpoints(self.inputs, rig.period_ns)

@@ -2,7 +2,8 @@
 
 Filter and laws are written once, with + - * / and abs and the few functions here. A single rig runs them on floats,
 axis by axis, which is an order of magnitude cheaper than arrays of four; a batch runs them on arrays. IEEE 754 gives
-both the same bits.
+both the same bits. The compiled build reads what is written so a second time, with `Number = float`
+(deploy/compiled/build.py): it must be true of that type as well.
 """
 
 import math
@@ -36,7 +37,8 @@ def select(condition: Any, then: Number, otherwise: Number) -> Number:
     """`then` where the condition holds, else `otherwise`; both have been evaluated."""
     if isinstance(condition, bool):
         return then if condition else otherwise
-    return where(condition, then, otherwise)
+    chosen: Number = where(condition, then, otherwise)
+    return chosen
 
 
 def root(value: Number) -> Number:

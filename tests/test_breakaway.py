@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.belief import blank_inputs
-from hil.laws.base import Array, LawInputs, Model
+from hil.laws.base import Array, LawInputs, Model, axis_inputs
 from hil.laws.breakaway import Breakaway
 from hil.laws.structured_filter import Covariance, diagonal, slide
 from hil.laws.structured_kalman import StructuredKalman
@@ -45,7 +44,7 @@ class Axis:
         self._tick = 0
 
     def inputs(self) -> LawInputs:
-        x = blank_inputs(())
+        x = axis_inputs()
         x.position, x.fresh, x.sample_interval, x.ahead = round(self.position / COUNT) * COUNT, 1.0, PERIOD, PERIOD
         for reference, shift in ((x.sample, -1), (x.start, 0), (x.end, 1)):
             reference.position, reference.velocity = plan((self._tick + shift) * PERIOD)
@@ -113,7 +112,7 @@ def test_the_covariance_stays_one_through_rest_creep_and_motion() -> None:
     unknown = []
     for _ in range(1100):
         axis.tick()
-        p = matrix(axis.law._memory.covariance)
+        p = matrix(axis.law._covariance)
         scale = np.sqrt(np.diag(p)) + 1e-30
         assert np.linalg.eigvalsh(p / np.outer(scale, scale)).min() > -1e-6
         up = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])

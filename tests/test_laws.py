@@ -320,7 +320,7 @@ def test_an_axis_that_has_not_broken_away_teaches_no_bias() -> None:
     assert np.abs(run.true_position).max() < 1e-6
     laws: list[Any] = run.cycle.law._laws
     for learnt, limit in zip(laws, (3.4, 0.9), strict=True):
-        bias, coulomb, _, _ = learnt._memory.disturbance
+        bias, coulomb, _, _ = learnt._disturbance
         assert abs(bias) < 0.02 * limit
         assert coulomb >= 0.0
 
@@ -411,5 +411,5 @@ def test_learnt_friction_never_drives_the_axis() -> None:
         inputs = scene.inputs(k, (force, force))
         inputs.position = inputs.sample.position * 1.5  # runs ahead of any force given
         force = np.asarray(controller.force(inputs)).clip(-LIMIT, LIMIT)
-        lowest = np.minimum(lowest, controller._memory.disturbance[1])
+        lowest = np.minimum(lowest, controller._disturbance[1])
     assert np.array_equal(lowest, -controller._model.coulomb)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hil.config import LawConfig
-from hil.laws.base import Array, Law, Model
+from hil.laws.base import Array, Law, Model, axis_model
 from hil.laws.computed_torque import ComputedTorque
 from hil.laws.disturbance_observer import DisturbanceObserver
 from hil.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
@@ -72,29 +72,27 @@ def make_law(
     repeat: (period, first start) of a repeated task in ns of task time, needed where law.iterative_learning is set; see
     hil.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
-    return _construct(law, _known_gains(law, model), model, period, force_limit, repeat)
+    return _construct(law, _known_gains(law, model.mass.shape[-1]), model, period, force_limit, repeat)
 
 
 def make_axis_laws(
-    law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
+    law: LawConfig, model: Any, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
 ) -> PerAxis:
-    """As make_law, for one rig on plain floats; the same bits at a fraction of the cost."""
-    whole = make_law(law, model, period, force_limit, repeat)
-    if whole.coupled:
-        return Coupled([whole])
-    gains = _known_gains(law, model)
-    return PerAxis(
-        [
-            _construct(law, _axis_gains(gains, axis), model.axis(axis), period, float(force_limit[axis]), repeat)
-            for axis in range(model.mass.size)
-        ]
-    )
+    """As make_law, from a Model of arrays (n_axes,), for one rig on plain floats; the same bits at a fraction of the
+    cost.
+    """
+    gains = _known_gains(law, model.mass.size)
+    axes = [
+        _construct(law, _axis_gains(gains, axis), axis_model(model, axis), period, float(force_limit[axis]), repeat)
+        for axis in range(model.mass.size)
+    ]
+    return Coupled(law, model, period, force_limit, repeat) if axes[0].coupled else PerAxis(axes)
 
 
-def _known_gains(law: LawConfig, model: Model) -> dict[str, Any]:
+def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
     if law.name not in LAWS:
         raise ValueError(f"law.name = {law.name!r}: the laws are {', '.join(LAWS)}")
-    return _checked_gains(law, {**LAWS[law.name].GAINS, **LEARNING_GAINS}, model.mass.shape[-1])
+    return _checked_gains(law, {**LAWS[law.name].GAINS, **LEARNING_GAINS}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:

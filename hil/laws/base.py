@@ -39,10 +39,11 @@ class Model:
     quadratic: Number
     gravity: Number
 
-    def axis(self, index: int) -> "Model":
-        """One axis of a model of arrays (n_axes,), as floats."""
-        values = (self.mass, self.coulomb, self.viscous, self.quadratic, self.gravity)
-        return Model(*(float(value[index]) for value in values))
+
+def axis_model(whole: Any, index: int) -> Model:
+    """One axis of a Model of arrays (n_axes,), as floats: in the compiled build not the same class (hil/number.py)."""
+    values = (whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity)
+    return Model(*(float(value[index]) for value in values))
 
 
 @dataclass(slots=True)
@@ -85,6 +86,13 @@ class LawInputs:
     task_ns: int = 0
 
 
+def axis_inputs() -> LawInputs:
+    """LawInputs of one axis, floats, all 0."""
+    o = 0.0
+    sample, start, end = Reference(o, o, o), Reference(o, o, o), Reference(o, o, o)
+    return LawInputs(o, o, sample, o, o, o, o, o, start, end, o, o, o, o, o)
+
+
 class Law(ABC):
     """A control law: asks for force, decides nothing about safety (the gate does).
 
@@ -94,10 +102,9 @@ class Law(ABC):
     ways give bit-identical results: only element-wise IEEE operations (+ - * / sqrt, minimum, maximum, where, abs), no
     BLAS, no transcendental function, no reduction whose order depends on memory layout.
 
-    coupled: it looks at all axes at once and takes arrays alone. told_of_learning: a force learnt beside it
-    (hil/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of `stiffness` (N/m) and
-    `damping` (N s/m). denominator_floors: how often a denominator was held
-    at its floor.
+    coupled: it looks at all axes at once, and its `force` takes arrays alone. told_of_learning: a force learnt beside
+    it (hil/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of `stiffness` (N/m)
+    and `damping` (N s/m). denominator_floors: how often a denominator was held at its floor.
     """
 
     name: ClassVar[str]

@@ -24,8 +24,8 @@ class ComputedTorque(Law):
         period: float,
         force_limit: Number,
         *,
-        kp: Number = None,
-        kd: Number = None,
+        kp: Number | None = None,
+        kd: Number | None = None,
         sign_width: Number = 0.01,
     ) -> None:
         self._model = model

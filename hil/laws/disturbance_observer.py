@@ -24,9 +24,9 @@ class DisturbanceObserver(Law):
         period: float,
         force_limit: Number,
         *,
-        kp: Number = None,
-        kd: Number = None,
-        bandwidth: Number = None,
+        kp: Number | None = None,
+        kd: Number | None = None,
+        bandwidth: Number | None = None,
     ) -> None:
         self._kp = 0.5 * default_stiffness(model, period) if kp is None else kp
         self._kd = 0.7 * default_damping(model, period) if kd is None else kd

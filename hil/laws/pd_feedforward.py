@@ -18,7 +18,7 @@ class PdFeedforward(Law):
     GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None}
 
     def __init__(
-        self, model: Model, period: float, force_limit: Number, *, kp: Number = None, kd: Number = None
+        self, model: Model, period: float, force_limit: Number, *, kp: Number | None = None, kd: Number | None = None
     ) -> None:
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd

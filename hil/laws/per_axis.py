@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.laws.base import Law, LawInputs, Reference
+from hil.config import LawConfig
+from hil.laws.base import Array, Law, LawInputs, Model, Reference
 
 _PLAIN = (
     "position", "fresh", "sample_interval", "ahead", "position_estimate", "velocity_estimate", "disturbance_estimate",
@@ -34,7 +35,7 @@ def gather(axes: Sequence[LawInputs]) -> LawInputs:
 
 
 class PerAxis:
-    """Laws that know nothing of each other, one an axis."""
+    """Laws that know nothing of each other, one an axis; `axes` in its methods are LawInputs of floats, one an axis."""
 
     def __init__(self, laws: Sequence[Law]) -> None:
         self._laws = list(laws)
@@ -44,7 +45,7 @@ class PerAxis:
         for law, q, tau in zip(self._laws, position, force, strict=True):
             law.reset(q, tau)
 
-    def force(self, axes: Sequence[LawInputs]) -> list[float]:
+    def force(self, axes: Sequence[Any]) -> list[float]:
         """Force asked for on every axis, N."""
         return [law.force(inputs) for law, inputs in zip(self._laws, axes, strict=True)]
 
@@ -55,13 +56,20 @@ class PerAxis:
 
 
 class Coupled(PerAxis):
-    """One law that looks at all axes at once."""
+    """One law that looks at all axes at once. Arguments: as make_law's."""
+
+    def __init__(
+        self, law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None
+    ) -> None:
+        from hil.laws import make_law  # which imports this module
+
+        super().__init__([make_law(law, model, period, force_limit, repeat)])
 
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """As PerAxis."""
         self._laws[0].reset(np.array(position), np.array(force))
 
-    def force(self, axes: Sequence[LawInputs]) -> list[float]:
+    def force(self, axes: Sequence[Any]) -> list[float]:
         """As PerAxis."""
         asked: list[float] = self._laws[0].force(gather(axes)).tolist()
         return asked

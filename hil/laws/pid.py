@@ -24,9 +24,9 @@ class Pid(Law):
         period: float,
         force_limit: Number,
         *,
-        kp: Number = None,
-        ki: Number = None,
-        kd: Number = None,
+        kp: Number | None = None,
+        ki: Number | None = None,
+        kd: Number | None = None,
     ) -> None:
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd

@@ -47,8 +47,8 @@ class RobustPd(Law):
         period: float,
         force_limit: Number,
         *,
-        kp: Number = None,
-        kd: Number = None,
+        kp: Number | None = None,
+        kd: Number | None = None,
         alpha: Number = 60.0,
         epsilon: Number = 0.001,
         beta: Number = 100.0,
@@ -90,13 +90,14 @@ class RobustPd(Law):
 
     def _squared(self, value: Number) -> Number:
         """|value|^2; over the axes in their order, so that a batch adds up as one plant does."""
-        squares = value * value
         if not self.coupled:
-            return squares
+            return value * value
+        squares: Any = value * value
         total = squares[..., 0]
         for axis in range(1, squares.shape[-1]):
             total = total + squares[..., axis]
-        return total[..., None] + np.zeros(squares.shape[-1])
+        each: Number = total[..., None] + np.zeros(squares.shape[-1])
+        return each
 
     def _size(self, value: Number) -> Number:
         return root(self._squared(value)) if self.coupled else abs(value)

@@ -26,9 +26,9 @@ class SlidingMode(Law):
         period: float,
         force_limit: Number,
         *,
-        rate: Number = None,
-        reach: Number = None,
-        layer: Number = None,
+        rate: Number | None = None,
+        reach: Number | None = None,
+        layer: Number | None = None,
     ) -> None:
         self._feedforward = Feedforward(model)
         self._rate = 0.15 / period if rate is None else rate

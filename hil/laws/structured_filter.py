@@ -5,7 +5,7 @@ See hil/laws/structured_kalman.py for the model. The transition is sparse: only 
 covariance step is two rows and, by symmetry, one 2 x 2 block.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,7 +28,14 @@ Interval = tuple[Number, Number, Number, Number, Number, Number, Number, Number,
 Disturbance = tuple[Number, Number, Number, Number]  # d0 (N), theta1 (N), theta2 (N s/m), theta3 (kg)
 
 # Upper triangle of P over [e, ė, d0, theta1, theta2, theta3], by rows: p00 p01 ... p05 p11 ... p15 p22 ... p55.
-Covariance = tuple[Number, ...]
+Covariance = tuple[
+    Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number,
+    Number, Number, Number, Number, Number, Number, Number,
+]  # fmt: skip
+
+Gains = tuple[Number, Number, Number, Number, Number, Number]  # of the state's elements, in their order
+# Variances per second of ė; of ė at a reversal, over the square of the speed gained there; per second of d0 and thetas.
+Noise = tuple[Number, Number, Number, Number, Number, Number]
 
 
 def diagonal(p00: Number, p11: Number, p22: Number, p33: Number, p44: Number, p55: Number) -> Covariance:
@@ -69,7 +76,7 @@ def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -
     return direction * mean, 0.0, _early_shift(v0, v1, mean, time)
 
 
-def sign_array(v0: Array, v1: Array, time: Array, mass: Array, coulomb: Array) -> tuple[Array, Array, Array]:
+def sign_array(v0: Any, v1: Any, time: Any, mass: Any, coulomb: Any) -> tuple[Array, Array, Array]:
     """As sign_float, element by element, with bit-identical results."""
     a0, a1 = np.abs(v0), np.abs(v1)
     plain = (v0 + v1) / (a0 + a1 + TINY)
@@ -139,14 +146,14 @@ def standing(before: Covariance, measurement: Number) -> Covariance:
     neither a word about the disturbance, of which nothing new is known.
     """
     o = before[0] - before[0]
-    return (measurement + o, *[o] * 10, *before[11:])
+    return (measurement + o, o, o, o, o, o, o, o, o, o, o, *before[11:])
 
 
 def choose(condition: Any, p: Covariance, otherwise: Covariance) -> Covariance:
     """One P or the other, element by element."""
     if isinstance(condition, bool):
         return p if condition else otherwise
-    return tuple(where(condition, one, other) for one, other in zip(p, otherwise, strict=True))
+    return cast(Covariance, tuple(where(condition, one, other) for one, other in zip(p, otherwise, strict=True)))
 
 
 def move(error: Number, rate: Number, net: Number, inverse_mass: Number, over: Interval) -> tuple[Number, Number]:
@@ -191,14 +198,11 @@ def slide(velocity: Number, push: Number, dry: Number, time: Number, inverse_mas
     return where(stops, turned, end), where(stops, 0.5 * (velocity * stop + turned * left), way)
 
 
-def predict(
-    p: Covariance, noise: tuple[Number, ...], inverse_mass: Number, over: Interval, third: Number
-) -> Covariance:
+def predict(p: Covariance, noise: Noise, inverse_mass: Number, over: Interval, third: Number) -> Covariance:
     """P <- F P F' + Q.
 
     third: what theta2 multiplies.
-    noise: variances per second of ė; of ė at a reversal, over the square of the speed gained there; per second of d0,
-    theta1, theta2 and theta3. The thetas drift only in motion. Where the reference reverses, the plant stops a little
+    The thetas drift only in motion. Where the reference reverses, the plant stops a little
     early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
     """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
@@ -241,7 +245,7 @@ def predict(
     )  # fmt: skip
 
 
-def update(p: Covariance, measurement: Number, fresh: Number) -> tuple[Covariance, tuple[Number, ...]]:
+def update(p: Covariance, measurement: Number, fresh: Number) -> tuple[Covariance, Gains]:
     """P <- (I - K H) P and K (6), for a position sample of variance `measurement` (m^2); nothing where fresh is 0."""
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
     scale = fresh / (p00 + measurement + TINY)

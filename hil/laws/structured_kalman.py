@@ -16,7 +16,7 @@ The covariance depends on the reference and on which samples came, never on what
 one covariance. The arithmetic is in hil/laws/structured_filter.py.
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from hil.laws.base import Law, LawInputs, Model
 from hil.laws.breakaway import Breakaway, anywhere
@@ -24,6 +24,7 @@ from hil.laws.feedforward import DEFAULT_BANDWIDTH, DEFAULT_DAMPING
 from hil.laws.structured_filter import (
     Covariance,
     Disturbance,
+    Noise,
     choose,
     diagonal,
     force_of,
@@ -41,17 +42,6 @@ from hil.number import Number, at_least, bounded, select
 
 # Standard deviations at the start, at rest: m/s; of gravity and dry friction; of dry friction; of the force limit.
 PRIOR_SPEED, BIAS_PART, DRY_PART, SMALL_PART = 1e-3, 0.1, 1.0, 0.05
-
-
-class Memory(NamedTuple):
-    """What is kept from tick to tick: estimates, covariance, and the reference at the last sample."""
-
-    error: Number
-    rate: Number
-    disturbance: Disturbance
-    covariance: Covariance
-    position: Number
-    velocity: Number
 
 
 class StructuredKalman(Law):
@@ -99,8 +89,8 @@ class StructuredKalman(Law):
         period: float,
         force_limit: Number,
         *,
-        kp: Number = None,
-        kd: Number = None,
+        kp: Number | None = None,
+        kd: Number | None = None,
         bandwidth: Number = DEFAULT_BANDWIDTH,
         damping: Number = DEFAULT_DAMPING,
         acceleration_noise: Number = 1e-2,
@@ -110,10 +100,10 @@ class StructuredKalman(Law):
         viscous_noise: Number = 1e-2,
         mass_noise: Number = 1e-4,
         measurement_noise: Number = 29e-9,
-        bias_prior: Number = None,
-        coulomb_prior: Number = None,
-        viscous_prior: Number = None,
-        mass_prior: Number = None,
+        bias_prior: Number | None = None,
+        coulomb_prior: Number | None = None,
+        viscous_prior: Number | None = None,
+        mass_prior: Number | None = None,
         stribeck_velocity: Number = 0.0,
         breakaway_rate: Number = 0.0,
         breakaway_lag: Number = 0.0,
@@ -123,8 +113,10 @@ class StructuredKalman(Law):
         self.damping = model.mass * (2.0 * damping * omega) if kd is None else kd
         self._model, self._period = model, period
         self._inverse_mass = 1.0 / model.mass
-        noises = (acceleration_noise, reversal_noise, bias_noise, coulomb_noise, viscous_noise, mass_noise)
-        self._noise = tuple(noise * noise for noise in noises)
+        self._noise: Noise = (
+            acceleration_noise * acceleration_noise, reversal_noise * reversal_noise, bias_noise * bias_noise,
+            coulomb_noise * coulomb_noise, viscous_noise * viscous_noise, mass_noise * mass_noise,
+        )  # fmt: skip
         self._measurement = measurement_noise * measurement_noise
         # What the model may be wrong by before anything is known. What holds an axis still looks like friction until it
         # has moved both ways: bias must not be believed beyond what gravity or the drive's offset can be.
@@ -147,7 +139,10 @@ class StructuredKalman(Law):
         """At rest, without error; what `force` has beyond the gravity hold is taken as bias."""
         zero = position - position
         bias = bounded(zero + (force - self._model.gravity), self._bounds[0])
-        self._memory = Memory(zero, zero, (bias, zero, zero, zero), self._prior, zero, zero)
+        self._error, self._rate = zero, zero  # at the newest sample, as all that follows
+        self._disturbance: Disturbance = (bias, zero, zero, zero)
+        self._covariance: Covariance = self._prior
+        self._position, self._velocity = zero, zero  # of the reference
         self._breakaway.reset(zero + position)
         self._begun = False
         self._acting = zero + force  # in the interval before the newest sample
@@ -155,7 +150,7 @@ class StructuredKalman(Law):
     @property
     def error_rate(self) -> Number:
         """Rate of the error at the newest sample, estimated (m/s)."""
-        return self._memory.rate
+        return self._rate
 
     def _acted(self, inputs: LawInputs) -> tuple[Number, Number]:
         """The forces that acted before the newest sample and after it."""
@@ -164,7 +159,7 @@ class StructuredKalman(Law):
             # The axis rests, held by its drive or brake until the first command arrives; so does the reference.
             last = before
             sample = inputs.sample
-            self._memory = self._memory._replace(position=sample.position, velocity=sample.velocity)
+            self._position, self._velocity = sample.position, sample.velocity
             self._begun = True
         # Where no axis answered, the command was lost, and drives hold the force before it.
         last = select(inputs.answered != 0.0, last, before)
@@ -203,7 +198,7 @@ class StructuredKalman(Law):
 
     def _correct(self, inputs: LawInputs, force_before: Number) -> tuple[Number, Number, Disturbance]:
         """Predict to the newest sample and learn from it: error, its rate and the disturbance there."""
-        error, rate, d, kept, q0, v0 = self._memory
+        rate, d, kept, q0, v0 = self._rate, self._disturbance, self._covariance, self._position, self._velocity
         model, inverse_mass, sample = self._model, self._inverse_mass, inputs.sample
         q1, v1 = sample.position, sample.velocity
         past = interval(model.mass, model.coulomb + d[1], inputs.sample_interval, q0, v0, q1, v1)
@@ -217,14 +212,14 @@ class StructuredKalman(Law):
             driving = select(self._peaked, 0.0, driving)
         push = force_before - self._friction(0.0, v) - (bias + driving + inertia * a)
         end, way = slide(rate + v0, push, model.coulomb + sliding, time, inverse_mass)
-        error, rate = error + (way - moved), end - v1
+        error, rate = self._error + (way - moved), end - v1
         expected = predict(kept, self._noise, inverse_mass, past, third)
         covariance, (k0, k1, k2, k3, k4, k5) = update(expected, self._measurement, inputs.fresh)
         innovation = (inputs.position - q1) - error
         error = error + k0 * innovation
         rate = rate + k1 * innovation
         limit, dry_limit, wet_limit, inertia_limit = self._bounds
-        learnt = (
+        learnt: Disturbance = (
             bounded(bias + k2 * innovation, limit),
             at_least(bounded(dry + k3 * innovation, dry_limit), -model.coulomb),  # friction never drives
             bounded(wet + k4 * innovation, wet_limit),
@@ -239,14 +234,15 @@ class StructuredKalman(Law):
                 error, rate = select(holds, lag, error), select(holds, -v1, rate)
                 learnt = self._crept(holds, lag, inputs, learnt)
                 covariance = choose(holds, standing(kept, self._measurement), covariance)
-        self._memory = Memory(error, rate, learnt, covariance, q1 + 0.0, v1 + 0.0)
+        self._error, self._rate, self._disturbance, self._covariance = error, rate, learnt, covariance
+        self._position, self._velocity = q1 + 0.0, v1 + 0.0
         return error, rate, learnt
 
     def _crept(self, holds: Any, lag: Number, inputs: LawInputs, learnt: Disturbance) -> Disturbance:
         """d where the axis holds: what it was before this sample, and more of what is missing."""
-        bias, dry, wet, inertia = self._memory.disturbance
+        bias, dry, wet, inertia = self._disturbance
         velocity, time = inputs.sample.velocity, inputs.sample_interval
-        more_bias, more_dry = self._breakaway.creep(lag, velocity, time, self._memory.covariance)
+        more_bias, more_dry = self._breakaway.creep(lag, velocity, time, self._covariance)
         bias, dry = bounded(bias + more_bias, self._bounds[0]), bounded(dry + more_dry, self._bounds[1])
         b, d, w, i = learnt
         return select(holds, bias, b), select(holds, dry, d), select(holds, wet, w), select(holds, inertia, i)

@@ -27,10 +27,10 @@ class SuperTwisting(Law):
         period: float,
         force_limit: Number,
         *,
-        rate: Number = None,
-        k1: Number = None,
-        k2: Number = None,
-        linear: Number = None,
+        rate: Number | None = None,
+        k1: Number | None = None,
+        k2: Number | None = None,
+        linear: Number | None = None,
         smooth: Number = 1e-3,
     ) -> None:
         self._feedforward = Feedforward(model)
