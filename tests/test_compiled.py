@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compiled.build import MODULES, modules
+from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, modules, on_floats
 from hil.control_path import control_path
 from hil.laws import LAWS
 from tests.hashes import RUNS, Situation, ask
@@ -37,10 +37,11 @@ def test_nothing_compiled_lies_beside_a_source() -> None:
 
 
 def test_every_module_listed_is_a_file_and_every_law_is_listed() -> None:
-    found, listed = modules(), [name for line in MODULES.strip().splitlines() for name in line.split()[1:]]
+    tables = FOR_BOTH + ONE_RIG + OTHERS
+    found, listed = modules(), [name for line in tables.split("\n") for name in line.split()[1:]]
     assert len(set(found)) == len(found)
     assert {Path(name).stem for name in found} >= set(listed) - {"*"}
-    laws = {law.__module__.replace(".", "/") + ".py" for law in LAWS.values()}
+    laws = {on_floats(law.__module__.replace(".", "/") + ".py") for law in LAWS.values()}
     assert laws <= set(found)
 
 
@@ -77,6 +78,36 @@ def test_the_sources_say_that_they_are_interpreted() -> None:
         assert control_path() == "compiled"
     else:
         assert control_path() == "interpreted"
+
+
+@needs_build
+def test_a_rig_runs_on_native_floats_and_a_batch_on_arrays() -> None:
+    ask_both = """
+import numpy as np
+from hil import batch, cycle
+batch.MotionFilter([np.ones(2)] * 3, np.ones(2)).correct(np.ones(2), 1e-3, np.ones(2))
+try:
+    cycle.MotionFilter([1.0] * 3, 1.0).correct(np.ones(2), 1e-3, np.ones(2))
+except TypeError as error:
+    print(error)
+"""
+    assert told(HERE / "bin" / "python", "-P", "-c", ask_both) == "float object expected; got numpy.ndarray"
+
+
+@needs_build
+def test_every_law_computes_the_same_bytes_as_its_source() -> None:
+    hash_all = """
+from itertools import product
+from hil.laws import LAWS
+from tests.hashes import run_hash
+task = ("task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]")
+for law, learning in product(LAWS, ("false", "true")):
+    overrides = (f"law.name={law}", f"law.iterative_learning={learning}", *task)
+    print(law, learning, run_hash("paper.toml", overrides, 400))
+"""
+    compiled = told(HERE / "bin" / "python", "-P", "-c", hash_all)
+    assert len(set(compiled.split()[2::3])) == 2 * len(LAWS)
+    assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_all)
 
 
 @needs_build

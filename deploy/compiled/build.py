@@ -10,6 +10,7 @@ of a checkout it happens to stand in.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,14 +23,26 @@ WORK = ROOT / "build" / "compiled"
 PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
 
-# Every module a tick runs through; *: all of the folder, so that a new law is compiled with the others. Not among them:
+# Every module a tick runs through, in three tables. Not among them:
 # what sleeps (hil/sleep.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
 # might not see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
 # users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/laws/per_axis.py,
 # hil/state_machine.py, drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
-MODULES = """
-hil: clock commands cycle estimation faults gate inbox loop number sampling setpoints stage_clock stop tick timing
+
+# Written once for floats and arrays (hil/number.py). The build has them twice: compiled for a rig as hil/floats, where
+# `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for batches as they
+# are, interpreted, because their time is numpy's. *: all of the folder, so that a new law is compiled with the others.
+FOR_BOTH = """
+hil: estimation number setpoints
 hil/laws: *
+"""
+
+# What works for one rig alone, and so imports those modules from hil/floats.
+ONE_RIG = """
+hil: clock commands cycle faults gate inbox loop sampling stage_clock stop tick timing
+"""
+
+OTHERS = """
 hil/telemetry: mailbox record ring
 hil/trajectories: base figures minimum_jerk segments
 drivers: bus counters frame frame_bytes frame_length wire wire_node
@@ -37,7 +50,8 @@ drivers/protocols: base checksum sampling stage stage_classic stage_fd
 sim_plant: drive emulator single_axis trigonometry
 """
 
-LEFT_OUT = ("hil/laws/__init__.py", "hil/laws/per_axis.py")
+SEAM = "hil/laws/per_axis.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
+IMPORT = re.compile(r"\bhil\.(estimation|number|setpoints|laws)\b(?!\.per_axis)")  # of FOR_BOTH
 
 # The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
 # where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.
@@ -55,12 +69,23 @@ if __name__ == "__main__":  # worker processes of a sweep read this file too
 """
 
 
-def modules() -> list[str]:
-    """Paths of the modules to compile, below the root."""
-    lines = [line.partition(": ") for line in MODULES.strip().splitlines()]
+def listed(table: str) -> list[str]:
+    """Paths of a table's modules, below the root."""
+    lines = [line.partition(": ") for line in table.strip().splitlines()]
     patterns = [f"{folder}/{name}.py" for folder, _, names in lines for name in names.split()]
     found = [path.relative_to(ROOT).as_posix() for pattern in patterns for path in sorted(ROOT.glob(pattern))]
-    return [name for name in found if name not in LEFT_OUT]
+    return [name for name in found if name != SEAM]
+
+
+def on_floats(name: str) -> str:
+    """Path of a module's copy for floats."""
+    return name.replace("hil/", "hil/floats/", 1)
+
+
+def modules() -> list[str]:
+    """Paths of the modules to compile, below the folder of the copies."""
+    found = [on_floats(name) for name in listed(FOR_BOTH)] + listed(ONE_RIG) + listed(OTHERS)
+    return [name for name in found if not name.endswith("__init__.py")]
 
 
 def missing() -> str:
@@ -82,8 +107,20 @@ def copy_sources() -> None:
     shutil.copy(ROOT / "pyproject.toml", WORK)  # mypy's options
 
 
+def instantiate() -> None:
+    """Add hil/floats to the copies, and let what works for one rig import it."""
+    (WORK / "hil/floats/laws").mkdir(parents=True)
+    (WORK / "hil/floats/__init__.py").touch()
+    for name in listed(FOR_BOTH):
+        text = (WORK / name).read_text().replace("Number = Any ", "Number = float ")
+        (WORK / on_floats(name)).write_text(text)
+    for name in [*map(on_floats, listed(FOR_BOTH)), *listed(ONE_RIG)]:
+        path = WORK / name
+        path.write_text(IMPORT.sub(r"hil.floats.\1", path.read_text()))
+
+
 def compile_modules() -> None:
-    """Put an extension module beside every copy named in MODULES. Exits where mypyc gives up or has to guess."""
+    """Put an extension module beside every copy in modules(). Exits where mypyc gives up or has to guess."""
     script = f"""
 from mypyc.build import mypycify
 from setuptools import setup
@@ -127,6 +164,7 @@ def main() -> None:
     directory = ROOT / sys.argv[1]
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
+    instantiate()
     compile_modules()
     make_environment(directory)
     environment = {**os.environ, "PYTHONSAFEPATH": "1"}
