@@ -34,7 +34,7 @@ QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.
 
 @pytest.mark.parametrize(
     ("rig_file", "law"),
-    [(PAPER, "pd-feedforward"), (PAPER, "structured-kalman"), (PAPER, "slotine-li"), (RIGS / "microscope.toml", "")],
+    [(PAPER, "pd-feedforward"), (PAPER, "structured-kalman"), (PAPER, "slotine-li"), (MICROSCOPE, "")],
 )
 def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str) -> None:
     """Protocol, wire, drives and cycle on one side, arrays on the other: the same error and force in every tick."""
@@ -198,7 +198,7 @@ def test_repeats_are_the_same_trials_a_little_smaller() -> None:
         else:
             assert smaller.task["target"] == pytest.approx([0.9 * place for place in trial.task["target"]])
     with pytest.raises(RigError, match=r"--repeats 2: task\.kind = 'injection'"):
-        trials(load_rig(RIGS / "microscope.toml"), 2)
+        trials(load_rig(MICROSCOPE), 2)
 
 
 def test_late_trials_of_one_jitter_move_together_and_as_they_would_alone() -> None:
@@ -436,10 +436,9 @@ def test_disturbances_fit_the_rig() -> None:
         "plant.ripple_amplitude=[0.05, 0.05]",
         "plant.ripple_period=0.05",
     ]
-    microscope = RIGS / "microscope.toml"
-    for law, extra in disturbances(load_rig(microscope)).items():
-        assert load_rig(microscope, extra), law
-    assert "off grid" not in disturbances(load_rig(microscope))
+    for law, extra in disturbances(load_rig(MICROSCOPE)).items():
+        assert load_rig(MICROSCOPE, extra), law
+    assert "off grid" not in disturbances(load_rig(MICROSCOPE))
 
 
 def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None:
