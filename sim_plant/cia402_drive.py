@@ -71,7 +71,7 @@ class Cia402Drive:
         self._handlers: dict[int, Callable[[bytes], None]] = {}
         self._rpdos: list[Pdo] = []
         self._tpdos: list[Pdo] = []
-        self._rpdos = [Pdo(dictionary, 0x1400 + i, 0x1600 + i, changed) for i in range(2)]
+        self._rpdos = [Pdo(dictionary, 0x1400 + i, 0x1600 + i, changed) for i in range(3)]
         self._tpdos = [Pdo(dictionary, 0x1800 + i, 0x1A00 + i, changed) for i in range(2)]
         self._boot()
 

@@ -72,13 +72,29 @@ def test_the_start_resets_communication_so_that_no_older_mapping_survives() -> N
 
 def test_all_drives_are_enabled_by_one_frame_and_apply_their_own_torque(bench: Bench) -> None:
     bench.enable, bench.force = ALL, [5.3, -20.0, 0.01, -0.5]
-    bench.tick(2)
+    bench.tick(3)
     assert states(bench) == {DriveState.OPERATION_ENABLED}
     bench.tick(2)
     for drive, force, rated in zip(bench.drives, bench.force, bench.rated, strict=True):
         unit, _ = rated_torque(rated)
         assert drive.servo.force == pytest.approx(force, abs=0.5 * unit * 1e-6 + (abs(force) == rated) * unit * 1e-6)
     assert all(sample.status & DriveStatus.ENABLED for sample in bench.samples())
+
+
+def test_drives_have_their_torque_from_the_moment_they_are_enabled_and_let_go_at_once(bench: Bench) -> None:
+    """Between an enabling frame behind SYNC and the torque of the next SYNC a weight would fall."""
+    bench.enable, bench.force = ALL, [1.0, 1.0, 0.01, 0.5]
+    at_sync, at_once = cia301.RPDO3_ID + 1, cia301.RPDO2_ID + 1
+    while at_sync not in [frame.can_id for frame in bench.sent]:
+        bench.tick()
+    assert states(bench) == {DriveState.SWITCHED_ON}
+    bench.tick()
+    assert states(bench) == {DriveState.OPERATION_ENABLED}
+    assert all(drive.servo.force > 0.0 for drive in bench.drives)
+    bench.enable = 0b0111
+    while at_once not in [frame.can_id for frame in bench.sent]:
+        bench.tick()
+    assert [drive.state for drive in bench.drives] == [DriveState.OPERATION_ENABLED] * 3 + [DriveState.SWITCHED_ON]
 
 
 def test_a_drive_whose_enable_bit_is_clear_gets_no_torque_at_once(bench: Bench) -> None:
@@ -417,7 +433,7 @@ def test_a_torque_beyond_6072h_is_limited_and_says_so(bench: Bench) -> None:
     bench.to_drives(Frame(0x201, (32767).to_bytes(2, "little") * 4))
     bench.heard = bench.to_drives(Frame(0x080, bytes((bench.sent[1].data[0] % 240 + 1,))))
     outcomes = [bench.host.decode(frame) for frame in bench.heard]
-    limited = [isinstance(o, Sample) and bool(o.status & DriveStatus.TORQUE_LIMITED) for o in outcomes]
+    limited = [bool(o.status & DriveStatus.TORQUE_LIMITED) for o in outcomes if isinstance(o, Sample)]
     assert limited == [rated_torque(rated)[1] < 32767 for rated in bench.rated]
     assert all(d.servo.force <= r * 1.000001 for d, r in zip(bench.drives, bench.rated, strict=True))
 

@@ -4,6 +4,9 @@ Every tick the host sends one RPDO that all nodes share, with four target torque
 own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and answer with position
 and statusword. Behind them goes at most one service frame, so that it delays no SYNC; cia402_master.py decides which.
 
+Controlwords: two RPDOs carry them. What disables a drive acts at once (RPDO 2), all else at the next SYNC (RPDO 3), so
+that an enabled drive has its torque from the first moment: until it had, it would let a weight fall.
+
 Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
 32767 thousandths that 6071h can say. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
 
@@ -99,6 +102,7 @@ def configuration(bus: BusConfig, axis: int, n_axes: int, rated_force: float, pe
         _write(0x1017, 0, DRIVE_HEARTBEAT_MS),
         *_pdo_steps(0x1400, 0x1600, cia301.RPDO1_ID + bus.node_id, 1, torque),
         *_pdo_steps(0x1401, 0x1601, cia301.RPDO2_ID + bus.node_id, 255, controlword),
+        *_pdo_steps(0x1402, 0x1602, cia301.RPDO3_ID + bus.node_id, 1, controlword),
         *_pdo_steps(0x1800, 0x1A00, cia301.TPDO1_ID + node, 1, feedback),
         _write(cia301.MODE, 0, cia301.TORQUE_MODE),
         _write(cia301.TORQUE_RATED, 0, unit),
@@ -132,7 +136,7 @@ class Cia402Host:
             NodeMaster(bus.node_id + axis, configuration(bus, axis, n_axes, force, period_ns))
             for axis, force in enumerate(rated_force)
         ]
-        self._master = Master(self.nodes, cia301.RPDO2_ID + bus.node_id)
+        self._master = Master(self.nodes, cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id)
         self._tick = 0
         self._rpdo_id = cia301.RPDO1_ID + bus.node_id
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,))) for count in range(1, cia301.SYNC_COUNTER_MAX + 1)]
@@ -140,7 +144,8 @@ class Cia402Host:
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
         self._axis = {cia301.TPDO1_ID + node.node_id: axis for axis, node in enumerate(self.nodes)}
         self._services = self._find_services()
-        self._own = {cia301.NMT_ID, cia301.SYNC_ID, self._rpdo_id, cia301.RPDO2_ID + bus.node_id}
+        self._own = {cia301.NMT_ID, cia301.SYNC_ID, self._rpdo_id}
+        self._own |= {cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id}
         self._own |= {cia301.SDO_REQUEST_ID + node.node_id for node in self.nodes}
         self._own.add(cia301.HEARTBEAT_ID + MASTER_ID)
 

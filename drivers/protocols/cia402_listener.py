@@ -43,16 +43,17 @@ class Cia402Listener:
     def decode_command(self, frame: Frame) -> Command | Reject:
         """The command in the shared target torques; SERVICE for all else that the host says."""
         can_id, data, flags, _ = frame
-        torques, words = cia301.RPDO1_ID + self._first, cia301.RPDO2_ID + self._first
+        torques = cia301.RPDO1_ID + self._first
+        words = (cia301.RPDO2_ID + self._first, cia301.RPDO3_ID + self._first)
         if can_id in self._services:
             return Reject.SERVICE
-        if can_id not in (torques, words):
-            return reject_id(can_id, (torques, words), -1)
+        if can_id != torques and can_id not in words:
+            return reject_id(can_id, (torques, *words), -1)
         if flags & FD:
             return Reject.WRONG_FORMAT
         if len(data) != self._torques.size:
             return Reject.WRONG_LENGTH
-        if can_id == words:
+        if can_id in words:
             self._controlwords = list(self._words.unpack(data))
             return Reject.SERVICE
         raw = self._torques.unpack(data)

@@ -30,11 +30,11 @@ _GOALS = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
 
 
 class Master:
-    """All nodes of a rig, in axis order."""
+    """All nodes of a rig, in axis order. at_once, at_sync: identifiers of the two controlword frames."""
 
-    def __init__(self, nodes: Sequence[NodeMaster], controlword_id: int) -> None:
+    def __init__(self, nodes: Sequence[NodeMaster], at_once: int, at_sync: int) -> None:
         self.nodes = list(nodes)
-        self._controlword_id = controlword_id
+        self._at_once, self._at_sync = at_once, at_sync
         n = len(self.nodes)
         self._words = [-1] * n
         self._armed = [False] * n
@@ -105,8 +105,17 @@ class Master:
             return None
         if words == self._words and not (waiting and tick - self._words_tick >= RESEND_TICKS):
             return None
+        can_id = self._at_once if self._disables(words) else self._at_sync
         self._words, self._words_tick = words, tick
-        return Frame(self._controlword_id, b"".join(word.to_bytes(2, "little") for word in words))
+        return Frame(can_id, b"".join(word.to_bytes(2, "little") for word in words))
+
+    def _disables(self, words: Sequence[int]) -> bool:
+        """Whether any drive that is enabled, or was told to be, is so no longer."""
+        return any(
+            word != cia301.ENABLE_OPERATION
+            and (before == cia301.ENABLE_OPERATION or node.state is DriveState.OPERATION_ENABLED)
+            for word, before, node in zip(words, self._words, self.nodes, strict=True)
+        )
 
     def _controlword(self, tick: int, axis: int, node: NodeMaster, wanted: bool) -> int:
         state = node.state
