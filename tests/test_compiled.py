@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, modules, on_floats
+from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, PACKAGES, modules, on_floats
 from hil.control_path import control_path
 from hil.laws import LAWS
 from tests.hashes import RUNS, Situation, ask
@@ -20,9 +20,18 @@ ROOT = Path(__file__).resolve().parent.parent
 HERE = ROOT / ".venv-compiled"
 TICKS = 3000
 
-needs_build = pytest.mark.skipif(
-    not (HERE / ".built").exists(), reason="no compiled build: make compiled (needs a C compiler and Python's headers)"
-)
+
+def missing_build() -> str:
+    """Why there is no build of these sources; empty where there is one."""
+    built = HERE / ".built"
+    if not built.exists():
+        return "no compiled build: make compiled (needs a C compiler and Python's headers)"
+    sources = (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    changed = max(path.stat().st_mtime for path in sources) > built.stat().st_mtime
+    return "the compiled build is older than the sources: make compiled" if changed else ""
+
+
+needs_build = pytest.mark.skipif(bool(missing_build()), reason=missing_build())
 
 
 def told(*command: str | Path, cwd: Path = ROOT) -> str:
