@@ -188,7 +188,8 @@ class Cia402Drive:
     # services ---------------------------------------------------------------------------------------------------------
 
     def _find_handlers(self) -> None:
-        """Rebuild the table of identifiers this node listens to."""
+        """Rebuild the table of identifiers this node listens to; what waits in an RPDO that ends is gone."""
+        self._received = {pdo: data for pdo, data in self._received.items() if pdo.can_id >= 0}
         values, node = self.dictionary.values, self.node_id
         handlers: dict[int, Callable[[bytes], None]] = {}
         for pdo in reversed(self._rpdos):

@@ -12,7 +12,7 @@ from drivers.protocols import cia301, device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.protocols.cia402 import EMCY_ID, FULL_SCALE, Cia402Host, rated_torque
-from drivers.protocols.cia402_master import MASTER_ID, SERVICE_TICKS
+from drivers.protocols.cia402_master import MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
 from drivers.protocols.cia402_node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
 from sim_plant.cia402_drive import Cia402Drive
 from sim_plant.cia402_power import TRANSITIONS
@@ -81,20 +81,44 @@ def test_all_drives_are_enabled_by_one_frame_and_apply_their_own_torque(bench: B
     assert all(sample.status & DriveStatus.ENABLED for sample in bench.samples())
 
 
+def until_sent(bench: Bench, can_id: int) -> None:
+    """Tick until the host sends that identifier."""
+    for _ in range(2 * SERVICE_TICKS):
+        bench.tick()
+        if can_id in [frame.can_id for frame in bench.sent]:
+            return
+    pytest.fail(f"the host sent no frame {can_id:#x}")
+
+
 def test_drives_have_their_torque_from_the_moment_they_are_enabled_and_let_go_at_once(bench: Bench) -> None:
     """Between an enabling frame behind SYNC and the torque of the next SYNC a weight would fall."""
     bench.enable, bench.force = ALL, [1.0, 1.0, 0.01, 0.5]
     at_sync, at_once = cia301.RPDO3_ID + 1, cia301.RPDO2_ID + 1
-    while at_sync not in [frame.can_id for frame in bench.sent]:
-        bench.tick()
+    until_sent(bench, at_sync)
     assert states(bench) == {DriveState.SWITCHED_ON}
     bench.tick()
     assert states(bench) == {DriveState.OPERATION_ENABLED}
     assert all(drive.servo.force > 0.0 for drive in bench.drives)
     bench.enable = 0b0111
-    while at_once not in [frame.can_id for frame in bench.sent]:
-        bench.tick()
+    until_sent(bench, at_once)
     assert [drive.state for drive in bench.drives] == [DriveState.OPERATION_ENABLED] * 3 + [DriveState.SWITCHED_ON]
+
+
+def test_an_enable_that_waits_for_a_lost_sync_is_taken_back_as_soon_as_it_shows(bench: Bench) -> None:
+    """Its SYNC and the next are lost; the disabling frame finds nothing enabled yet, and then SYNC is there again."""
+    bench.enable, at_once = ALL, cia301.RPDO2_ID + 1
+    until_sent(bench, cia301.RPDO3_ID + 1)
+    bench.enable = 0
+    sync = [drive._handlers.pop(cia301.SYNC_ID) for drive in bench.drives]
+    bench.tick(2)
+    assert bench.sent[2].can_id == at_once
+    for drive, handler in zip(bench.drives, sync, strict=True):
+        drive._handlers[cia301.SYNC_ID] = handler
+    bench.tick()
+    assert states(bench) == {DriveState.OPERATION_ENABLED}
+    assert all(drive.servo.force == 0.0 for drive in bench.drives)
+    bench.tick(REPEAT_TICKS)
+    assert states(bench) == {DriveState.SWITCHED_ON}
 
 
 def test_a_drive_whose_enable_bit_is_clear_gets_no_torque_at_once(bench: Bench) -> None:
@@ -334,6 +358,33 @@ def test_the_dictionary_refuses_with_the_code_of_cia_301(request_: bytes, code: 
     drive = ready_drive()
     assert abort_code(sdo(drive, request_)) == code
     assert sdo(drive, read(0x1000))[4:] == bytes((0x92, 0x01, 0x02, 0x00))  # and goes on serving
+
+
+def test_what_waits_for_sync_goes_with_its_rpdo_and_is_never_read_by_a_later_mapping() -> None:
+    drive = ready_drive()
+
+    def map_torque(*more: int) -> None:
+        objects = (0x60710010, *more)
+        sdo(drive, write(0x1400, 1, 0x80000205, 4))
+        sdo(drive, write(0x1400, 2, 1, 1))
+        sdo(drive, write(0x1600, 0, 0, 1))
+        for place, mapped in enumerate(objects, 1):
+            sdo(drive, write(0x1600, place, mapped, 4))
+        sdo(drive, write(0x1600, 0, len(objects), 1))
+        assert sdo(drive, write(0x1400, 1, 0x205, 4))[0] == 0x60
+
+    def torque() -> int:
+        return int.from_bytes(sdo(drive, read(0x6071))[4:6], "little")
+
+    map_torque()
+    drive.on_frame(Frame(0x000, bytes((NmtCommand.START, 5))))
+    drive.on_frame(Frame(0x205, b"\x11\0"))
+    map_torque(0x60400010)
+    drive.on_frame(Frame(0x080, b""))
+    assert torque() == 0
+    drive.on_frame(Frame(0x205, b"\x22\0\x06\0"))
+    drive.on_frame(Frame(0x080, b""))
+    assert torque() == 0x22
 
 
 def test_mapping_what_cannot_be_mapped_is_refused() -> None:

@@ -4,8 +4,10 @@ Every tick the host sends one RPDO that all nodes share, with four target torque
 own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and answer with position
 and statusword. Behind them goes at most one service frame, so that it delays no SYNC; cia402_master.py decides which.
 
-Controlwords: two RPDOs carry them. What disables a drive acts at once (RPDO 2), all else at the next SYNC (RPDO 3), so
-that an enabled drive has its torque from the first moment: until it had, it would let a weight fall.
+Controlwords: two RPDOs carry them. A frame that disables any drive acts at once (RPDO 2), all others at the next SYNC
+(RPDO 3), so that an enabled drive has its torque from the first moment: until it had, it would let a weight fall. Where
+a drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
+disable; the drive is then enabled, without torque, until the host has seen it and says so again (4 ticks).
 
 Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
 32767 thousandths that 6071h can say. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.

@@ -15,6 +15,7 @@ MASTER_ID = 127
 SERVICE_TICKS = 2  # at least, between service frames: what schedulability counts with
 HEARTBEAT_TICKS = 20
 RESEND_TICKS = 20  # a controlword whose effect is not seen after so long was lost
+REPEAT_TICKS = 2 * SERVICE_TICKS  # as is one that disables, sooner: what it took back may still wait there for SYNC
 RESET_TICKS = 100  # a reset that does not help in this time is over
 BOOT_TICKS = 10  # patience after the reset of communication, before the first SDO
 
@@ -103,9 +104,11 @@ class Master:
         if not running:
             self._words = words
             return None
-        if words == self._words and not (waiting and tick - self._words_tick >= RESEND_TICKS):
+        disables = self._disables(words)
+        patience = REPEAT_TICKS if disables else RESEND_TICKS
+        if words == self._words and not (waiting and tick - self._words_tick >= patience):
             return None
-        can_id = self._at_once if self._disables(words) else self._at_sync
+        can_id = self._at_once if disables else self._at_sync
         self._words, self._words_tick = words, tick
         return Frame(can_id, b"".join(word.to_bytes(2, "little") for word in words))
 
