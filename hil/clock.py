@@ -3,9 +3,10 @@
 Slot k of a run starts at epoch + k * period; a tick's index is its slot's number, so an index never lies about time.
 
 Rules:
-- A tick starts only out of a sleep, and at most KEEP_WITHIN of a period after its deadline. A slot that cannot be kept
-  is skipped and counted; nothing is ever run in a burst to catch up: two command frames closer than half a period would
-  make the drives sample while the answers to the first one are still on the bus.
+- A tick starts only out of a sleep (or, woken ahead, out of reading the clock), and at most KEEP_WITHIN of a period
+  after its deadline. A slot that cannot be kept is skipped and counted; nothing is ever run in a burst to catch up: two
+  command frames closer than half a period would make the drives sample while the answers to the first one are still on
+  the bus.
 - The deadline is computed from the slot's number, never from when the last tick ended: lateness does not add up.
 - The loop is woken before the deadline by what waking usually takes here, and reads the clock for the rest: one tick
   in ten starts late by more than a look at the clock, instead of every one. None starts early.
@@ -21,16 +22,17 @@ from hil.sleep import sleeper
 
 KEEP_WITHIN = 0.5  # of a period: a slot is kept when its tick starts this soon after its deadline
 WOKEN_IN_TIME = 9  # wakes for each one that comes later than it was allowed for
-AHEAD_STEP_NS = 20  # a change of what waking takes, by 10 us, is followed within fifty ticks up and five hundred down
+AHEAD_STEP_NS = 20  # 10 us more are followed within sixty late wakes, 10 us less within five hundred timely ones
+AHEAD_WITHIN = 0.125  # of a period: a tick that leaves this much of it still ends in a sleep
 MAX_RESLEEPS = 3  # then the tick runs, however late: the stop flag and the watchdog live on ticks
 
 
 class Pacer:
     """Slots of `period_ns` from `start()` on. The attributes describe the slot that `wait()` returned in.
 
-    most_ahead_ns: by how much to be woken before the deadline at the most; 0: never.
+    most_ahead_ns: by how much to be woken before the deadline at the most, within AHEAD_WITHIN; 0: never.
 
-    index: slot number, 0-based. scheduled_ns: its deadline. now_ns: when the sleep ended. skipped: slots lost just
+    index: slot number, 0-based. scheduled_ns: its deadline. now_ns: when the wait ended. skipped: slots lost just
     before this one. overrun: those of them lost while the tick before was still running; the others are late wakes.
     total_skipped, sleeps: slots lost and sleeps made since start. ahead_ns: how long before its deadline the
     next slot's sleep is to end.
@@ -56,7 +58,7 @@ class Pacer:
         self.total_skipped = 0
         self.sleeps = 0
         self.ahead_ns = 0
-        self._most_ahead_ns = most_ahead_ns
+        self._most_ahead_ns = min(most_ahead_ns, int(period_ns * AHEAD_WITHIN))
         self._waking_ns = 0  # what the last wake took
         self._now = now
         self._sleep_until = sleep_until or sleeper()
@@ -106,7 +108,7 @@ def own_share(overrun: int, period_ns: int, cpu_ns: int, blocked: bool) -> int:
     """How many of the slots that a tick ran over were lost by this thread itself; the rest is the host's doing.
 
     Question asked: had the tick started on its deadline and never been interrupted, over which deadlines would it still
-    have run? cpu_ns: CPU time the thread used for that tick (with its sleep and wake: errs towards blaming ourselves).
+    have run? cpu_ns: CPU time the thread used for that tick (with its wait: errs towards blaming ourselves).
     blocked: the thread gave up the CPU other than by its pacing sleep (a page fault, a system call that waited); no
     kernel counter gives the length of that, so all of it is ours. A late wake is never ours: nothing of us ran then.
     """

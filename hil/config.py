@@ -153,7 +153,7 @@ class TimingConfig(BaseModel):
     cpu: Annotated[int, Field(ge=-1, le=1023)] = -1  # -1: the last one this process may use
     lock_memory: bool = True
     dma_latency: bool = True
-    wake_ahead_s: Annotated[float, Field(ge=0, le=1e-4)] = 5e-5  # most to wait awake for a deadline; 0: sleep to it
+    wake_ahead_s: Annotated[float, Field(ge=0, le=1e-4)] = 5e-5  # most to wait awake, within an eighth of a period
     allow_degraded: bool = False  # run although the kernel refused something of the above, and say so everywhere
 
 

@@ -70,7 +70,7 @@ class MissLedger:
         return blocked
 
     def book(self, skipped: int, overrun: int, cpu_ns: int, sleeps: int) -> None:
-        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with its sleep."""
+        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with its wait."""
         blocked = self.take_stock(sleeps)
         own = own_share(overrun, self._period_ns, cpu_ns, blocked)
         self.own += own

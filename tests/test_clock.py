@@ -109,7 +109,7 @@ def test_a_loop_that_is_woken_ahead_starts_nine_ticks_of_ten_on_their_deadline_w
     random = Random(1)
     world = World(reading=50)
     pacer = started(world, most_ahead_ns=50_000)
-    for usual in (15_000, 30_000, 8_000):  # another load, another latency: it is followed within a second
+    for usual in (15_000, 30_000, 8_000):  # another load, another latency: it is followed within 1.5 s
         world.oversleep = [usual + random.randrange(10_000) for _ in range(4000)]
         late = []
         for _ in range(4000):
@@ -120,6 +120,18 @@ def test_a_loop_that_is_woken_ahead_starts_nine_ticks_of_ten_on_their_deadline_w
         on_time = sum(ns <= world.reading for ns in settled) / len(settled)
         assert 0.87 < on_time < 0.93
         assert max(settled) < 10_000
+
+
+def test_at_high_rates_too_every_tick_that_leaves_an_eighth_of_its_period_ends_in_a_sleep():
+    period, latency = 100_000, 30_000
+    world = World(oversleep=[latency] * 2000, reading=50)
+    pacer = Pacer(period, world.now, world.sleep_until, most_ahead_ns=period)
+    pacer.start()
+    for _ in range(2000):
+        pacer.wait()
+        assert world.slept_until[-1] > world.time - latency - period // 8  # it did sleep
+        world.work(period * 3 // 4)
+    assert pacer.ahead_ns == period // 8
 
 
 def test_a_loop_is_never_woken_earlier_than_it_may_be():

@@ -54,12 +54,12 @@ class UnpoweredDrives:
         return Medium(near, far)
 
 
-def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int):
+def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int, *overrides: str):
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(
         daemon, "open_port", lambda *_, fd, **__: Port(drives.open, fd=fd, receive_limit=32), raising=True
     )
-    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
+    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local", *overrides])
     with daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), time.monotonic_ns) as loop:
         loop.pacer.start()
         for _ in range(ticks):
@@ -90,6 +90,15 @@ def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path
     assert loop.parts.cycle.fault is Fault.BUS_OFF
     assert loop.parts.port.counters().state is BusState.BUS_OFF
     assert drives.recalls == 0
+
+
+def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkeypatch):
+    ahead = [
+        run_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch, 50, f"timing.wake_ahead_s={most}").pacer.ahead_ns
+        for most in (0, 100e-9, 5e-5)
+    ]
+    assert ahead[:2] == [0, 100]
+    assert 100 < ahead[2] <= 50_000
 
 
 @pytest.fixture

@@ -53,7 +53,9 @@ def peers(
     rig: Annotated[Path, typer.Argument(help="rig file with four axes, stage_fd")] = Path(
         "deploy/rigs/microscope.toml"
     ),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="key=value, overrides the rig file; of blocks with a rig")
+    ] = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
     as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
