@@ -1,11 +1,13 @@
 """What the rig file believes, as the arrays and limits the control cycle and batches of plants work with."""
 
+from functools import partial
+
 import numpy as np
 
 from hil.config import RigConfig
 from hil.faults import AxisLimits
 from hil.gate import ForceLimits
-from hil.laws.base import Array, LawInputs, Model, Reference
+from hil.laws.base import LawInputs, Model, Reference
 
 
 def rig_model(rig: RigConfig) -> Model:
@@ -24,9 +26,7 @@ def rig_model(rig: RigConfig) -> Model:
 
 def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
     """LawInputs of zeros, arrays of `shape`."""
-
-    def zeros() -> Array:
-        return np.zeros(shape)
+    zeros = partial(np.zeros, shape)
 
     def rest() -> Reference:
         return Reference(zeros(), zeros(), zeros())

@@ -26,7 +26,8 @@ def missing_build() -> str:
     built = HERE / ".built"
     if not built.exists():
         return "no compiled build: make compiled (needs a C compiler and Python's headers)"
-    sources = (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    folders = [ROOT / name for name in (*PACKAGES, "deploy/compiled")]
+    sources = (path for folder in folders for kind in ("py", "dbc", "eds") for path in folder.rglob(f"*.{kind}"))
     changed = max(path.stat().st_mtime for path in sources) > built.stat().st_mtime
     return "the compiled build is older than the sources: make compiled" if changed else ""
 

@@ -52,6 +52,7 @@ sim_plant: drive emulator single_axis trigonometry
 
 SEAM = "hil/laws/per_axis.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
 IMPORT = re.compile(r"\bhil\.(estimation|number|setpoints|laws)\b(?!\.per_axis)")  # of FOR_BOTH
+HIDDEN_IMPORT = re.compile(r"^from hil(\.laws)? import .*\b(estimation|number|setpoints|laws|per_axis)\b", re.MULTILINE)
 
 # The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
 # where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.
@@ -112,11 +113,21 @@ def instantiate() -> None:
     (WORK / "hil/floats/laws").mkdir(parents=True)
     (WORK / "hil/floats/__init__.py").touch()
     for name in listed(FOR_BOTH):
-        text = (WORK / name).read_text().replace("Number = Any ", "Number = float ")
-        (WORK / on_floats(name)).write_text(text)
+        shutil.copy(WORK / name, WORK / on_floats(name))
+    change(WORK / "hil/floats/number.py", r"^Number = Any\b", "Number = float")
     for name in [*map(on_floats, listed(FOR_BOTH)), *listed(ONE_RIG)]:
-        path = WORK / name
-        path.write_text(IMPORT.sub(r"hil.floats.\1", path.read_text()))
+        text = (WORK / name).read_text()
+        if HIDDEN_IMPORT.search(text):
+            sys.exit(f"compiled: {name}: `from hil import ...` is not led to hil/floats; import from the module itself")
+        (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
+
+
+def change(path: Path, pattern: str, text: str) -> None:
+    """Replace what a pattern finds in a file. Exits where it finds nothing, so that no build is quietly another."""
+    changed, times = re.subn(pattern, text, path.read_text(), flags=re.MULTILINE)
+    if not times:
+        sys.exit(f"compiled: {path}: nothing there is like {pattern}")
+    path.write_text(changed)
 
 
 def compile_modules() -> None:

@@ -201,9 +201,8 @@ def slide(velocity: Number, push: Number, dry: Number, time: Number, inverse_mas
 def predict(p: Covariance, noise: Noise, inverse_mass: Number, over: Interval, third: Number) -> Covariance:
     """P <- F P F' + Q.
 
-    third: what theta2 multiplies.
-    The thetas drift only in motion. Where the reference reverses, the plant stops a little
-    early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
+    third: what theta2 multiplies. The thetas drift only in motion. Where the reference reverses, the plant stops a
+    little early or late and friction holds it meanwhile: its speed is uncertain there, and the thetas are not to blame.
     """
     p00, p01, p02, p03, p04, p05, p11, p12, p13, p14, p15, p22, p23, p24, p25, p33, p34, p35, p44, p45, p55 = p
     time, _, gained, before, s, _, a, _, _ = over
