@@ -35,6 +35,11 @@ PATIENT = (
     "plant.watchdog_s=1",
 )
 _POLL_S = 0.2
+_ANSWERS = {
+    State.CONNECTED: CommandKind.RESET,
+    State.FAULT: CommandKind.RESET,
+    State.READY: CommandKind.ACTIVATE,
+}
 
 
 class BenchError(Exception):
@@ -181,10 +186,12 @@ def _attempt(rig_path: Path, overrides: Sequence[str], ticks: int, cpu_clock: bo
 
 
 def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
-    """Wait for the ring and for READY, activate (after a reset where the host spoilt the start), wait for ACTIVE."""
+    """Wait for the ring and for READY, activate, wait for ACTIVE. Reset where the host spoilt the start, and where a
+    drive's watchdog has tripped since the control process of the attempt before was gone.
+    """
     limit = time.monotonic() + PATIENCE_S
     reader = _open_ring(process, rig, limit)
-    asked, state, fault = 0.0, State.BOOT, 0
+    asked, state, fault = time.monotonic(), State.BOOT, 0
     while time.monotonic() < limit and process.poll() is None:
         time.sleep(0.02)
         records = reader.read(reader.slots).records
@@ -192,7 +199,7 @@ def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
             state, fault = State(int(records["state"][-1])), int(records["fault"][-1])
         if state is State.ACTIVE:
             return reader
-        command = {State.READY: CommandKind.ACTIVATE, State.FAULT: CommandKind.RESET}.get(state)
+        command = _ANSWERS.get(state)
         if command is not None and time.monotonic() > asked + 0.3:
             asked = time.monotonic()
             with Mailbox(places(rig.name).mailbox) as mailbox:
