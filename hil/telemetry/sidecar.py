@@ -28,6 +28,7 @@ from hil.telemetry.window import Window
 
 STATUS_NS = 100_000_000
 MAX_PERIOD = 0.1  # s; commands and the recorder's sign of life do not wait longer
+SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process to end before it
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 
 
@@ -77,7 +78,7 @@ class Sidecar:
     def step(self, now_ns: int) -> None:
         """One round: new ticks, commands, status."""
         self._follow()
-        alive = self.attached is not None and self.attached.reader.writer_alive
+        alive = self.control_alive
         if not self._drain(now_ns) and not alive:
             self._conclude(now_ns)
         self._serve(now_ns, alive)
@@ -202,6 +203,11 @@ class Sidecar:
             self.attached.recorder.write("status", now_ns, data)
         self.status = status
 
+    @property
+    def control_alive(self) -> bool:
+        """A control process writes what is drained here."""
+        return self.attached is not None and self.attached.reader.writer_alive
+
     def close(self) -> None:
         """Drain to the end, finish the recording."""
         self._leave()
@@ -245,6 +251,11 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: 
         print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
             while not stop.set:
+                sidecar.step(time.monotonic_ns())
+                time.sleep(period)
+            # Whoever ends both at once, as a demo that is killed does, still gets the stop in the recording.
+            patience = time.monotonic() + SEE_OFF_S
+            while sidecar.control_alive and time.monotonic() < patience:
                 sidecar.step(time.monotonic_ns())
                 time.sleep(period)
         finally:
