@@ -37,7 +37,7 @@ from hil.bench.harness import (
     spread,
     values_of,
 )
-from hil.bench.live import BenchError, Run, cores, emulator, local, private_bus, run_control, sidecar
+from hil.bench.live import TO_THE_DEADLINE, BenchError, Run, cores, emulator, local, private_bus, run_control, sidecar
 from hil.config import RigConfig, load_rig
 from hil.doctor import RT_TESTS
 
@@ -64,7 +64,7 @@ def jitter(
     cases = [
         Case(SUBJECT, lambda: _control(rig, sets, ticks, runs)),
         Case(REFERENCE, lambda: cyclictest(program, config, ticks)),
-        Case(ASLEEP, lambda: _control(rig, [*sets, "timing.wake_ahead_s=0"], ticks, runs)),
+        Case(ASLEEP, lambda: _control(rig, [*sets, TO_THE_DEADLINE], ticks, runs)),
         Case(STALLS, lambda: stalls(cores()[1], config.period_ns, ticks)),
     ]
     if telemetry:

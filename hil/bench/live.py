@@ -26,6 +26,7 @@ from hil.timing import TimingSnapshot, read_timing
 PATIENCE_S = 30.0
 WARM_UP_TICKS = 500
 ATTEMPTS = 5
+TO_THE_DEADLINE = "timing.wake_ahead_s=0"  # asleep, as whatever the loop is compared with
 PATIENT = (
     "safety.silent_stop_ticks=1000",
     "safety.silent_zero_ticks=2000",

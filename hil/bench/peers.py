@@ -32,7 +32,7 @@ from drivers.bus import open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
 from hil.bench.harness import Case, Figures, as_json, block_table, interleave, percentiles, publish, ratios, spread
-from hil.bench.live import BenchError, cores, emulator, private_bus, run_control
+from hil.bench.live import TO_THE_DEADLINE, BenchError, cores, emulator, private_bus, run_control
 from hil.clock import Pacer
 from hil.config import TimingConfig
 from hil.realtime import claim
@@ -65,7 +65,7 @@ def peers(
         raise SystemExit("hil bench peers: moteus is not installed: pip install 'hil[bench]'")
     sets = overrides or []
     cases = [
-        Case(OURS, partial(_ours, rig, [*sets, "timing.wake_ahead_s=0"], ticks)),
+        Case(OURS, partial(_ours, rig, [*sets, TO_THE_DEADLINE], ticks)),
         Case(AHEAD, partial(_ours, rig, sets, ticks)),
         Case(PYTHON_CAN, partial(_beside_emulator, rig, sets, ticks)),
         Case(CANOPEN, partial(in_child, "canopen", ticks)),

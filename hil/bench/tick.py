@@ -29,14 +29,13 @@ from hil.bench.harness import (
     spread,
     values_of,
 )
-from hil.bench.live import BenchError, Run, cores, emulator, local, private_bus, run_control
+from hil.bench.live import TO_THE_DEADLINE, BenchError, Run, cores, emulator, local, private_bus, run_control
 from hil.config import RigConfig, load_rig
 from hil.timing import STAGES
 
 C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "tick.c"
 READINGS = np.array([1, 1, 2, 1, 1])  # of the CPU clock in each stage (hil/stage_clock.py)
 SUBJECT, REFERENCE = "hil run", "C program"
-ASLEEP = "timing.wake_ahead_s=0"
 
 
 def tick(
@@ -78,7 +77,7 @@ def _measure(
 
     def subject() -> Figures:
         with emulator(rig, sets):
-            run = run_control(rig, [ASLEEP, *sets], ticks, cpu_clock=True)
+            run = run_control(rig, [TO_THE_DEADLINE, *sets], ticks, cpu_clock=True)
         runs.append(run)
         return _figures(run)
 
