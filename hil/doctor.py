@@ -7,7 +7,7 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -21,6 +21,7 @@ from hil.config import TimingConfig
 from hil.realtime import claim
 
 ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
+BUSY_DEVICE = 1000  # interrupts since the machine started; fewer are no device at work
 RT_TESTS = "install rt-tests (Debian: apt install rt-tests)"
 
 
@@ -69,6 +70,7 @@ def examine() -> list[Finding]:
         *realtime_findings(),
         *kernel_findings(),
         cores_finding(),
+        interrupts_finding(max(os.sched_getaffinity(0))),
         runtime_finding(),
         tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
         tool_finding("strace", "`hil bench tick` counts system calls with it: apt install strace"),
@@ -175,6 +177,37 @@ def cores_finding() -> Finding:
         f"to keep the loop's core ({last}) free: kernel command line isolcpus={last} nohz_full={last} rcu_nocbs={last}"
     )
     return Finding("cores", "note", f"{len(allowed)}, none isolated", advice)
+
+
+def interrupts_finding(core: int, proc: Path = Path("/proc")) -> Finding:
+    """Devices that interrupt the loop's core (timing.cpu = -1: the last one). Their handlers, and the softirqs behind
+    them, run in the middle of ticks, at no priority that SCHED_FIFO could beat.
+    """
+    found = [
+        (number, name, count)
+        for number, name, count in _device_interrupts(core, proc)
+        if count >= BUSY_DEVICE and _read(proc / "irq" / number / "effective_affinity_list") == str(core)
+    ]
+    if not found:
+        return Finding("interrupts", "ok", f"core {core} serves no busy device")
+    shown = ", ".join(f"{name} ({number}: {count} so far)" for number, name, count in found)
+    advice = (
+        "to move one to another core: echo CORE > /proc/irq/NUMBER/smp_affinity_list (and tell irqbalance, if it runs);"
+        f" or kernel command line irqaffinity= without {core}. The CAN adapter's own may stay"
+    )
+    return Finding("interrupts", "note", f"core {core} serves {shown}", advice)
+
+
+def _device_interrupts(core: int, proc: Path) -> Iterator[tuple[str, str, int]]:
+    """(number, name, how many came to the core since the start) of every device's line in /proc/interrupts."""
+    header, *lines = (_read(proc / "interrupts") or "").splitlines() or [""]
+    cores = header.split()
+    column = cores.index(f"CPU{core}") if f"CPU{core}" in cores else -1
+    for line in lines if column >= 0 else ():
+        number, _, rest = line.partition(":")
+        words = rest.split()
+        if number.strip().isdigit() and len(words) > len(cores):  # the others are the processor's own: timer, IPIs
+            yield number.strip(), words[-1], int(words[column])
 
 
 # The rest -------------------------------------------------------------------------------------------------------------

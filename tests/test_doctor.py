@@ -78,6 +78,29 @@ def test_the_kernel_is_judged_by_what_it_says(tmp_path):
     assert better["kernel"].level == better["throttling"].level == "ok"
 
 
+def test_devices_that_interrupt_the_loops_core_are_named(tmp_path: Path):
+    """A disk whose completions run on the loop's core makes ticks late that no priority can protect."""
+    (tmp_path / "interrupts").write_text(
+        "           CPU0       CPU1\n"
+        " 24:          7          0 IR-PCI-MSIX-0000:00:14.0   0-edge      xhci_hcd\n"
+        " 36:          0       2423 IR-PCI-MSIX-0000:01:00.0   1-edge      nvme0q1\n"
+        " 37:          0         13 IR-PCI-MSIX-0000:02:00.0   1-edge      eth0\n"
+        "LOC:       1785       2946   Local timer interrupts\n"
+        "ERR:          0\n"
+    )
+    for number, core in (("24", "0"), ("36", "1"), ("37", "1")):
+        (tmp_path / "irq" / number).mkdir(parents=True)
+        (tmp_path / "irq" / number / "effective_affinity_list").write_text(core + "\n")
+    disk = doctor.interrupts_finding(1, tmp_path)
+    assert disk.level == "note"
+    assert "nvme0q1 (36: 2423 so far)" in disk.detail
+    assert "eth0" not in disk.detail  # hardly ever
+    assert "smp_affinity_list" in disk.advice
+    (tmp_path / "irq/36/effective_affinity_list").write_text("0\n")
+    assert doctor.interrupts_finding(1, tmp_path).level == "ok"
+    assert doctor.interrupts_finding(5, tmp_path).level == "ok"  # no such core: nothing to say
+
+
 def test_real_time_is_tried_without_leaving_a_trace_in_this_process():
     before = (os.sched_getscheduler(0), os.sched_getaffinity(0), Path("/proc/self/status").read_text().count("VmLck"))
     findings = doctor.realtime_findings()
