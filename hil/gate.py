@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from drivers.frame import Frame
+from drivers.frame import Frame, new_tuple
 from drivers.protocols.base import Command, HostProtocol
 
 
@@ -72,7 +72,7 @@ class TorqueGate:
             if let_out != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._protocol.encode(Command(sequence, force, self._all_axes, False))
+        return self._protocol.encode(new_tuple(Command, (sequence, force, self._all_axes, False)))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

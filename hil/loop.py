@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
+from drivers.frame import new_tuple
 from hil.clock import Pacer, own_share
 from hil.cycle import RECORD
 from hil.notify import Notifier
@@ -165,10 +166,10 @@ class ControlLoop:
         commands = mailbox.poll()
         if commands:
             self._before_commands(commands)
-        tick = Tick(
+        tick = new_tuple(Tick, (
             pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
             self._realtime_ok, self._rig_ok,
-        )  # fmt: skip
+        ))  # fmt: skip
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()

@@ -138,7 +138,7 @@ from setuptools import setup
 
 extensions = mypycify(["--follow-imports=silent", "--no-warn-unused-configs", *{modules()!r}], opt_level="2")
 for extension in extensions:
-    extension.extra_compile_args += {FLAGS!r}
+    extension.extra_compile_args = extension.extra_compile_args + {FLAGS!r}  # a list that all of them share
 setup(name="hil-compiled", packages=[], py_modules=[], ext_modules=extensions)
 """
     command = [sys.executable, "-c", script, "-q", "build_ext", "--inplace"]
