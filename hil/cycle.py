@@ -20,7 +20,7 @@ from hil.config import RigConfig
 from hil.estimation import MotionFilter, design_gains
 from hil.faults import Fault, FaultMonitor, Reaction
 from hil.gate import TorqueGate
-from hil.homing import home_trajectory
+from hil.homing import plan_homing
 from hil.inbox import Inbox
 from hil.laws import make_axis_laws
 from hil.laws.base import axis_inputs, axis_model
@@ -30,7 +30,7 @@ from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateM
 from hil.stop import DampedStop
 from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
 from hil.tick import BusState, CycleResult, Tick
-from hil.trajectories import make_trajectory, task_repeat
+from hil.trajectories import plan_task, task_repeat
 
 _OF_THE_SHELL = (0, 0, 0)  # slots missed: the record's fields that the shell fills in
 RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
@@ -61,7 +61,8 @@ class ControlCycle:
         innovation_limit = np.sqrt(variance * rig.safety.nis_limit).tolist()
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, innovation_limit)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
-        # Made here too, so that a task that cannot be done is refused now and not when the drives are live.
+        # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
+        self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
         repeat = repeat if rig.law.iterative_learning else None
         force = np.array([axis.limits.force for axis in axes])
@@ -258,14 +259,8 @@ class ControlCycle:
         if all(s is not None and s.status & ENABLED for s in self.inbox.samples):
             self._enabled_seen = True
             origin = [tick.now_ns + clock.latency for clock in self.sampling.clocks]
-            start = np.array([x.sample.position for x in self.inputs])
-            homing = self.machine.state is State.HOMING
-            rig = self.rig
-            task = (
-                home_trajectory(rig, start)
-                if homing
-                else make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
-            )
+            begin = self._plan_homing if self.machine.state is State.HOMING else self._plan
+            task = begin([x.sample.position for x in self.inputs])
             self.setpoints.follow(task, origin)
             self.setpoints.update(self.sampling.instants, self.sampling.starts)
         elif self._waited_for_enable >= self.rig.safety.enable_timeout_ticks:

@@ -1,6 +1,7 @@
 """What every trajectory is: a pure function of integer nanoseconds, bit-identical for one instant or many."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,3 +58,8 @@ class Trajectory(ABC):
     @abstractmethod
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
         """As `at` for many times; bit-identical to it."""
+
+
+# A task that begins wherever the stage rests: its position by axis, m -> the trajectory from there. Little work however
+# long the task, as it is called in the tick in which the drives have just been enabled.
+Plan = Callable[[Sequence[float]], Trajectory]

@@ -1,6 +1,6 @@
 """Circle and Lissajous figure, entered by a minimum-jerk blend from wherever the stage stands."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -52,9 +52,11 @@ class Figure(Trajectory):
 
     phase_names: tuple[str, ...] = ("approach", "figure")
 
-    def __init__(self, oscillations: Mapping[int, Oscillation], start: Array, approach_ns: int, settle_ns: int) -> None:
+    def __init__(
+        self, oscillations: Mapping[int, Oscillation], start: Sequence[float], approach_ns: int, settle_ns: int
+    ) -> None:
         super().__init__(len(start))
-        self._start = [float(value) for value in start]
+        self._start = list(start)
         self._oscillations = dict(oscillations)
         self._approach_ns = approach_ns
         self._per_second = 1e9 / approach_ns  # du/dt

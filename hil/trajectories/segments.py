@@ -1,8 +1,12 @@
-"""Trajectories made of quintic segments: hold, point to point, and the injection plan."""
+"""Trajectories made of quintic segments: hold, point to point, homing, and the injection plan.
+
+A segment's numbers are all worked out when it is made, and on floats: a plan of thousands is begun within a tick.
+"""
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,20 +15,28 @@ from hil.trajectories.base import Times, Trajectory
 
 NS = 1e-9  # s
 
+Values = Sequence[float]  # one per axis
+# Of one axis, t in s from the segment's start: position c0 + c1 t + ... + c5 t^5, velocity c1 + v2 t + ... + v5 t^4,
+# acceleration a2 + a3 t + ... + a5 t^3; in this order.
+Row = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float]
 
-@dataclass(frozen=True)
-class Segment:
-    """A quintic in (t - its start), per axis: `coefficients` (6, n_axes), lowest power first, t in s."""
+
+class Segment(NamedTuple):
+    """A quintic per axis. rows: its coefficients, still: whether it does not move; both by axis."""
 
     duration_ns: int
-    coefficients: Array
-    phase: int = 0
+    rows: list[Row]
+    still: list[bool]
+    phase: int
 
 
-def quintic(duration_ns: int, begin: Sequence[Array], end: Sequence[Array], phase: int = 0) -> Segment:
-    """The quintic that meets position, velocity and acceleration, each (n_axes,), at both ends."""
-    t = duration_ns * NS
-    (p0, v0, a0), (p1, v1, a1) = begin, end
+def quintic(duration_ns: int, begin: Sequence[Values], end: Sequence[Values], phase: int = 0) -> Segment:
+    """The quintic that meets position, velocity and acceleration (m, m/s, m/s^2; each by axis) at both ends."""
+    rows = [_meet(duration_ns * NS, *ends) for ends in zip(*begin, *end, strict=True)]
+    return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], phase)
+
+
+def _meet(t: float, p0: float, v0: float, a0: float, p1: float, v1: float, a1: float) -> Row:
     d = p1 - p0 - v0 * t - 0.5 * a0 * (t * t)
     v = v1 - v0 - a0 * t
     a = a1 - a0
@@ -33,46 +45,35 @@ def quintic(duration_ns: int, begin: Sequence[Array], end: Sequence[Array], phas
     c3 = (10.0 * d - 4.0 * v * t + 0.5 * a * t2) / t3
     c4 = (7.0 * v * t - 15.0 * d - a * t2) / (t3 * t)
     c5 = (6.0 * d - 3.0 * v * t + 0.5 * a * t2) / (t3 * t2)
-    return Segment(duration_ns, np.stack([p0, v0, 0.5 * a0, c3, c4, c5]), phase)
+    return _row(p0, v0, 0.5 * a0, c3, c4, c5)
 
 
-def rest(duration_ns: int, position: Array, phase: int = 0) -> Segment:
+def _row(c0: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> Row:
+    return c0, c1, c2, c3, c4, c5, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5
+
+
+def rest(duration_ns: int, position: Values, phase: int = 0) -> Segment:
     """Stand still."""
-    coefficients = np.zeros((6, len(position)))
-    coefficients[0] = position
-    return Segment(duration_ns, coefficients, phase)
+    rows = [_row(value, 0.0, 0.0, 0.0, 0.0, 0.0) for value in position]
+    return Segment(duration_ns, rows, [True] * len(rows), phase)
 
 
-def move(duration_ns: int, begin: Array, end: Array, phase: int = 0) -> Segment:
+def move(duration_ns: int, begin: Values, end: Values, phase: int = 0) -> Segment:
     """Minimum jerk from rest to rest."""
-    zero = np.zeros(len(begin))
+    zero = [0.0] * len(begin)
     return quintic(duration_ns, (begin, zero, zero), (end, zero, zero), phase)
 
 
 class Segments(Trajectory):
-    """Quintic segments one after another; then either over again or standing still at `final`."""
+    """Segments one after another; then over again, or for ever in the last one, which must be a rest of 0 ns."""
 
-    def __init__(
-        self, segments: Sequence[Segment], *, final: Array, repeat: bool, phase_names: tuple[str, ...]
-    ) -> None:
-        super().__init__(len(final))
-        durations = [segment.duration_ns for segment in segments]
-        self._total = sum(durations)
-        self._starts = [sum(durations[:i]) for i in range(len(segments))]
-        tables = [segment.coefficients for segment in segments]
-        if not repeat:
-            self._starts.append(self._total)
-            tables.append(rest(0, final).coefficients)
-        self._starts_array = np.array(self._starts, dtype=np.int64)
-        self._table = np.stack(tables)  # (segments, 6, n_axes)
-        c2, c3, c4, c5 = (self._table[:, power] for power in range(2, 6))
-        derived = [2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5]
-        whole = np.concatenate([self._table, np.stack(derived, axis=1)], axis=1)
-        # [axis][segment]: coefficients of position, then those of velocity and acceleration that follow from them
-        self._lists: list[list[list[float]]] = whole.transpose(2, 0, 1).tolist()
-        self._still: list[list[bool]] = (self._table[:, 1:] == 0.0).all(axis=1).T.tolist()  # [axis][segment]
-        self._phases = [segment.phase for segment in segments] + [len(phase_names) - 1] * (not repeat)
+    def __init__(self, segments: Sequence[Segment], *, repeat: bool, phase_names: tuple[str, ...]) -> None:
+        super().__init__(len(segments[0].rows))
+        self.segments = segments
+        self._starts = list(accumulate([segment.duration_ns for segment in segments], initial=0))
+        self._total = self._starts.pop()
         self._repeats = repeat
+        self._arrays: dict[int, Array] = {}  # an axis' rows, (segments, 14): for who asks for many instants
         self.phase_names = phase_names
         self.repeat_ns = self._total if repeat else None
         self.duration_ns = None if repeat else self._total
@@ -81,7 +82,7 @@ class Segments(Trajectory):
         """Phase of the segment that holds task time `t_ns`."""
         if self._repeats:
             t_ns %= self._total
-        return self._phases[max(bisect_right(self._starts, t_ns) - 1, 0)]
+        return self.segments[max(bisect_right(self._starts, t_ns) - 1, 0)].phase
 
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """See Trajectory."""
@@ -89,8 +90,9 @@ class Segments(Trajectory):
         if self._repeats:
             t_ns %= self._total
         index = bisect_right(self._starts, t_ns) - 1
-        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = self._lists[axis][index]
-        if self._still[axis][index]:
+        segment = self.segments[index]
+        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = segment.rows[axis]
+        if segment.still[axis]:
             return c0, 0.0, 0.0
         t = (t_ns - self._starts[index]) * NS
         return (
@@ -100,13 +102,16 @@ class Segments(Trajectory):
         )
 
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
+        if axis not in self._arrays:
+            self._arrays[axis] = np.array([segment.rows[axis] for segment in self.segments])
         if self._repeats:
             t_ns = t_ns % self._total
-        index = np.searchsorted(self._starts_array, t_ns, side="right") - 1
-        c0, c1, c2, c3, c4, c5 = np.moveaxis(self._table[index, :, axis], -1, 0)
-        t = (t_ns - self._starts_array[index]) * NS
+        starts = np.array(self._starts, dtype=np.int64)
+        index = np.searchsorted(starts, t_ns, side="right") - 1
+        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = np.moveaxis(self._arrays[axis][index], -1, 0)
+        t = (t_ns - starts[index]) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
-            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5)))),
-            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5))),
+            c1 + t * (v2 + t * (v3 + t * (v4 + t * v5))),
+            a2 + t * (a3 + t * (a4 + t * a5)),
         )
