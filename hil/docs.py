@@ -5,6 +5,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drivers.config import BusConfig
+from drivers.protocols import host_protocol
+from hil.campaign.means import TEXTS, Means, fixed_means
 from hil.faults import RULES, Reaction
 from hil.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 
@@ -74,7 +77,28 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_means_lines()]) + "\n"
+
+
+def _means_lines() -> list[str]:
+    """What a layout cannot tell, from the properties the campaign goes by."""
+    has = {
+        name: fixed_means(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
+        for name in ("stage_fd", "stage_classic", "cia402")
+    }
+    lines = ["", "## What a layout cannot tell", ""]
+    lines += [
+        "Made from `hil/campaign/means.py`. Where a layout lacks one of these, `hil faults` demands less, counts the "
+        "cells (`cannot tell`) and says why. A DBC file has what it binds.",
+        "",
+    ]
+    lines += ["| what it takes | " + " | ".join(has) + " | without it |", "|---" * (len(has) + 2) + "|"]
+    for means, text in TEXTS.items():
+        marks = [
+            "as its load leaves" if means is Means.ROOM else "yes" if means & own else "no" for own in has.values()
+        ]
+        lines.append(f"| {text.means} | {' | '.join(marks)} | {text.follows} |")
+    return lines
 
 
 def states_picture(path: Path) -> None:

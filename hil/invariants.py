@@ -35,6 +35,8 @@ class Invariants:
         ]
         self._force = [0.0] * len(axes)
         self._sequence = -1
+        self._enable_lag = int(getattr(self._device, "enable_lag", 0))
+        self._forbidden = 0  # commands in a row that the state permits no torque in
         self._previous = State.BOOT
         self._silent = False
         self.ticks = 0
@@ -69,10 +71,12 @@ class Invariants:
     def _check_command(self, tick: Tick, state: State, command: Command) -> None:
         self._check_sequence(tick, command)
         permitted = state in TORQUE_STATES
+        self._forbidden = 0 if permitted else self._forbidden + 1
+        enabled = command.enable if self._forbidden > self._enable_lag else 0
         for axis, force in enumerate(command.force):
             if force - force != 0.0:
                 self._fail(tick, f"axis {axis}: force {force} is not finite")
-            if not permitted and (force != 0.0 or command.enable):
+            if not permitted and (force != 0.0 or enabled):
                 self._fail(tick, f"axis {axis}: force {force}, enable {command.enable} in {state.name}")
             if abs(force) > self._limit[axis]:
                 self._fail(tick, f"axis {axis}: force {force} beyond the limit {self._limit[axis]}")

@@ -91,6 +91,12 @@ class Cia402Drive:
         self._pass_time(now_ns)
         return self._take()
 
+    def switch_off(self) -> None:
+        """Out of operation without a fault, as when the input that enables the power stage opens for a moment."""
+        if self.state is not DriveState.FAULT:
+            self.state = DriveState.SWITCH_ON_DISABLED
+            self._command_servo(0.0)
+
     def _take(self) -> list[Frame]:
         out, self._out = self._out, []
         return out

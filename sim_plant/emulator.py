@@ -144,6 +144,11 @@ class EmulatedStage:
         return [drive.force for drive in self.drives]
 
     @property
+    def nodes(self) -> "Sequence[Cia402Drive]":
+        """The drives as CANopen nodes, in axis order; empty under the other layouts."""
+        return self._nodes
+
+    @property
     def speaks_unasked(self) -> bool:
         """Whether `advance` may return frames: CANopen nodes."""
         return bool(self._nodes)

@@ -12,7 +12,7 @@ from drivers.protocols import cia301, device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.protocols.cia402 import EMCY_ID, FULL_SCALE, Cia402Host, rated_torque
-from drivers.protocols.cia402_master import MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
+from drivers.protocols.cia402_master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
 from drivers.protocols.cia402_node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
 from sim_plant.cia402_drive import Cia402Drive
 from sim_plant.cia402_power import TRANSITIONS
@@ -83,7 +83,7 @@ def test_all_drives_are_enabled_by_one_frame_and_apply_their_own_torque(bench: B
 
 def until_sent(bench: Bench, can_id: int) -> None:
     """Tick until the host sends that identifier."""
-    for _ in range(2 * SERVICE_TICKS):
+    for _ in range(HEARTBEAT_TICKS + SERVICE_TICKS):
         bench.tick()
         if can_id in [frame.can_id for frame in bench.sent]:
             return
@@ -102,6 +102,17 @@ def test_drives_have_their_torque_from_the_moment_they_are_enabled_and_let_go_at
     bench.enable = 0b0111
     until_sent(bench, at_once)
     assert [drive.state for drive in bench.drives] == [DriveState.OPERATION_ENABLED] * 3 + [DriveState.SWITCHED_ON]
+
+
+def test_the_last_tick_of_a_host_disables_its_drives_whosever_turn_it_is(bench: Bench) -> None:
+    """After a damped stop on SIGTERM nothing follows that tick; a drive left enabled would hold its brake open."""
+    bench.enable = ALL
+    bench.tick(10)
+    until_sent(bench, cia301.HEARTBEAT_ID + MASTER_ID)
+    assert states(bench) == {DriveState.OPERATION_ENABLED}
+    bench.enable = 0
+    bench.tick()
+    assert states(bench) == {DriveState.SWITCHED_ON}
 
 
 def test_an_enable_that_waits_for_a_lost_sync_is_taken_back_as_soon_as_it_shows(bench: Bench) -> None:

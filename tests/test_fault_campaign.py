@@ -1,5 +1,5 @@
-"""The fault campaign: a sample of it here, all of it in the slow lane; and proof that a broken safety core makes it
-fail.
+"""The fault campaign: a sample of it here, all of it in the slow lane; over every frame layout, and what each of them
+cannot tell; and proof that a broken safety core makes it fail.
 """
 
 import os
@@ -10,29 +10,47 @@ import numpy as np
 import pytest
 
 from drivers.frame import Frame
+from drivers.protocols.base import Sample
+from drivers.protocols.cia402_master import Master
+from hil.campaign.checkpoints import READY, RESTING, Checkpoint, Voyage, active, bring_to
 from hil.campaign.command import campaign
+from hil.campaign.means import Means, fixed_means
 from hil.campaign.trials import TRIALS
-from hil.campaign.voyage import Cell, Checkpoint, Leg, active, bring_to, displaced, in_fork, legs, run_cell, sail
-from hil.config import RigConfig, load_rig
+from hil.campaign.voyage import Cell, Leg, displaced, in_fork, legs, run_cell, sail
+from hil.cli import main
+from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.cycle import ControlCycle
 from hil.faults import REACTIONS, Fault, FaultMonitor, Reaction
 from hil.gate import TorqueGate
 from hil.inbox import Inbox
 from hil.state_machine import TABLE, Event, State
 from hil.stop import DampedStop
+from hil.tick import CommandKind
+from sim_plant.drive import ServoDrive
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 STRIDE = 4  # about a thousand cells of the two rigs
+THIN = 16  # over the layouts they do not have
 
 
-def rig_of(name: str) -> RigConfig:
-    return displaced(load_rig(RIGS / f"{name}.toml"))
+def rig_of(name: str, layout: str = "stage_fd") -> RigConfig:
+    return displaced(load_rig(RIGS / f"{name}.toml", [f"bus.protocol={layout}"]))
+
+
+def thin(layout: str) -> list[Leg]:
+    """A slice of the microscope's start, rest and first motion."""
+    return legs(rig_of("microscope", layout), RIGS, stride=THIN)[: len(RESTING) + 2]
 
 
 LEGS = [leg for name in ("microscope", "paper") for leg in legs(rig_of(name), RIGS, stride=STRIDE)]
+OTHERS = [leg for layout in ("stage_classic", "cia402") for leg in thin(layout)]
 
 
-@pytest.mark.parametrize("leg", LEGS, ids=[f"{leg.document['name']}, {leg.point.name}" for leg in LEGS])
+def name_of(leg: Leg) -> str:
+    return f"{leg.document['name']}, {leg.document['bus']['protocol']}, {leg.point.name}"
+
+
+@pytest.mark.parametrize("leg", LEGS + OTHERS, ids=map(name_of, LEGS + OTHERS))
 def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(leg: Leg) -> None:
     failed = [f"{cell.trial} / {cell.axis}: {cell.why}" for cell in sail(leg) if not cell.passed]
     assert failed == []
@@ -49,16 +67,91 @@ def test_the_whole_campaign_passes_on_every_rig_we_ship() -> None:
     assert len(cells) > 4000
 
 
-def cell(trial_name: str, point: Checkpoint, sabotage: Callable[[], None] = lambda: None) -> Cell:
-    rig = rig_of("paper")
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["stage_classic", "cia402"])
+def test_the_whole_campaign_passes_over_the_layouts_they_do_not_have(layout: str) -> None:
+    rigs = [RIGS / "microscope.toml", RIGS / "paper.toml"]
+    cells = campaign(rigs, 1, os.cpu_count() or 1, lambda done, total: None, [f"bus.protocol={layout}"])
+    assert [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed] == []
+    assert len(cells) > 4000
+
+
+@pytest.mark.parametrize(
+    ("layout", "means"),
+    [
+        ("stage_fd", Means.SEQUENCE | Means.CHECKSUM | Means.CAUSE),
+        ("stage_classic", Means.SEQUENCE | Means.CHECKSUM | Means.CAUSE),
+        ("cia402", Means.NODES),
+    ],
+)
+def test_what_a_layout_gives_is_what_its_frames_show(layout: str, means: Means) -> None:
+    """Held against the frames: an answer with any one bit inverted, and one of the tick before last."""
+    run = bring_to(rig_of("microscope", layout), RIGS, READY)
+    assert fixed_means(run.cycle.protocol) == means
+    protocol, modulus = run.cycle.protocol, run.cycle.protocol.sequence_modulus
+    answers = [frame for frame in run.received if isinstance(protocol.decode(frame), Sample)]
+    assert len(answers) == len(run.rig.axes)
+    for answer in answers:
+        value, length = int.from_bytes(answer.data, "little"), len(answer.data)
+        damaged = [answer._replace(data=(value ^ 1 << bit).to_bytes(length, "little")) for bit in range(8 * length)]
+        believed = [isinstance(protocol.decode(frame), Sample) for frame in damaged]
+        assert any(believed) is not (Means.CHECKSUM in means)
+    run.on(2)
+    inbox = Inbox(protocol, 100)
+    inbox.collect(answers, run.cycle.sent_sequence)
+    assert any(inbox.fresh) is not (Means.SEQUENCE in means)
+    assert (modulus > 0) is (Means.SEQUENCE in means)
+
+
+def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair() -> None:
+    began = {}
+    for layout in ("stage_fd", "cia402"):
+        run = Voyage(rig_of("microscope", layout), RIGS)
+        run.ready()
+        began[layout] = run.index
+        assert run.cycle.state is State.READY
+        run.asks = CommandKind.ACTIVATE
+        run.tick()
+        assert run.cycle.state is State.ACTIVE
+    assert began["stage_fd"] < 100 < began["cia402"]
+
+
+def test_a_rig_that_is_never_ready_is_told_so_and_not_sailed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.campaign.checkpoints.PATIENCE", 50)
+    with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
+        bring_to(rig_of("microscope", "cia402"), RIGS, READY)
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("bus.protocol=cia401", "bus.protocol"),
+        ("safety.stop_s=7", "safety.stop_s"),
+        ("axes.x.rated_force=2e5", "rated forces"),  # which no shared RPDO carries
+    ],
+)
+def test_an_override_that_does_not_fit_is_refused_as_everywhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], override: str, says: str
+) -> None:
+    words = ["faults", str(RIGS / "microscope.toml"), "--set", "bus.protocol=cia402", "--set", override]
+    monkeypatch.setattr("sys.argv", ["hil", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == EXIT_CONFIG
+    assert says in capsys.readouterr().err
+
+
+def cell(
+    trial_name: str, point: Checkpoint, sabotage: Callable[[], None] = lambda: None, layout: str = "stage_fd"
+) -> Cell:
+    rig = rig_of("paper", layout)
     (trial,) = [trial for trial in TRIALS if trial.name == trial_name]
     run = bring_to(rig, RIGS, point)
     sabotage()
-    return in_fork(lambda: run_cell(trial, point, 0, run, rig.name))
+    return in_fork(lambda: run_cell(trial, point, 0, run))
 
 
 ON_THE_WAY = active("approach", 1000)
-READY = Checkpoint("READY", State.READY, 100)
 
 
 def test_a_campaign_reruns_bit_for_bit() -> None:
@@ -200,3 +293,24 @@ def test_a_broken_safety_core_fails_the_campaign_and_it_says_where(
     assert outcome.trial == trial
     assert outcome.checkpoint == point.name
     assert says in outcome.why
+
+
+def test_over_cia402_a_master_that_disables_nobody_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cell("operator stops", ON_THE_WAY, layout="cia402").passed
+    outcome = cell(
+        "operator stops", ON_THE_WAY, lambda: monkeypatch.setattr(Master, "_controlwords", never), layout="cia402"
+    )
+    assert not outcome.passed
+    assert "enable 3 in READY" in outcome.why
+
+
+def test_a_drive_that_stays_enabled_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its force is zero as it is told; it holds its brake open all the same."""
+
+    def obey(self: ServoDrive, force: float, enable: bool, *rest: object) -> bool:
+        return honest(self, force, True, *rest)  # type: ignore[arg-type]
+
+    honest = ServoDrive.on_command
+    outcome = cell("operator stops", ON_THE_WAY, lambda: monkeypatch.setattr(ServoDrive, "on_command", obey))
+    assert not outcome.passed
+    assert "a drive is enabled" in outcome.why

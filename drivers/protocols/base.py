@@ -93,6 +93,7 @@ class HostProtocol(Protocol):
     name: str
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
+    checksum: bool  # its frames carry one besides CAN's own
     fd: bool
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
 

@@ -118,6 +118,7 @@ class Cia402Host:
 
     name = "cia402"
     sequence_modulus = 0
+    checksum = False
     fd = False
     echo_id: int | None = cia301.SYNC_ID
 

@@ -12,6 +12,7 @@ from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.cia301 import DriveState
 from drivers.protocols.cia402 import rated_torque
+from drivers.protocols.cia402_master import SERVICE_TICKS
 from drivers.protocols.stage import reject_id
 
 _WRAP, _HALF = 1 << 32, 1 << 31
@@ -20,11 +21,14 @@ _WRAP, _HALF = 1 << 32, 1 << 31
 class Cia402Listener:
     """DeviceProtocol of cia402. A command's enable bits are those of the last controlwords; it has no sequence (0).
 
-    force_resolution: half of the coarsest axis' step as a fraction of its rated force.
+    force_resolution: half of the coarsest axis' step as a fraction of its rated force. enable_lag: commands that may
+    carry older enable bits than they would with bits of their own, as a controlword goes behind its tick's torques, and
+    may have to wait for its turn.
     """
 
     name = "cia402"
     sequence_modulus = 0
+    enable_lag = SERVICE_TICKS
     fd = False
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

@@ -2,6 +2,7 @@
 
 Order of precedence: reset of communication at the start, controlwords that change, the master's heartbeat,
 then the nodes in turn. One frame carries the controlwords of all drives: they are enabled and disabled together.
+Where it takes the enable bit of a drive that is enabled, it waits for no turn: the host may send nothing after it.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from drivers.protocols.cia301 import DriveState, NmtCommand, NmtState
 from drivers.protocols.cia402_node import NodeMaster, Phase
 
 MASTER_ID = 127
-SERVICE_TICKS = 2  # at least, between service frames: what schedulability counts with
+SERVICE_TICKS = 2  # at least, between service frames but an urgent one, which has no answer: schedulability's figure
 HEARTBEAT_TICKS = 20
 RESEND_TICKS = 20  # a controlword whose effect is not seen after so long was lost
 REPEAT_TICKS = 2 * SERVICE_TICKS  # as is one that disables, sooner: what it took back may still wait there for SYNC
@@ -42,7 +43,7 @@ class Master:
         self._words_tick = 0
         self._reset_before = False
         self._reset_tick = -RESET_TICKS - 1
-        self._enable_before = -1
+        self._enable_before = 0
         self._quiet = False
         self._turn = 0
         self._started_tick = -1
@@ -60,19 +61,25 @@ class Master:
             return None
         if reset and not self._reset_before:
             self._reset_tick = tick
+        in_turn = tick - self._sent_tick >= SERVICE_TICKS
+        urgent = self._enable_before & ~enable and any(n.state is DriveState.OPERATION_ENABLED for n in self.nodes)
         self._reset_before, self._enable_before = reset, enable
-        if tick - self._sent_tick < SERVICE_TICKS:
+        if not in_turn and not urgent:
             return None
         frame = self._controlwords(tick, enable)
-        if frame is None and heartbeat_due:
-            self._heartbeat_tick = tick + HEARTBEAT_TICKS
-            frame = self._heartbeat
-        elif frame is None and tick - self._started_tick >= BOOT_TICKS:
-            frame = self._serve_nodes(tick)
+        if frame is None and in_turn:
+            frame = self._in_turn(tick, heartbeat_due)
         if frame is not None:
             self._sent_tick = tick
             self._quiet = False
         return frame
+
+    def _in_turn(self, tick: int, heartbeat_due: bool) -> Frame | None:
+        """What can wait."""
+        if heartbeat_due:
+            self._heartbeat_tick = tick + HEARTBEAT_TICKS
+            return self._heartbeat
+        return self._serve_nodes(tick) if tick - self._started_tick >= BOOT_TICKS else None
 
     def stir(self) -> None:
         """Something was received that may call for an answer."""

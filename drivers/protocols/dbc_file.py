@@ -155,6 +155,7 @@ class DbcLayout:
         commands = [bound.message for bound in [*self._torque, *self._enable, *self._reset, *self._counters]]
         self._commands = sorted(dict.fromkeys(commands), key=lambda message: _arbitration(message.can_id))
         self._feedback = [bound.message for bound in self._position]
+        self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
         self._check_places(binding, path.name)
 

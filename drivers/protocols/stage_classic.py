@@ -35,6 +35,7 @@ class _Layout:
     """What both ends share: identifiers, codecs, scales."""
 
     name = "stage_classic"
+    checksum = True
     fd = False
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

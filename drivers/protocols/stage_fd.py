@@ -32,6 +32,7 @@ class _Layout:
     """What both ends share: identifiers, codecs, limits."""
 
     name = "stage_fd"
+    checksum = True
     fd = True
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

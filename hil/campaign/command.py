@@ -13,21 +13,28 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hil.campaign.report import document, terminal_table, write_html
+from hil.campaign.report import blind_lines, document, terminal_table, write_html
 from hil.campaign.voyage import Cell, Leg, displaced, legs, sail
-from hil.config import RigError, load_rig
+from hil.config import RigConfig, RigError, load_rig
+from hil.cycle import ControlCycle
 from hil.sim import write_json
 
 SHIPPED = Path(__file__).parent.parent.parent / "deploy" / "rigs"
 
 
-def campaign(rigs: Sequence[Path], stride: int, jobs: int, done: Callable[[int, int], None]) -> list[Cell]:
+def campaign(
+    rigs: Sequence[Path],
+    stride: int,
+    jobs: int,
+    done: Callable[[int, int], None],
+    overrides: Sequence[str] = (),
+) -> list[Cell]:
     """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
-    in all.
+    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
     """
     work: list[Leg] = []
     for path in rigs:
-        work += legs(displaced(load_rig(path)), path.parent, stride=stride)
+        work += legs(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
     total = sum(len(leg.cells) for leg in work)
     cells: list[Cell] = []
     # Spawned, not forked: a worker must be single-threaded to fork its cells.
@@ -38,8 +45,21 @@ def campaign(rigs: Sequence[Path], stride: int, jobs: int, done: Callable[[int, 
     return cells
 
 
+def _checked(rig: RigConfig, path: Path) -> RigConfig:
+    """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
+    rig = displaced(rig)
+    try:
+        ControlCycle(rig, path.parent)
+    except ValueError as error:
+        raise RigError([f"{path}: {error}"]) from None
+    return rig
+
+
 def faults(
     rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
+    ] = None,
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     json_target: Annotated[str, typer.Option("--json", help="write all cells there; - for standard output")] = "",
@@ -59,13 +79,19 @@ def faults(
     with Progress(*columns, console=console, transient=True) as bar:
         job = bar.add_task("cells", total=None)
         cells = campaign(
-            paths, stride, jobs or os.cpu_count() or 1, lambda n, total: bar.update(job, completed=n, total=total)
+            paths,
+            stride,
+            jobs or os.cpu_count() or 1,
+            lambda n, total: bar.update(job, completed=n, total=total),
+            overrides or (),
         )
     outcome = document(cells)
     console.print(terminal_table(cells))
     for cell in [cell for cell in cells if not cell.passed][:40]:
         console.print(f"[red]failed[/red] {cell.rig}: {cell.checkpoint} / {cell.trial} / {cell.axis}: {cell.why}")
     seconds = time.perf_counter() - started
+    for line in blind_lines(cells):
+        console.print(line)
     console.print(f"{outcome['passed']} of {outcome['cells']} cells passed in {seconds:.0f} s")
     if page:
         write_html(cells, page)

@@ -1,0 +1,172 @@
+"""What can go wrong with drives that are CANopen nodes (cia402) and with no others: their services, their states."""
+
+from dataclasses import replace
+
+from drivers.frame import Frame
+from drivers.protocols import cia301
+from drivers.protocols.cia301 import Abort, Emergency, NmtCommand, NmtState
+from drivers.protocols.cia402 import DRIVE_HEARTBEAT_MS, EMCY_ID, Cia402Host
+from drivers.protocols.cia402_master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS
+from drivers.protocols.cia402_node import Phase
+from drivers.wire_faults import FaultKind, WireFault
+from hil.campaign.means import Means
+from hil.campaign.trial import GONE, MOVING, WATCHING, Step, Trial, axis_name, host_frames, once, periods, watchdog
+from hil.config import RigConfig
+from hil.faults import Fault, Reaction
+from hil.lockstep import LockstepRun
+from hil.tick import CommandKind
+
+_DROP = FaultKind.DROP
+_NO_CODE = 0x4210  # excess temperature of the device: CiA 301 has it, and no drive has to stop for it
+
+
+def _node_id(run: LockstepRun, axis: int) -> int:
+    return run.rig.bus.node_id + axis
+
+
+def _phase(run: LockstepRun, axis: int) -> Phase:
+    protocol = run.cycle.protocol
+    assert isinstance(protocol, Cia402Host)
+    return protocol.nodes[axis].phase
+
+
+def _configuring(run: LockstepRun, axis: int) -> bool:
+    return _phase(run, axis) is Phase.CONFIGURE
+
+
+def _network(command: NmtCommand) -> Step:
+    """Another master on the bus sends the node an NMT command."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        data = bytes((command, _node_id(run, axis)))
+        run.wire.attach("another master", None).send(Frame(cia301.NMT_ID, data), run.wire.now_ns)
+
+    return once(act)
+
+
+def _says(code: int, payload: bytes) -> Step:
+    """The node sends one frame more: identifier of its kind, payload."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.wire.nodes[axis_name(run, axis)].send(Frame(code + _node_id(run, axis), payload), run.wire.now_ns)
+
+    return once(act)
+
+
+def _emergency(code: int) -> Step:
+    return _says(EMCY_ID, cia301.EMCY.pack(code, 1, bytes(5)))
+
+
+def _loses(code: int) -> Step:
+    """From now on no frame of that kind leaves the node."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=code + _node_id(run, axis)))
+
+    return once(act)
+
+
+def _words_lost(count: int) -> Step:
+    """The first so many frames with controlwords that disable (RPDO 2) are lost."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        can_id = cia301.RPDO2_ID + run.rig.bus.node_id
+        run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=can_id, count=count))
+
+    return once(act)
+
+
+def _abort(run: LockstepRun, axis: int) -> None:
+    """The node refuses what the master asks next."""
+    can_id, armed = cia301.SDO_RESPONSE_ID + _node_id(run, axis), [True]
+
+    def tap(sender: int, frame: Frame) -> tuple[Frame]:
+        if frame.can_id == can_id and armed:
+            armed.clear()
+            _, index, subindex, _ = cia301.SDO.unpack(frame.data)
+            refusal = cia301.SDO.pack(0x80, index, subindex, Abort.NO_OBJECT.to_bytes(4, "little"))
+            return (frame._replace(data=refusal),)
+        return (frame,)
+
+    run.stage.frame_taps.append(tap)
+
+
+def _torques_lost(run: LockstepRun, axis: int) -> None:
+    can_id = cia301.RPDO1_ID + run.rig.bus.node_id
+    run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=can_id))
+
+
+def _torque_watchdog(rig: RigConfig) -> int:
+    """The drives' watchdog, an answer, and a tick to read it."""
+    return watchdog(rig) + 2
+
+
+def _master_heartbeat(rig: RigConfig) -> int:
+    """What the drives wait for the master's heartbeat, an answer, and a tick to read it."""
+    return max(periods(DRIVE_HEARTBEAT_MS * 1e-3, rig), 5 * HEARTBEAT_TICKS) + 3
+
+
+_DRIVE = (Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG)
+
+_TRIALS = (
+    Trial("SYNC lost, 1 tick", host_frames(_DROP, can_id=cia301.SYNC_ID, count=1), per_axis=False, benign=True),
+    Trial("SYNC lost, 2 ticks", host_frames(_DROP, can_id=cia301.SYNC_ID, count=2), per_axis=False, benign=True),
+    Trial("SYNC lost", host_frames(_DROP, can_id=cia301.SYNC_ID), GONE, within=11, per_axis=False, armed=WATCHING),
+    Trial(
+        "torques lost, SYNC heard",
+        once(_torques_lost),
+        _DRIVE,
+        within=_torque_watchdog,
+        per_axis=False,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial(
+        "disabling controlwords lost once", _words_lost(1), per_axis=False, command=CommandKind.STOP, slack=REPEAT_TICKS
+    ),
+    Trial(
+        "disabling controlwords lost twice",
+        _words_lost(2),
+        per_axis=False,
+        command=CommandKind.STOP,
+        slack=2 * REPEAT_TICKS,
+    ),
+    Trial("node reset by another master", _network(NmtCommand.RESET_NODE), GONE, within=11, armed=WATCHING),
+    Trial("node stopped by another master", _network(NmtCommand.STOP), GONE, within=11, armed=WATCHING),
+    Trial(
+        "boot-up message of a node that runs on",
+        _says(cia301.HEARTBEAT_ID, bytes((NmtState.BOOT_UP,))),
+        (Fault.DRIVE_DISABLED, *_DRIVE, *GONE),
+        within=5,
+        following_only=True,
+        armed=MOVING,
+    ),
+    Trial("drive's heartbeat lost", _loses(cia301.HEARTBEAT_ID), benign=True),
+    Trial(
+        "master's heartbeat lost",
+        host_frames(_DROP, can_id=cia301.HEARTBEAT_ID + MASTER_ID),
+        _DRIVE,
+        within=_master_heartbeat,
+        per_axis=False,
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial(
+        "emergency: encoder",
+        _emergency(Emergency.SENSOR),
+        (Fault.ENCODER_FAULT,),
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial(
+        "emergency: no more commands",
+        _emergency(Emergency.RPDO_TIMEOUT),
+        (Fault.DRIVE_WATCHDOG,),
+        armed=WATCHING,
+        demand=Reaction.ZERO,
+    ),
+    Trial("emergency: a warning", _emergency(_NO_CODE), benign=True),
+    Trial("SDO abort", once(_abort), benign=True, unready=_configuring),
+    Trial("SDO answers lost", _loses(cia301.SDO_RESPONSE_ID), benign=True, unready=_configuring),
+)
+CANOPEN_TRIALS = tuple(replace(trial, only=Means.NODES) for trial in _TRIALS)

@@ -1,0 +1,204 @@
+"""How the campaign's faults are brought about: steps of trials (hil/campaign/trial.py) on a lockstep run."""
+
+import math
+from collections.abc import Callable, Sequence
+
+from drivers.frame import ECHO, Frame
+from drivers.protocols.base import DriveStatus, Sample
+from drivers.wire_faults import FaultKind, WireFault
+from hil.campaign.trial import Step, axis_name, once
+from hil.laws.base import LawInputs
+from hil.lockstep import LockstepRun
+
+
+def axis_frames(
+    kind: FaultKind, ticks: int = 0, *, node: bool = True, count: int = 0, delay_ns: int = 1_000_000
+) -> Step:
+    """A wire fault on the frames an axis sends, for `ticks` (0: for good)."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        now = run.wire.now_ns
+        until = now + ticks * run.rig.period_ns if ticks else 2**61
+        sender = axis_name(run, axis) if node else None
+        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node=sender, count=count, delay_ns=delay_ns))
+
+    return once(act)
+
+
+def host_node(kind: FaultKind) -> Step:
+    """A fault of the host's own node on the wire."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.wire.inject(WireFault(kind, from_ns=run.wire.now_ns, node="host"))
+
+    return once(act)
+
+
+class Encoder:
+    """A falsified encoder. change(true count, count at the injection, ticks since) -> what it shows."""
+
+    def __init__(self, change: Callable[[int, int, int], int]) -> None:
+        self._change = change
+        self._held = self._ticks = 0
+
+    def __call__(self, run: LockstepRun, axis: int, k: int) -> None:
+        """The step."""
+        self._ticks = k
+        if k == 0:
+            drive = run.stage.drives[axis]
+            self._held = round(float(run.stage.position[axis]) / drive.resolution)
+            drive.taps.append(self._falsify)
+
+    def _falsify(self, sample: Sample) -> Sample:
+        return sample._replace(position=self._change(sample.position, self._held, self._ticks))
+
+
+def status_bit(bit: DriveStatus) -> Step:
+    """The drive shows a bit of its status, from now on."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.stage.drives[axis].extra_status |= int(bit)
+
+    return once(act)
+
+
+def trip(run: LockstepRun, axis: int) -> None:
+    """The drive's watchdog expires."""
+    run.stage.drives[axis].trip(run.stage.now_ns)
+
+
+def fail(run: LockstepRun, axis: int) -> None:
+    """The drive finds a fault."""
+    run.stage.drives[axis].fail()
+
+
+def law_asks(change: Callable[[list[float], int], None]) -> Step:
+    """Falsify what the law asks for, on one axis."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        law = run.cycle.law
+        honest = law.force
+
+        def force(inputs: Sequence[LawInputs]) -> list[float]:
+            asked = honest(inputs)
+            change(asked, axis)
+            return asked
+
+        law.force = force  # type: ignore[method-assign, assignment]
+
+    return once(act)
+
+
+def set_to(value: float) -> Callable[[list[float], int], None]:
+    """What `law_asks` makes of one axis' force: this value, N."""
+
+    def change(asked: list[float], axis: int) -> None:
+        asked[axis] = value
+
+    return change
+
+
+def filter_nan(run: LockstepRun, axis: int) -> None:
+    """The axis' estimated velocity is no number any more."""
+    run.cycle.filters[axis].velocity = math.nan
+
+
+class _Bent:
+    """A trajectory that goes somewhere else on one axis."""
+
+    def __init__(self, honest: object, axis: int, position: float, velocity: float) -> None:
+        self._honest, self._axis, self._position, self._velocity = honest, axis, position, velocity
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._honest, name)
+
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        position, velocity, acceleration = self._honest.at(axis, t_ns)  # type: ignore[attr-defined]
+        if axis != self._axis:
+            return position, velocity, acceleration
+        return position + self._position, velocity + self._velocity, acceleration
+
+
+def bend(position_widths: float, speeds: float) -> Step:
+    """Displace the setpoint by so many travel widths, its velocity by so many speed limits."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        limits = run.rig.axes[axis_name(run, axis)].limits
+        width = limits.position[1] - limits.position[0]
+        setpoints = run.cycle.setpoints
+        if setpoints.trajectory is not None:
+            bent = _Bent(setpoints.trajectory, axis, position_widths * width, speeds * limits.speed)
+            setpoints.follow(bent, setpoints.origin)  # type: ignore[arg-type]
+
+    return once(act)
+
+
+def jam(run: LockstepRun, axis: int) -> None:
+    """The axis is held by more force than any drive has."""
+    run.stage.jam(axis, 1e4)
+
+
+def torque_constant(run: LockstepRun, axis: int) -> None:
+    """The drive's force is 30 % more than it is told."""
+    run.stage.drives[axis].gain = 1.3
+
+
+def queue_full(run: LockstepRun, axis: int) -> None:
+    """The host's transmit queue takes nothing any more."""
+    run.host.queue_length = 0
+
+
+def babble(can_id: int) -> Step:
+    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        now = run.wire.now_ns
+        run.wire.inject(WireFault(FaultKind.BABBLE, from_ns=now, can_id=can_id, period_ns=25_000, length=0))
+
+    return once(act)
+
+
+def drop_out(run: LockstepRun, axis: int) -> None:
+    """The drive is enabled no more, and says so, without a fault."""
+    drive = run.stage.drives[axis]
+    drive.taps.append(lambda sample: sample._replace(status=sample.status & ~int(DriveStatus.ENABLED)))
+    if run.stage.nodes:  # they tell their own state
+        run.stage.nodes[axis].switch_off()
+
+
+def overruns(slots: int, every: int = 1, last: int = 10_000) -> Step:
+    """The control process misses `slots` slots, in every `every`-th tick up to tick `last`."""
+
+    def step(run: LockstepRun, axis: int, k: int) -> None:
+        if k % every == 0 and k <= last:
+            run.skip(slots)
+
+    return step
+
+
+def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
+    """Put a foreign frame made from the axis' latest answer into the host's receive queue."""
+
+    def step(run: LockstepRun, axis: int, k: int) -> None:
+        answers = run.cycle.protocol.messages(run.rig.period_ns)
+        can_id = next(m.can_id for m in answers if m.after is not None and m.sender == f"axis {axis}")
+        for frame in list(run.received):
+            if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
+                run.received.append(make(frame))
+                break
+
+    return step
+
+
+def withdrawn(name: str) -> Step:
+    """A grant (hil.tick.Tick) is taken back."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.grants[name] = False
+
+    return once(act)
+
+
+def stop_signal(run: LockstepRun, axis: int) -> None:
+    """SIGTERM."""
+    run.stop = True
