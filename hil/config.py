@@ -191,6 +191,7 @@ class SafetyConfig(BaseModel):
     heartbeat_s: NonNegative = 0.0  # operator heartbeat; 0: none asked for
     command_expiry_s: Positive = 0.5
     enable_timeout_ticks: Ticks = 500
+    disable_timeout_ticks: Ticks = 50  # longer than a drive takes to let go, its brake's delay included
     ready_ticks: Ticks = 20  # consecutive fresh ticks of all axes before READY
 
 

@@ -138,6 +138,7 @@ class ControlCycle:
 
     def _check_motion(self, tick: Tick) -> None:
         if self.machine.state not in TORQUE_STATES:
+            self.monitor.check_released(self.inbox)
             return
         monitor, following = self.monitor, self.machine.state is not State.STOPPING
         for axis, (x, motion, force) in enumerate(zip(self.inputs, self.filters, self.gate.force, strict=True)):

@@ -66,10 +66,12 @@ class Fault(IntEnum):
     REALTIME_DENIED = 31
     RECORDER_LOST = 32
     RIG_CHANGED = 33
+    DRIVE_STAYS_ENABLED = 34
 
 
 MOVING = TORQUE_STATES
 WATCHING = frozenset({State.READY, *MOVING})
+RESTING = frozenset({State.CONNECTED, State.READY, State.FAULT, State.ESTOP})
 ALWAYS = frozenset(State) - {State.BOOT, State.SHUTDOWN}
 
 
@@ -139,6 +141,13 @@ RULES: dict[Fault, Rule] = {
         "the sidecar's heartbeat", "ACTIVATE is refused if telemetry.recording_required", Reaction.COUNT, ALWAYS
     ),
     Fault.RIG_CHANGED: Rule("hash of the rig file", "ACTIVATE is refused", Reaction.COUNT, ALWAYS),
+    Fault.DRIVE_STAYS_ENABLED: Rule(
+        "status bit set although no torque is permitted: its brake is open; only its watchdog is left",
+        "safety.disable_timeout_ticks (50) in a row",
+        Reaction.SILENT,
+        RESTING,
+        True,
+    ),
 }
 
 _FAULTS = list(Fault)  # by number: an enum's own lookup is slow
@@ -184,6 +193,7 @@ class FaultMonitor:
         self._previous_index = -1
         self._previous_now_ns = 0
         self._overruns = 0
+        self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
         self._glitches = [0] * n
         self._diverging = [0] * n
         self._stuck = [0] * n
@@ -197,7 +207,7 @@ class FaultMonitor:
         self._glitches = [0] * n
         self._diverging = [0] * n
         self._stuck = [0] * n
-        self._no_ack_ticks = self._refused_ticks = self._overruns = 0
+        self._no_ack_ticks = self._refused_ticks = self._overruns = self._enabled_ticks = 0
 
     def begin(self) -> None:
         """A new tick: nothing seen yet."""
@@ -289,6 +299,14 @@ class FaultMonitor:
                         self.see(fault)
             if enabled_seen and not sample.status & _ENABLED:
                 self.see(Fault.DRIVE_DISABLED)
+
+    def check_released(self, inbox: Inbox) -> None:
+        """Where no torque is permitted: a drive that goes on saying it is enabled."""
+        said = zip(inbox.fresh, inbox.samples, strict=True)
+        enabled = any(fresh and sample is not None and sample.status & _ENABLED for fresh, sample in said)
+        self._enabled_ticks = self._enabled_ticks + 1 if enabled else 0
+        if self._enabled_ticks >= self._safety.disable_timeout_ticks:
+            self.see(Fault.DRIVE_STAYS_ENABLED)
 
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""

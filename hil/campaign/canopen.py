@@ -10,7 +10,19 @@ from drivers.protocols.cia402_master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_T
 from drivers.protocols.cia402_node import Phase
 from drivers.wire_faults import FaultKind, WireFault
 from hil.campaign.means import Means
-from hil.campaign.trial import GONE, MOVING, WATCHING, Step, Trial, axis_name, host_frames, once, periods, watchdog
+from hil.campaign.trial import (
+    GONE,
+    MOVING,
+    WATCHING,
+    Step,
+    Trial,
+    axis_name,
+    disable_timeout,
+    host_frames,
+    once,
+    periods,
+    watchdog,
+)
 from hil.config import RigConfig
 from hil.faults import Fault, Reaction
 from hil.lockstep import LockstepRun
@@ -67,7 +79,7 @@ def _loses(code: int) -> Step:
 
 
 def _words_lost(count: int) -> Step:
-    """The first so many frames with controlwords that disable (RPDO 2) are lost."""
+    """The first so many frames with controlwords that disable (RPDO 2) are lost; 0: all."""
 
     def act(run: LockstepRun, axis: int) -> None:
         can_id = cia301.RPDO2_ID + run.rig.bus.node_id
@@ -106,6 +118,7 @@ def _master_heartbeat(rig: RigConfig) -> int:
     return max(periods(DRIVE_HEARTBEAT_MS * 1e-3, rig), 5 * HEARTBEAT_TICKS) + 3
 
 
+_ASTRAY = (Fault.SPEED, Fault.FOLLOWING_ERROR, Fault.TRAVEL_PLANNED)  # an axis that keeps its torque, or has none
 _DRIVE = (Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG)
 
 _TRIALS = (
@@ -115,11 +128,10 @@ _TRIALS = (
     Trial(
         "torques lost, SYNC heard",
         once(_torques_lost),
-        _DRIVE,
+        (*_DRIVE, *_ASTRAY),
         within=_torque_watchdog,
         per_axis=False,
         armed=WATCHING,
-        demand=Reaction.ZERO,
     ),
     Trial(
         "disabling controlwords lost once", _words_lost(1), per_axis=False, command=CommandKind.STOP, slack=REPEAT_TICKS
@@ -130,6 +142,15 @@ _TRIALS = (
         per_axis=False,
         command=CommandKind.STOP,
         slack=2 * REPEAT_TICKS,
+    ),
+    Trial(
+        "disabling controlwords lost for good",
+        _words_lost(0),
+        (Fault.DRIVE_STAYS_ENABLED, Fault.ENCODER_JUMP),  # an axis with weight on it falls
+        per_axis=False,
+        certain=False,
+        command=CommandKind.STOP,
+        slack=lambda rig: disable_timeout(rig) + watchdog(rig),
     ),
     Trial("node reset by another master", _network(NmtCommand.RESET_NODE), GONE, within=11, armed=WATCHING),
     Trial("node stopped by another master", _network(NmtCommand.STOP), GONE, within=11, armed=WATCHING),

@@ -19,6 +19,7 @@ from hil.config import RigConfig, RigError, load_rig
 from hil.cycle import ControlCycle
 from hil.sim import write_json
 
+PAPER = 150  # columns of a table that no terminal bounds
 SHIPPED = Path(__file__).parent.parent.parent / "deploy" / "rigs"
 
 
@@ -74,6 +75,8 @@ def faults(
     if not paths:
         raise RigError([f"no rig file named, and none in {SHIPPED}"])
     console = Console(stderr=json_target == "-")
+    if not console.is_terminal:
+        console = Console(stderr=json_target == "-", width=PAPER)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:

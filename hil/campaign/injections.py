@@ -4,23 +4,27 @@ import math
 from collections.abc import Callable, Sequence
 
 from drivers.frame import ECHO, Frame
+from drivers.protocols import cia301
 from drivers.protocols.base import DriveStatus, Sample
+from drivers.protocols.cia301 import DriveState
 from drivers.wire_faults import FaultKind, WireFault
 from hil.campaign.trial import Step, axis_name, once
 from hil.laws.base import LawInputs
 from hil.lockstep import LockstepRun
+from sim_plant.object_dictionary import key_of
 
 
 def axis_frames(
-    kind: FaultKind, ticks: int = 0, *, node: bool = True, count: int = 0, delay_ns: int = 1_000_000
+    kind: FaultKind, *, node: bool = True, count: int = 0, delay_ns: int = 1_000_000, bit: int = -1
 ) -> Step:
-    """A wire fault on the frames an axis sends, for `ticks` (0: for good)."""
+    """A wire fault on the frames an axis sends: on `count` of them, or on all from now on; on everybody's without
+    `node`.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
-        now = run.wire.now_ns
-        until = now + ticks * run.rig.period_ns if ticks else 2**61
         sender = axis_name(run, axis) if node else None
-        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node=sender, count=count, delay_ns=delay_ns))
+        now = run.wire.now_ns
+        run.wire.inject(WireFault(kind, from_ns=now, node=sender, count=count, delay_ns=delay_ns, bit=bit))
 
     return once(act)
 
@@ -131,6 +135,15 @@ def bend(position_widths: float, speeds: float) -> Step:
             setpoints.follow(bent, setpoints.origin)  # type: ignore[arg-type]
 
     return once(act)
+
+
+def says_enabled(run: LockstepRun, axis: int) -> None:
+    """The drive says that it is enabled, whatever it is told."""
+    drive = run.stage.drives[axis]
+    drive.taps.append(lambda sample: sample._replace(status=sample.status | int(DriveStatus.ENABLED)))
+    if run.stage.nodes:  # they tell their own state
+        _, enabled = DriveState.OPERATION_ENABLED.value
+        run.stage.nodes[axis].dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
 
 
 def jam(run: LockstepRun, axis: int) -> None:

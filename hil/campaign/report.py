@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from hil.campaign.voyage import Cell
 
@@ -68,11 +68,11 @@ def terminal_table(cells: Sequence[Cell]) -> Table:
     latched, the slowest detection, the greatest force after it.
     """
     table = Table(
-        "injected",
+        Column("injected", no_wrap=True),
         "cells",
         "failed",
         "cannot tell",
-        "latched",
+        Column("latched", overflow="fold"),
         "worst ticks",
         "peak after",
         title="fault campaign",

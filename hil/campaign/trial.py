@@ -97,13 +97,13 @@ def nothing(run: LockstepRun, axis: int, k: int) -> None:
     """The step of a trial that is but a command."""
 
 
-def host_frames(kind: FaultKind, *, can_id: int | None = None, count: int = 0, during: int = 0) -> Step:
+def host_frames(kind: FaultKind, *, can_id: int | None = None, count: int = 0, during: int = 0, bit: int = -1) -> Step:
     """A wire fault on what the host sends: on `count` frames, on those of `during` ticks, or on all from now on."""
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
         until = now + during * run.rig.period_ns if during else 2**61
-        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node="host", can_id=can_id, count=count))
+        run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node="host", can_id=can_id, count=count, bit=bit))
 
     return once(act)
 
@@ -116,3 +116,8 @@ def periods(seconds: float, rig: RigConfig) -> int:
 def watchdog(rig: RigConfig) -> int:
     """Ticks after the last command by which a drive has let go by itself."""
     return periods(rig.plant.watchdog_s, rig) + 1
+
+
+def disable_timeout(rig: RigConfig) -> int:
+    """Ticks by which the host knows that a drive stays enabled."""
+    return rig.safety.disable_timeout_ticks + 2

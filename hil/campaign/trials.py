@@ -25,6 +25,7 @@ from hil.campaign.injections import (
     law_asks,
     overruns,
     queue_full,
+    says_enabled,
     set_to,
     status_bit,
     stop_signal,
@@ -33,7 +34,7 @@ from hil.campaign.injections import (
     withdrawn,
 )
 from hil.campaign.means import BABBLE, Means
-from hil.campaign.trial import ALWAYS, GONE, WATCHING, Trial, host_frames, nothing, once, watchdog
+from hil.campaign.trial import ALWAYS, GONE, WATCHING, Trial, disable_timeout, host_frames, nothing, once, watchdog
 from hil.faults import Fault, Reaction
 from hil.state_machine import State
 from hil.tick import CommandKind
@@ -78,8 +79,15 @@ TRIALS: tuple[Trial, ...] = (
         instead=_OLD,
     ),
     Trial(
-        "one damaged answer",
-        axis_frames(FaultKind.ALTER, count=1),
+        "one damaged answer, its position",
+        axis_frames(FaultKind.ALTER, count=1, bit=12),
+        benign=True,
+        needs=Means.CHECKSUM,
+        instead=_BELIEVED,
+    ),
+    Trial(
+        "one damaged answer, its status",
+        axis_frames(FaultKind.ALTER, count=1, bit=35),
         benign=True,
         needs=Means.CHECKSUM,
         instead=_BELIEVED,
@@ -95,7 +103,7 @@ TRIALS: tuple[Trial, ...] = (
     ),
     Trial(
         "one damaged command",
-        host_frames(FaultKind.ALTER, count=1),
+        host_frames(FaultKind.ALTER, count=1, bit=13),
         per_axis=False,
         benign=True,
         needs=Means.CHECKSUM,
@@ -195,6 +203,14 @@ TRIALS: tuple[Trial, ...] = (
         (Fault.DRIVE_DISABLED,),
         following_only=True,
         demand=Reaction.ZERO,
+    ),
+    Trial(
+        "drive says it is enabled",
+        once(says_enabled),
+        (Fault.DRIVE_STAYS_ENABLED,),
+        within=disable_timeout,
+        armed=frozenset({State.READY}),
+        demand=Reaction.SILENT,
     ),
     Trial("axis jammed", once(jam), _STUCK, within=600, moving_only=True),
     Trial("torque constant 30 % high", once(torque_constant), _STUCK, certain=False),

@@ -175,7 +175,7 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: Voyage) -> Cell:
     seen, why, began = Watch(run), "", run.cycle.state
     due = due_faults(trial, run, axis)
     unready = began is State.CONNECTED and trial.unready is not None and trial.unready(run, axis)
-    last = (ticks(trial.within, run.rig) if due else 0) + HORIZON
+    last = (ticks(trial.within, run.rig) if due else 0) + ticks(trial.slack, run.rig) + HORIZON
     run.asks = trial.command
     try:
         k = -1
