@@ -33,7 +33,7 @@ from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import plan_task, task_repeat
 
 _OF_THE_SHELL = (0, 0, 0)  # slots missed: the record's fields that the shell fills in
-RESET_TICKS = 3  # the drives see the reset bit's rising edge even if two frames are lost
+RESET_TICKS = 3  # with the reset bit clear, then set: the drives see its edge even if two frames of each are lost
 ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
 ENABLED, UNWELL = int(DriveStatus.ENABLED), int(UNHEALTHY)  # flags' own operators are slow
 
@@ -211,7 +211,7 @@ class ControlCycle:
         self.silent = False
         self.sampling.restart()
         self._ready_ticks = 0
-        self._reset_ticks = RESET_TICKS if reset else 0
+        self._reset_ticks = 2 * RESET_TICKS if reset else 0
         self.fault = Fault.NONE
         self.inbox.forget()
         self.monitor.restart()
@@ -296,8 +296,8 @@ class ControlCycle:
                 permitted = False
         self._mark(GATE)
         self.sent_sequence += 1
-        reset = self._reset_ticks > 0
-        self._reset_ticks -= reset
+        reset = 0 < self._reset_ticks <= RESET_TICKS
+        self._reset_ticks = max(0, self._reset_ticks - 1)
         out = gate.release(
             self._requested, self._measured, permitted=permitted, sequence=self.sent_sequence, reset=reset
         )
