@@ -312,5 +312,11 @@ def test_a_drive_that_stays_enabled_fails_the_campaign(monkeypatch: pytest.Monke
 
     honest = ServoDrive.on_command
     outcome = cell("operator stops", ON_THE_WAY, lambda: monkeypatch.setattr(ServoDrive, "on_command", obey))
-    assert not outcome.passed
-    assert "a drive is enabled" in outcome.why
+    assert "latched DRIVE_STAYS_ENABLED" in outcome.why
+    monkeypatch.setattr(ServoDrive, "on_command", honest)
+
+    def unseen() -> None:
+        monkeypatch.setattr(ServoDrive, "on_command", obey)
+        monkeypatch.setattr(FaultMonitor, "check_released", never)
+
+    assert "READY, yet a drive is enabled" in cell("operator stops", ON_THE_WAY, unseen).why
