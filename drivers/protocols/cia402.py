@@ -139,7 +139,7 @@ class Cia402Host:
             NodeMaster(bus.node_id + axis, configuration(bus, axis, n_axes, force, period_ns))
             for axis, force in enumerate(rated_force)
         ]
-        self._master = Master(self.nodes, cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id)
+        self.master = Master(self.nodes, cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id)
         self._tick = 0
         self._rpdo_id = cia301.RPDO1_ID + bus.node_id
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,))) for count in range(1, cia301.SYNC_COUNTER_MAX + 1)]
@@ -183,7 +183,7 @@ class Cia402Host:
         state, status = known
         node = self.nodes[axis]
         if state is not node.state:
-            self._master.stir()
+            self.master.stir()
         node.on_state(state)
         return new_tuple(Sample, (axis, position, status | node.alarms, -1, self._clock.instant(axis, frame)))
 
@@ -196,7 +196,7 @@ class Cia402Host:
             return Reject.WRONG_FORMAT
         if len(data) != length:
             return Reject.WRONG_LENGTH
-        self._master.stir()
+        self.master.stir()
         kind = can_id - node.node_id
         if kind == cia301.SDO_RESPONSE_ID:
             return Reject.SERVICE if node.on_sdo(data) else Reject.INVALID_VALUE
@@ -218,7 +218,7 @@ class Cia402Host:
             limit = self._limits[axis]
             raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
         cyclic = [Frame(self._rpdo_id, self._rpdo.pack(*raw)), self._syncs[self._tick % cia301.SYNC_COUNTER_MAX]]
-        service = self._master.service(self._tick, enable, reset)
+        service = self.master.service(self._tick, enable, reset)
         return cyclic if service is None else [*cyclic, service]
 
     @property

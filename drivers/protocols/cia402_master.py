@@ -32,7 +32,9 @@ _GOALS = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
 
 
 class Master:
-    """All nodes of a rig, in axis order. at_once, at_sync: identifiers of the two controlword frames."""
+    """All nodes of a rig, in axis order. at_once, at_sync: identifiers of the two controlword frames. heartbeat_tick:
+    when its own heartbeat is due.
+    """
 
     def __init__(self, nodes: Sequence[NodeMaster], at_once: int, at_sync: int) -> None:
         self.nodes = list(nodes)
@@ -48,7 +50,7 @@ class Master:
         self._turn = 0
         self._started_tick = -1
         self._sent_tick = -1
-        self._heartbeat_tick = 0
+        self.heartbeat_tick = 0
         self._heartbeat = Frame(cia301.HEARTBEAT_ID + MASTER_ID, bytes((NmtState.OPERATIONAL,)))
 
     def service(self, tick: int, enable: int, reset: bool) -> Frame | None:
@@ -56,7 +58,7 @@ class Master:
         if self._started_tick < 0:
             self._started_tick = self._sent_tick = tick
             return Frame(cia301.NMT_ID, bytes((NmtCommand.RESET_COMMUNICATION, 0)))
-        heartbeat_due = tick >= self._heartbeat_tick
+        heartbeat_due = tick >= self.heartbeat_tick
         if self._quiet and enable == self._enable_before and reset == self._reset_before and not heartbeat_due:
             return None
         if reset and not self._reset_before:
@@ -77,7 +79,7 @@ class Master:
     def _in_turn(self, tick: int, heartbeat_due: bool) -> Frame | None:
         """What can wait."""
         if heartbeat_due:
-            self._heartbeat_tick = tick + HEARTBEAT_TICKS
+            self.heartbeat_tick = tick + HEARTBEAT_TICKS
             return self._heartbeat
         return self._serve_nodes(tick) if tick - self._started_tick >= BOOT_TICKS else None
 

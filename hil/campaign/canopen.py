@@ -103,6 +103,17 @@ def _abort(run: LockstepRun, axis: int) -> None:
     run.stage.frame_taps.append(tap)
 
 
+def _terminate_busy(run: LockstepRun, axis: int, k: int) -> None:
+    """SIGTERM while the master has something to say whenever it is its turn: at odd ticks or, with the next axis, at even
+    ones.
+    """
+    protocol = run.cycle.protocol
+    assert isinstance(protocol, Cia402Host)
+    if k >= axis:
+        protocol.master.heartbeat_tick = 0
+    run.stop = True
+
+
 def _torques_lost(run: LockstepRun, axis: int) -> None:
     can_id = cia301.RPDO1_ID + run.rig.bus.node_id
     run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=can_id))
@@ -152,6 +163,7 @@ _TRIALS = (
         command=CommandKind.STOP,
         slack=lambda rig: disable_timeout(rig) + watchdog(rig),
     ),
+    Trial("termination signal to a busy master", _terminate_busy),
     Trial("node reset by another master", _network(NmtCommand.RESET_NODE), GONE, within=11, armed=WATCHING),
     Trial("node stopped by another master", _network(NmtCommand.STOP), GONE, within=11, armed=WATCHING),
     Trial(

@@ -123,7 +123,7 @@ def _since(before: int, k: int, holds: bool) -> int:
 def judge(trial: Trial, began: State, due: tuple[Fault, ...], run: Voyage, seen: Watch, *, unready: bool) -> str:
     """Why the cell failed that began in state `began`; empty where it passed."""
     state, fault = run.cycle.state, run.cycle.fault
-    if trial.name == "termination signal":
+    if run.stop:
         return _judge_release(trial, run, seen) if state is State.SHUTDOWN else f"ended {state.name}, not SHUTDOWN"
     if seen.detected < 0:
         if due and began is not State.STOPPING:
