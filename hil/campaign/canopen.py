@@ -104,7 +104,7 @@ def _abort(run: LockstepRun, axis: int) -> None:
 
 
 def _terminate_busy(run: LockstepRun, axis: int, k: int) -> None:
-    """SIGTERM while the master has something to say in each of its turns, which the axis moves from even to odd ticks."""
+    """SIGTERM to a master with something to say in each of its turns; the axis moves those from even to odd ticks."""
     protocol = run.cycle.protocol
     assert isinstance(protocol, Cia402Host)
     if k >= axis:
