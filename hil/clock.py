@@ -108,7 +108,7 @@ def own_share(overrun: int, period_ns: int, cpu_ns: int, blocked: bool) -> int:
     """How many of the slots that a tick ran over were lost by this thread itself; the rest is the host's doing.
 
     Question asked: had the tick started on its deadline and never been interrupted, over which deadlines would it still
-    have run? cpu_ns: CPU time the thread used for that tick (with its wait: errs towards blaming ourselves).
+    have run? cpu_ns: CPU time the thread used for that tick, with the wait after it.
     blocked: the thread gave up the CPU other than by its pacing sleep (a page fault, a system call that waited); no
     kernel counter gives the length of that, so all of it is ours. A late wake is never ours: nothing of us ran then.
     """

@@ -71,7 +71,7 @@ class MissLedger:
         return blocked
 
     def book(self, skipped: int, overrun: int, cpu_ns: int, sleeps: int) -> None:
-        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with its wait."""
+        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with the wait after it."""
         blocked = self.take_stock(sleeps)
         own = own_share(overrun, self._period_ns, cpu_ns, blocked)
         self.own += own
@@ -159,6 +159,9 @@ class ControlLoop:
         pacer, port, mailbox, clock = self.pacer, self._port, self._mailbox, self._clock
         pacer.wait()
         woke = pacer.now_ns
+        mark = time.thread_time_ns()
+        self._cpu_ns = mark - self._cpu_mark_ns
+        self._cpu_mark_ns = mark
         began = clock()
         if pacer.skipped:
             self._book_miss()
@@ -202,16 +205,12 @@ class ControlLoop:
         sent = ended - sending
         self._stages = (read, estimated, controlled, gated, sent)
         age = sent_ns - min(cycle.sampling.instants) if all(cycle.inbox.fresh) else _NO_AGE
-        mark = time.thread_time_ns()
-        self._cpu_ns = mark - self._cpu_mark_ns
-        self._cpu_mark_ns = mark
         lateness = pacer.now_ns - pacer.scheduled_ns
         self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
 
     def _book_miss(self) -> None:
-        since = time.thread_time_ns() - self._cpu_mark_ns
         ledger = self.ledger
-        ledger.book(self.pacer.skipped, self.pacer.overrun, self._cpu_ns + since, self.pacer.sleeps)
+        ledger.book(self.pacer.skipped, self.pacer.overrun, self._cpu_ns, self.pacer.sleeps)
         self._timing.note_missed(ledger.own, ledger.host, ledger.longest)
 
     # chores -----------------------------------------------------------------------------------------------------------

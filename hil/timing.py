@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hil.telemetry.mapped_file import lay_out
 
 STAGES = ("read", "estimate", "control", "gate", "send")
-# lateness: wake against deadline. stages: time spent in each. cpu: CPU time of the period, with its wait.
+# lateness: wake against deadline. stages: time spent in each. cpu: CPU time from wake to wake.
 # age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
 METRICS = ("lateness", *STAGES, "cpu", "age")
 

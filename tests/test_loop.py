@@ -13,6 +13,7 @@ from drivers.bus import BusState, Port
 from drivers.frame import ERROR, Frame
 from drivers.frame_bytes import to_bytes
 from hil import daemon
+from hil.clock import Pacer
 from hil.config import load_rig
 from hil.faults import Fault
 from hil.loop import MissLedger
@@ -99,6 +100,48 @@ def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkey
     ]
     assert ahead[:2] == [0, 100]
     assert 100 < ahead[2] <= 50_000
+
+
+def slots_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: list[int], ticks: list[tuple[int, int]]):
+    """(own, the host's). late: CPU time, ns, at each wake beyond its time. ticks: (time, CPU time) of each, ns."""
+    now, cpu, wakes, works = 0, 0, iter(late), iter([part for work in ticks for part in (work, *[(0, 0)] * 5)])
+
+    def pass_time(ns: int, cpu_ns: int) -> int:
+        nonlocal now, cpu
+        now, cpu = now + ns, cpu + cpu_ns
+        return now
+
+    def sleep_until(instant: int) -> None:
+        pass_time(max(instant - now, 0), 0)
+        stall = next(wakes, 0)
+        pass_time(stall, stall)
+
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(
+        daemon, "open_port", lambda *_, fd, **__: Port(UnpoweredDrives(NO_ACK, []).open, fd=fd, receive_limit=32)
+    )
+    monkeypatch.setattr(time, "thread_time_ns", lambda: cpu)
+    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
+    # Each tick reads the stages' clock six times.
+    with daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), lambda: pass_time(*next(works))) as loop:
+        loop.pacer = Pacer(PERIOD, now=lambda: now, sleep_until=sleep_until)
+        loop.pacer.start()
+        for _ in range(len(ticks)):
+            loop._tick()
+        loop.parts.ring.close()
+    return loop.ledger.own, loop.ledger.host
+
+
+def test_a_tick_answers_for_what_it_computed_and_not_for_the_wait_before_it(tmp_path, monkeypatch):
+    quick = (50_000, 50_000)
+    computed = [quick, (2_500_000, 2_500_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [], computed) == (2, 0)
+    interrupted = [quick, (2_500_000, 50_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [], interrupted) == (0, 2)
+    # A host that stops the core inside the wait and is believed to have computed there; the tick then ends late.
+    stalled = [quick, (700_000, 50_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [0, 450_000, 0], stalled) == (0, 1)
+    assert slots_lost(tmp_path, monkeypatch, [0, 2_450_000, 450_000, 0], stalled) == (0, 4)
 
 
 @pytest.fixture
