@@ -211,7 +211,10 @@ class ControlCycle:
         self.silent = False
         self.sampling.restart()
         self._ready_ticks = 0
-        self._reset_ticks = 2 * RESET_TICKS if reset else 0
+        if not reset:
+            self._reset_ticks = 0
+        elif not self._reset_ticks:  # one on its way ends first: an impatient operator must not hold it up
+            self._reset_ticks = 2 * RESET_TICKS
         self.fault = Fault.NONE
         self.inbox.forget()
         self.monitor.restart()

@@ -193,3 +193,14 @@ def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog(monkeyp
     assert [drive.status & DriveStatus.ENABLED for drive in run.stage.drives] == [0, 0]
     monkeypatch.undo()
     assert run.go(150).cycle.state is State.READY  # a reset clears it once the drive obeys again
+
+
+def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> None:
+    def mail(run: Posted, now: int) -> list[OperatorCommand]:
+        return [OperatorCommand(CommandKind.RESET, run.index, LATER_NS)] if 100 <= run.index < 130 else []
+
+    run = Posted(paper(), mail).go(99)
+    run.stage.drives[0].trip(run.stage.now_ns)
+    run.go(51)
+    assert run.cycle.state is State.READY
+    assert not run.stage.drives[0].status & DriveStatus.WATCHDOG
