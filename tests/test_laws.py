@@ -358,11 +358,13 @@ def test_bad_gains_are_named(config: LawConfig, message: str) -> None:
         make_law(config, model(), PERIOD, LIMIT)
 
 
-def test_learning_needs_a_task_that_repeats_on_the_grid() -> None:
+def test_learning_needs_a_task_that_repeats_on_the_grid_and_before_memory_ends() -> None:
     with pytest.raises(ValueError, match="does not repeat"):
         make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT)
     with pytest.raises(ValueError, match="not a multiple"):
         make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT, repeat=(1_000_500, 0))
+    with pytest.raises(ValueError, match="repeats every 100001 ticks; at most 100000 can be learnt"):
+        make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT, repeat=(100_001_000_000, 0))
 
 
 def test_learning_removes_what_comes_back_every_repeat() -> None:

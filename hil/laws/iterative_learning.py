@@ -20,6 +20,7 @@ LEARNING_GAINS: dict[str, Any] = {
     "learning_inertia": 1.0,
 }
 SAMPLES = 4  # errors a step is made of
+MOST_TICKS = 100_000  # of a repeat: a few megabytes an axis, forgotten in about a millisecond when the law is reset
 
 
 class IterativeLearning(Law):
@@ -63,6 +64,10 @@ class IterativeLearning(Law):
                 f"{self._period_ns} ns"
             )
         self._count = repeat_ns // self._period_ns
+        if self._count > MOST_TICKS:
+            raise ValueError(
+                f"law.iterative_learning: the task repeats every {self._count} ticks; at most {MOST_TICKS} can be learnt"
+            )
         self._from_ns = repeat_from_ns
         self._rate, self._decay = learning_rate, learning_decay
         self._limit = force_limit
