@@ -66,7 +66,8 @@ class IterativeLearning(Law):
         self._count = repeat_ns // self._period_ns
         if self._count > MOST_TICKS:
             raise ValueError(
-                f"law.iterative_learning: the task repeats every {self._count} ticks; at most {MOST_TICKS} can be learnt"
+                f"law.iterative_learning: the task repeats every {self._count} ticks; "
+                f"at most {MOST_TICKS} can be learnt"
             )
         self._from_ns = repeat_from_ns
         self._rate, self._decay = learning_rate, learning_decay
