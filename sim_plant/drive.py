@@ -43,7 +43,8 @@ class ServoDrive:
     force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
     last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
     gain: torque constant over its nominal value. extra_status: bits shown on top of `status`. taps: what a sample goes
-    through before it is sent. broken: a fault that no reset clears. These four are for fault injection.
+    through before it is sent. broken: a fault that no reset clears. stuck: every command enables it, whatever its bit
+    says. These five are for fault injection.
     """
 
     __slots__ = (
@@ -62,6 +63,7 @@ class ServoDrive:
         "resolution",
         "stale",
         "status",
+        "stuck",
         "taps",
         "trips",
         "watchdog_ns",
@@ -80,6 +82,7 @@ class ServoDrive:
         self.gain = 1.0
         self.extra_status = 0
         self.broken = False
+        self.stuck = False
         self.taps: list[Callable[[Sample], Sample]] = []
         self.status = _HOMED | (_BRAKE if has_brake else 0)
         self.deadline_ns = NEVER_NS
@@ -112,7 +115,7 @@ class ServoDrive:
         limit = self.rated_force * 1.000001
         if not -limit <= force <= limit:  # also where it is not a number
             self.fail()
-        elif enable and not self.status & _LATCHES:
+        elif (enable or self.stuck) and not self.status & _LATCHES:
             self.force = force * self.gain
             self.status = (self.status | _ENABLED) & ~_BRAKE
         else:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,7 +12,6 @@ from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
 from hil.state_machine import State
 from hil.tick import CommandKind, OperatorCommand
-from sim_plant.drive import ServoDrive
 from sim_plant.scenario import Scenario
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
@@ -171,27 +169,23 @@ def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(
     assert run.cycle.gate.force == [0.0, 0.0]
 
 
-def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> None:
     """Its torque is zero as it is told, but enabled it holds its brake open; only silence makes it let go."""
 
     def mail(run: Posted, now: int) -> list[OperatorCommand]:
         said = {READY_BY: CommandKind.ACTIVATE, 100: CommandKind.STOP, 300: CommandKind.RESET}.get(run.index)
         return [] if said is None else [OperatorCommand(said, run.index, LATER_NS)]
 
-    def stuck(self: ServoDrive, force: float, enable: bool, *rest: Any) -> bool:
-        return honest(self, force, enable or (self.axis == 0 and self.last_command_ns > 0), *rest)
-
-    honest = ServoDrive.on_command
     run = Posted(paper(), mail).go(160)
     assert run.cycle.state is State.READY
-    monkeypatch.setattr(ServoDrive, "on_command", stuck)
+    run.stage.drives[0].stuck = True
     run.go(run.rig.safety.disable_timeout_ticks)
     assert run.stage.drives[0].status & DriveStatus.ENABLED
     assert run.cycle.state is State.READY
     run.go(20)
     assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.DRIVE_STAYS_ENABLED)
     assert [drive.status & DriveStatus.ENABLED for drive in run.stage.drives] == [0, 0]
-    monkeypatch.undo()
+    run.stage.drives[0].stuck = False
     assert run.go(150).cycle.state is State.READY  # a reset clears it once the drive obeys again
 
 
