@@ -63,8 +63,8 @@ class ControlCycle:
         self.gate = TorqueGate(self.protocol, force_limits(rig))
         # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
         self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
-        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
-        repeat = repeat if rig.law.iterative_learning else None
+        learning = rig.law.iterative_learning
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if learning else None
         force = np.array([axis.limits.force for axis in axes])
         self.law = make_axis_laws(rig.law, model, period, force, repeat)
         self.commands = CommandDesk()

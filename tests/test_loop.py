@@ -5,6 +5,8 @@ told.
 import os
 import socket
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ from hil import daemon
 from hil.clock import Pacer
 from hil.config import load_rig
 from hil.faults import Fault
-from hil.loop import MissLedger
+from hil.loop import ControlLoop, MissLedger
 from hil.notify import Notifier
 from hil.watched_file import WatchedFile
 from tests.test_bus import Cable
@@ -55,13 +57,23 @@ class UnpoweredDrives:
         return Medium(near, far)
 
 
-def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int, *overrides: str):
+def loop_beside(
+    drives: UnpoweredDrives,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *overrides: str,
+    stage_clock: Callable[[], int] = time.monotonic_ns,
+) -> AbstractContextManager[ControlLoop]:
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(
         daemon, "open_port", lambda *_, fd, **__: Port(drives.open, fd=fd, receive_limit=32), raising=True
     )
     rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local", *overrides])
-    with daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), time.monotonic_ns) as loop:
+    return daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), stage_clock)
+
+
+def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int, *overrides: str):
+    with loop_beside(drives, tmp_path, monkeypatch, *overrides) as loop:
         loop.pacer.start()
         for _ in range(ticks):
             loop._tick()
@@ -116,14 +128,10 @@ def slots_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: list[int],
         stall = next(wakes, 0)
         pass_time(stall, stall)
 
-    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(
-        daemon, "open_port", lambda *_, fd, **__: Port(UnpoweredDrives(NO_ACK, []).open, fd=fd, receive_limit=32)
-    )
     monkeypatch.setattr(time, "thread_time_ns", lambda: cpu)
-    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
+    drives = UnpoweredDrives(NO_ACK, [])
     # Each tick reads the stages' clock six times.
-    with daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), lambda: pass_time(*next(works))) as loop:
+    with loop_beside(drives, tmp_path, monkeypatch, stage_clock=lambda: pass_time(*next(works))) as loop:
         loop.pacer = Pacer(PERIOD, now=lambda: now, sleep_until=sleep_until)
         loop.pacer.start()
         for _ in range(len(ticks)):

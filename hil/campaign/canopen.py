@@ -29,6 +29,7 @@ from hil.lockstep import LockstepRun
 from hil.tick import CommandKind
 
 _DROP = FaultKind.DROP
+_DISABLING = cia301.RPDO2_ID  # controlwords that act at once; those that enable wait for SYNC
 _NO_CODE = 0x4210  # excess temperature of the device: CiA 301 has it, and no drive has to stop for it
 
 
@@ -36,14 +37,14 @@ def _node_id(run: LockstepRun, axis: int) -> int:
     return run.rig.bus.node_id + axis
 
 
-def _phase(run: LockstepRun, axis: int) -> Phase:
+def _host(run: LockstepRun) -> Cia402Host:
     protocol = run.cycle.protocol
     assert isinstance(protocol, Cia402Host)
-    return protocol.nodes[axis].phase
+    return protocol
 
 
 def _configuring(run: LockstepRun, axis: int) -> bool:
-    return _phase(run, axis) is Phase.CONFIGURE
+    return _host(run).nodes[axis].phase is Phase.CONFIGURE
 
 
 def _network(command: NmtCommand) -> Step:
@@ -69,20 +70,13 @@ def _emergency(code: int) -> Step:
     return _says(EMCY_ID, cia301.EMCY.pack(code, 1, bytes(5)))
 
 
-def _loses(code: int) -> Step:
-    """From now on no frame of that kind leaves the node."""
+def _lost(code: int, count: int = 0) -> Step:
+    """Frames of that kind, with the node's number in their identifier, are lost: the next `count`, or all (0). Those of
+    the host that are for all nodes have the first one's.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
-        run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=code + _node_id(run, axis)))
-
-    return once(act)
-
-
-def _words_lost(count: int) -> Step:
-    """The first so many frames with controlwords that disable (RPDO 2) are lost; 0: all."""
-
-    def act(run: LockstepRun, axis: int) -> None:
-        can_id = cia301.RPDO2_ID + run.rig.bus.node_id
+        can_id = code + _node_id(run, axis)
         run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=can_id, count=count))
 
     return once(act)
@@ -105,16 +99,9 @@ def _abort(run: LockstepRun, axis: int) -> None:
 
 def _terminate_busy(run: LockstepRun, axis: int, k: int) -> None:
     """SIGTERM to a master with something to say in each of its turns; the axis moves those from even to odd ticks."""
-    protocol = run.cycle.protocol
-    assert isinstance(protocol, Cia402Host)
     if k >= axis:
-        protocol.master.heartbeat_tick = 0
+        _host(run).master.heartbeat_tick = 0
     run.stop = True
-
-
-def _torques_lost(run: LockstepRun, axis: int) -> None:
-    can_id = cia301.RPDO1_ID + run.rig.bus.node_id
-    run.wire.inject(WireFault(_DROP, from_ns=run.wire.now_ns, can_id=can_id))
 
 
 def _torque_watchdog(rig: RigConfig) -> int:
@@ -136,25 +123,29 @@ _TRIALS = (
     Trial("SYNC lost", host_frames(_DROP, can_id=cia301.SYNC_ID), GONE, within=11, per_axis=False, armed=WATCHING),
     Trial(
         "torques lost, SYNC heard",
-        once(_torques_lost),
+        _lost(cia301.RPDO1_ID),
         (*_DRIVE, *_ASTRAY),
         within=_torque_watchdog,
         per_axis=False,
         armed=WATCHING,
     ),
     Trial(
-        "disabling controlwords lost once", _words_lost(1), per_axis=False, command=CommandKind.STOP, slack=REPEAT_TICKS
+        "disabling controlwords lost once",
+        _lost(_DISABLING, 1),
+        per_axis=False,
+        command=CommandKind.STOP,
+        slack=REPEAT_TICKS,
     ),
     Trial(
         "disabling controlwords lost twice",
-        _words_lost(2),
+        _lost(_DISABLING, 2),
         per_axis=False,
         command=CommandKind.STOP,
         slack=2 * REPEAT_TICKS,
     ),
     Trial(
         "disabling controlwords lost for good",
-        _words_lost(0),
+        _lost(_DISABLING),
         (Fault.DRIVE_STAYS_ENABLED, Fault.ENCODER_JUMP),  # an axis with weight on it falls
         per_axis=False,
         certain=False,
@@ -172,7 +163,7 @@ _TRIALS = (
         following_only=True,
         armed=MOVING,
     ),
-    Trial("drive's heartbeat lost", _loses(cia301.HEARTBEAT_ID), benign=True),
+    Trial("drive's heartbeat lost", _lost(cia301.HEARTBEAT_ID), benign=True),
     Trial(
         "master's heartbeat lost",
         host_frames(_DROP, can_id=cia301.HEARTBEAT_ID + MASTER_ID),
@@ -198,6 +189,6 @@ _TRIALS = (
     ),
     Trial("emergency: a warning", _emergency(_NO_CODE), benign=True),
     Trial("SDO abort", once(_abort), benign=True, unready=_configuring),
-    Trial("SDO answers lost", _loses(cia301.SDO_RESPONSE_ID), benign=True, unready=_configuring),
+    Trial("SDO answers lost", _lost(cia301.SDO_RESPONSE_ID), benign=True, unready=_configuring),
 )
 CANOPEN_TRIALS = tuple(replace(trial, only=Means.NODES) for trial in _TRIALS)

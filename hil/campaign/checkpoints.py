@@ -27,7 +27,7 @@ class Checkpoint:
     command: what the operator asks for as soon as the rig is READY; the moment's beginning is then when it was asked
     for or, with `following`, when the drives are enabled and the task's time is 0. Without a command it is when the rig
     became READY, or that share of the time until then which `start` says. stop: the operator stops, so many ticks
-    before the moment; -1: not.
+    before the moment; 0: not.
     """
 
     name: str

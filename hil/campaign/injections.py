@@ -29,15 +29,6 @@ def axis_frames(
     return once(act)
 
 
-def host_node(kind: FaultKind) -> Step:
-    """A fault of the host's own node on the wire."""
-
-    def act(run: LockstepRun, axis: int) -> None:
-        run.wire.inject(WireFault(kind, from_ns=run.wire.now_ns, node="host"))
-
-    return once(act)
-
-
 class Encoder:
     """A falsified encoder. change(true count, count at the injection, ticks since) -> what it shows."""
 

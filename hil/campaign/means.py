@@ -66,10 +66,15 @@ TEXTS: dict[Means, Text] = {
 }
 
 
+def has_nodes(layout: str) -> bool:
+    """Whether the drives are CANopen nodes."""
+    return layout == "cia402"
+
+
 def fixed_means(protocol: HostProtocol) -> Means:
     """Those that follow from the layout alone."""
-    nodes = protocol.name == "cia402"
-    means = Means.NODES if nodes else Means.CAUSE  # a statusword says FAULT; why, an emergency message does
+    # A statusword says FAULT; why, an emergency message does.
+    means = Means.NODES if has_nodes(protocol.name) else Means.CAUSE
     means |= Means.SEQUENCE if protocol.sequence_modulus else NONE
     return means | (Means.CHECKSUM if protocol.checksum else NONE)
 

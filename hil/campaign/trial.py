@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from drivers.wire_faults import FaultKind, WireFault
+from drivers.wire_faults import FOREVER_NS, FaultKind, WireFault
 from hil.campaign.means import NONE, Means
 from hil.config import RigConfig
 from hil.faults import Fault, Reaction
@@ -98,11 +98,13 @@ def nothing(run: LockstepRun, axis: int, k: int) -> None:
 
 
 def host_frames(kind: FaultKind, *, can_id: int | None = None, count: int = 0, during: int = 0, bit: int = -1) -> Step:
-    """A wire fault on what the host sends: on `count` frames, on those of `during` ticks, or on all from now on."""
+    """A wire fault on what the host sends: on `count` frames, on those of `during` ticks, or on all from now on. Or of
+    its node, where the kind is one of a node's.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
-        until = now + during * run.rig.period_ns if during else 2**61
+        until = now + during * run.rig.period_ns if during else FOREVER_NS
         run.wire.inject(WireFault(kind, from_ns=now, until_ns=until, node="host", can_id=can_id, count=count, bit=bit))
 
     return once(act)

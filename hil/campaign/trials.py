@@ -20,7 +20,6 @@ from hil.campaign.injections import (
     fail,
     filter_nan,
     forge,
-    host_node,
     jam,
     law_asks,
     overruns,
@@ -258,7 +257,7 @@ TRIALS: tuple[Trial, ...] = (
     ),
     Trial(
         "bus-off",
-        host_node(FaultKind.BUS_OFF),
+        host_frames(FaultKind.BUS_OFF),
         (Fault.BUS_OFF,),
         per_axis=False,
         armed=ALWAYS,
@@ -267,7 +266,7 @@ TRIALS: tuple[Trial, ...] = (
     ),
     Trial(
         "no acknowledgement",
-        host_node(FaultKind.NO_ACK),
+        host_frames(FaultKind.NO_ACK),
         (Fault.NO_ACK, *GONE),
         within=4,
         per_axis=False,
@@ -276,7 +275,7 @@ TRIALS: tuple[Trial, ...] = (
     ),
     Trial(
         "interface down",
-        host_node(FaultKind.DOWN),
+        host_frames(FaultKind.DOWN),
         (Fault.INTERFACE_DOWN,),
         per_axis=False,
         armed=ALWAYS,

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.protocols.base import DriveStatus
 from hil.campaign.checkpoints import Checkpoint, Voyage, bring_to, checkpoints
-from hil.campaign.means import NONE, Means, fixed_means, has_room, lacking_text
+from hil.campaign.means import NONE, Means, fixed_means, has_nodes, has_room, lacking_text
 from hil.campaign.trial import Trial, ticks, watchdog
 from hil.campaign.trials import TRIALS
 from hil.config import RigConfig, build_rig
@@ -237,7 +237,7 @@ class Leg:
 
 def _playable(rig: RigConfig, trial: Trial) -> bool:
     """Whether the trial's fault is there at all under the rig's layout."""
-    return not trial.only & Means.NODES or rig.bus.protocol == "cia402"
+    return not trial.only & Means.NODES or has_nodes(rig.bus.protocol)
 
 
 def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
