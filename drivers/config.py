@@ -6,8 +6,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-CanId = Annotated[int, Field(ge=0, le=0x1FFFFFFF)]
-
 
 class SignalBinding(BaseModel):
     """One value in a DBC file, by message and signal name."""

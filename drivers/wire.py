@@ -83,14 +83,13 @@ class Wire:
             self.inject(fault)
 
     @classmethod
-    def from_config(cls, bus: BusConfig, wire: WireConfig, *, start_ns: int = 0) -> "Wire":
+    def from_config(cls, bus: BusConfig, wire: WireConfig) -> "Wire":
         """The segment a rig file describes ([bus] and [wire])."""
         return cls(
             bus.bitrate,
             bus.data_bitrate,
             seed=wire.seed,
             drop_probability=wire.drop_probability,
-            start_ns=start_ns,
             worst_stuffing=wire.stuffing == "worst",
         )
 

@@ -1,6 +1,5 @@
 """Scripted misbehaviour of the simulated CAN segment: what, when, on which identifier, how often."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -120,11 +119,9 @@ class Random:
 class FrameFaults:
     """The frame faults of a script: which of them hits the frame that begins now. armed: (fault, [hits])."""
 
-    def __init__(self, random: Random, faults: Sequence[WireFault] = ()) -> None:
+    def __init__(self, random: Random) -> None:
         self._random = random
         self.armed: list[tuple[WireFault, list[int]]] = []
-        for fault in faults:
-            self.add(fault)
 
     def add(self, fault: WireFault) -> None:
         """Arm a fault."""

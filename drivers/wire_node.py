@@ -41,7 +41,8 @@ class WireNode:
     it has a transmit buffer for each message, as drives do: its most urgent frame arbitrates.
 
     Made by `Wire.attach`. sent, received, refused, errors, no_ack, bus_off, restarted, down: cumulative, as in
-    `PortCounters`. tec, rec: transmit and receive error counter. The other public attributes serve the simulation.
+    `PortCounters`. tec, rec: transmit and receive error counter. queue: what is not sent yet, the frame on the wire
+    included. The other public attributes serve the simulation.
     """
 
     __slots__ = (
@@ -175,11 +176,6 @@ class WireNode:
         if self.queue and self.queue[0][READY] < ready_ns:
             _, key, frame, duration_ns = self.queue[0]
             self.queue[0] = (ready_ns, key, frame, duration_ns)
-
-    @property
-    def queued(self) -> int:
-        """Frames not sent yet, the one on the wire included."""
-        return len(self.queue)
 
     @property
     def listening(self) -> bool:

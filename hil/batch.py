@@ -48,13 +48,11 @@ class Bounds:
 class BatchRun:
     """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the rig becomes ACTIVE.
 
-    law: instead of the rig file's; its gains may differ from plant to plant, (plants, n_axes).
-
     error: true position less setpoint at the samples' instant of the latest tick (m). force: let out in it (N).
     Both (plants, n_axes); the next tick writes into the error's array.
     """
 
-    def __init__(self, rig: RigConfig, truth: Truth, law: Law | None = None) -> None:
+    def __init__(self, rig: RigConfig, truth: Truth) -> None:
         n = len(rig.axes)
         shape = truth.shape
         self.rig = rig
@@ -65,7 +63,7 @@ class BatchRun:
         self._filter = MotionFilter(list(gains), self._model.mass)
         self._bounds = Bounds(force_limits(rig))
         axes = rig.axes.values()
-        self._law = law or rig_law(rig)
+        self._law = rig_law(rig)
         self._belief = np.array([axis.encoder_resolution for axis in axes])
         self._resolution = per_axis(rig.plant.encoder_resolution, n)
         initial = per_axis(rig.plant.initial_position, n)

@@ -153,7 +153,6 @@ RULES: dict[Fault, Rule] = {
 _FAULTS = list(Fault)  # by number: an enum's own lookup is slow
 REACTIONS = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
 _BLOCKING = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
-_BRIDGE = 1 << Fault.ENCODER_GAP | 1 << Fault.ENCODER_GLITCH
 _STATUS_FAULTS = (
     (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
     (int(DriveStatus.WATCHDOG), Fault.DRIVE_WATCHDOG),

@@ -200,13 +200,12 @@ def simulate(
     *,
     progress: Callable[[int], None] | None = None,
     observer: Observer | None = None,
-    wire_faults: Sequence[WireFault] = (),
     scenario: Scenario | None = None,
 ) -> tuple[SimReport, "Traces"]:
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
     every sample.
     """
-    run = LockstepRun(rig, base_dir, observer=observer, wire_faults=wire_faults, scenario=scenario)
+    run = LockstepRun(rig, base_dir, observer=observer, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
     traces = Traces(ticks, len(rig.axes))
     started = time.perf_counter()

@@ -129,16 +129,6 @@ class EmulatedStage:
         return self._truth_now()[2]
 
     @property
-    def sampled_position(self) -> Array:
-        """True position at the latest sampling, m, (n_axes,)."""
-        return np.array(self.sampled[0])
-
-    @property
-    def sampled_velocity(self) -> Array:
-        """True velocity at the latest sampling, m/s, (n_axes,)."""
-        return np.array(self.sampled[1])
-
-    @property
     def applied_force(self) -> list[float]:
         """Force each drive applies now, N."""
         return [drive.force for drive in self.drives]

@@ -16,8 +16,8 @@ POSITION = 0.001  # m
 RESOLUTION = 1e-7
 
 
-def make_drive(node_id: int = 1, rated_force: float = 5.3, watchdog_ms: int = WATCHDOG_MS) -> Cia402Drive:
-    servo = ServoDrive(node_id - 1, rated_force, RESOLUTION, watchdog_ms * MS, True, 0)
+def make_drive(node_id: int = 1, rated_force: float = 5.3) -> Cia402Drive:
+    servo = ServoDrive(node_id - 1, rated_force, RESOLUTION, WATCHDOG_MS * MS, True, 0)
     return Cia402Drive(node_id, servo, lambda: POSITION * node_id)
 
 

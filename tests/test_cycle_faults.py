@@ -40,9 +40,9 @@ def paper(*overrides: str) -> RigConfig:
     return load_rig(RIGS / "paper.toml", overrides)
 
 
-def activate_once(number: int = 1, *, at: int = READY_BY, expires_ns: int = LATER_NS) -> Mail:
+def activate_once(*, expires_ns: int = LATER_NS) -> Mail:
     def mail(run: Posted, now: int) -> list[OperatorCommand]:
-        return [OperatorCommand(CommandKind.ACTIVATE, number, expires_ns)] if run.index == at else []
+        return [OperatorCommand(CommandKind.ACTIVATE, 1, expires_ns)] if run.index == READY_BY else []
 
     return mail
 

@@ -74,7 +74,7 @@ def test_a_stuck_encoder_moves_on_when_the_fault_ends() -> None:
     rig = Rig(during("encoder_stuck"), force=2.0)
     seen = [rig.axis(0)[0].position for _ in range(5)]
     assert seen[1] <= seen[2] == seen[3] < seen[4]
-    assert seen[4] == pytest.approx(rig.stage.sampled_position[0] / 1e-8, abs=0.51)
+    assert seen[4] == pytest.approx(rig.stage.sampled[0][0] / 1e-8, abs=0.51)
 
 
 @pytest.mark.parametrize(

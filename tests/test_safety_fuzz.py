@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from sim_plant.scenario import KINDS, FaultConfig, Scenario, ScenarioError, load
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 NAMES = ("paper", "microscope")
 RIG = {name: load_rig(RIGS / f"{name}.toml") for name in NAMES}
-DOCUMENT = {name: tomllib.loads((RIGS / f"{name}.toml").read_text()) for name in NAMES}
 TICKS = 160  # READY after 25, so that two thirds of it are ACTIVE
 
 # An example is a whole run: few of them, and no minutes spent on making a failing one small.

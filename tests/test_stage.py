@@ -25,9 +25,9 @@ EFFECTS = {
 }
 
 
-def stage_of(plant: PlantConfig, position: float = 0.0, velocity: float = 0.0) -> Stage:
+def stage_of(plant: PlantConfig, velocity: float = 0.0) -> Stage:
     n = len(plant.mass)
-    return Stage(Truth.from_config(plant, n, ["x", "y", "z", "t"][:n]), position, velocity)
+    return Stage(Truth.from_config(plant, n, ["x", "y", "z", "t"][:n]), 0.0, velocity)
 
 
 class Reference:

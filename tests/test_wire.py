@@ -414,7 +414,7 @@ def test_what_a_node_had_queued_is_gone_after_bus_off() -> None:
     sender.restart(wire.now_ns)
     wire.advance(10 * MS)
     assert heard == []
-    assert sender.queued == 0
+    assert not sender.queue
 
 
 def test_without_acknowledgement_the_counter_stops_at_128_and_the_old_setpoint_replays() -> None:
@@ -582,7 +582,9 @@ def _history(frame_script: list[WireFault], node_script: list[tuple[WireFault, b
                 node.restart(rig.wire.now_ns)
         rig.host.send(COMMAND, tick * MS)
         rig.wire.advance((tick + 1) * MS)
-        events += [(node.name, node.counters(), node.tec, node.rec, node.queued) for node in rig.wire.nodes.values()]
+        events += [
+            (node.name, node.counters(), node.tec, node.rec, len(node.queue)) for node in rig.wire.nodes.values()
+        ]
     return [*events, *rig.at_host]
 
 

@@ -10,7 +10,6 @@ from drivers.schedulability import frame_ns
 from drivers.wire import Wire
 from drivers.wire_faults import FaultKind, WireFault
 
-US = 1_000
 MS = 1_000_000
 # Long runs of equal bits: payloads that are stuffed a lot.
 STUFFED = (b"\x00", b"\xff", b"\x0f\x87", b"\x78\x3c\x1e\x0f\x87\xc3\xe1\xf0")

@@ -170,11 +170,11 @@ def drop_out(run: LockstepRun, axis: int) -> None:
         run.stage.nodes[axis].switch_off()
 
 
-def overruns(slots: int, every: int = 1, last: int = 10_000) -> Step:
-    """The control process misses `slots` slots, in every `every`-th tick up to tick `last`."""
+def overruns(slots: int, last: int = 10_000) -> Step:
+    """The control process misses `slots` slots before every tick up to tick `last`."""
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
-        if k % every == 0 and k <= last:
+        if k <= last:
             run.skip(slots)
 
     return step

@@ -10,7 +10,6 @@ FAILS = "fails as printed"
 ARTEFACT = "solver artefact"
 INFEASIBLE = "infeasible when sampled"
 
-UM = 1e-6
 HOLDS_WITHIN = 0.2  # of the printed value, which the paper gives as "about"
 
 

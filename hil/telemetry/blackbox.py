@@ -51,13 +51,13 @@ def save_black_boxes(rig_places: Places, directory: Path) -> list[Path]:
     return saved
 
 
-def run_directory(root: Path = Path("runs")) -> Path:
+def run_directory() -> Path:
     """A new directory runs/<time>, in local time, for what a run leaves."""
-    directory = root / time.strftime("%Y%m%d-%H%M%S")
-    number = 1
+    name, number = time.strftime("%Y%m%d-%H%M%S"), 1
+    directory = Path("runs", name)
     while directory.exists():
         number += 1
-        directory = root / f"{time.strftime('%Y%m%d-%H%M%S')}-{number}"
+        directory = Path("runs", f"{name}-{number}")
     directory.mkdir(parents=True)
     return directory
 
