@@ -230,6 +230,27 @@ def test_the_example_subscriber_of_the_readme_prints_the_stage(bench: Bench) -> 
 
 
 @pytest.mark.live
+@pytest.mark.live
+def test_a_second_sidecar_of_a_rig_is_refused_and_the_first_ones_operators_are_still_obeyed(bench: Bench) -> None:
+    bench.sidecar()
+    bench.control()
+    token = bench.token()
+    for options in (["--listen", bench.endpoint], ["--listen", free_endpoint()]):
+        second = subprocess.run(
+            [sys.executable, "-m", "hil", "sidecar", str(RIG), "--out", str(bench.out), *options],
+            env=bench.environment,
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            timeout=30,
+        )
+        assert second.returncode == 69
+        assert "another sidecar serves this rig already" in second.stderr
+    assert bench.token() == token
+    with RigClient(bench.endpoint) as client:
+        obeyed(client, CommandKind.ACTIVATE, token)  # the stand-in for the control process knows no ESTOP
+
+
 def test_an_endpoint_in_use_is_reported_by_name_with_its_own_exit_status(bench: Bench) -> None:
     host, port = bench.endpoint.removeprefix("tcp/").split(":")
     with socket.create_server((host, int(port))):

@@ -1,7 +1,10 @@
 """Where the processes of one rig find each other's files."""
 
+import contextlib
+import fcntl
 import os
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,11 +23,35 @@ class Places(NamedTuple):
     endpoint: Path  # where the sidecar listens
 
 
+class AlreadyServedError(Exception):
+    """The rig has a sidecar already; the text names the rig's directory."""
+
+
 def places(rig_name: str) -> Places:
     """The rig's files; makes the (private) directory."""
     directory = runtime_dir() / rig_name
     make_private(directory)
     return Places(directory, *(directory / name for name in Places._fields[1:]))
+
+
+@contextlib.contextmanager
+def sole_sidecar(rig_places: Places) -> Iterator[None]:
+    """While open, this process alone may serve the rig; the kernel lets go with the process, however that ends.
+
+    A second one would put its own token in the place of the first one's, whose operators could then command nothing,
+    not even an emergency stop. Raises AlreadyServedError.
+    """
+    fd = os.open(rig_places.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)  # a file could be another user's
+    try:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise AlreadyServedError(
+                f"another sidecar serves this rig already (it holds {rig_places.directory})"
+            ) from None
+        yield
+    finally:
+        os.close(fd)
 
 
 def renew_token(path: Path) -> str:

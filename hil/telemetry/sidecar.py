@@ -20,7 +20,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.mailbox import Mailbox, MailboxError
-from hil.telemetry.places import Places, places, renew_token, write_private
+from hil.telemetry.places import AlreadyServedError, Places, places, renew_token, sole_sidecar, write_private
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.recorder import Recorder
 from hil.telemetry.ring import RingError, RingReader
@@ -272,11 +272,13 @@ def sidecar(
 ) -> None:
     """Publish, record and take commands for a control process. Ends on SIGTERM or SIGINT."""
     config = load_rig(rig, set_ or ())
-    directory = (out or run_directory()) if config.telemetry.record else None
-    for saved in save_black_boxes(places(config.name), directory or run_directory()):
-        print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
+    rig_places = places(config.name)
     try:
-        serve(config, directory, [listen] if listen else list(config.telemetry.listen), or_free_port=or_free_port)
-    except ListenError as error:
+        with sole_sidecar(rig_places):
+            directory = (out or run_directory()) if config.telemetry.record else None
+            for saved in save_black_boxes(rig_places, directory or run_directory()):
+                print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
+            serve(config, directory, [listen] if listen else list(config.telemetry.listen), or_free_port=or_free_port)
+    except (ListenError, AlreadyServedError) as error:
         print(f"hil sidecar: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
