@@ -6,6 +6,7 @@ false; 78 the rig file is wrong (no bus was touched).
 """
 
 import contextlib
+import os
 import signal
 import sys
 import time
@@ -19,6 +20,7 @@ import typer
 from drivers.bus import PortError, open_port
 from drivers.protocols import host_protocol
 from drivers.runtime import RuntimeDirectoryError
+from drivers.stop_signals import stop_signals
 from hil.check import refuse_unschedulable
 from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
 from hil.loop import ControlLoop, Parts
@@ -48,7 +50,7 @@ def run(
     ticks: Annotated[int | None, typer.Option(min=1, help="stop after so many ticks")] = None,
     cpu_clock: Annotated[bool, typer.Option(hidden=True, help="measure stages in CPU time (benchmarks)")] = False,
 ) -> None:
-    """Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, or an operator's shutdown)."""
+    """Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, SIGHUP, or an operator's shutdown)."""
     clock = time.thread_time_ns if cpu_clock else time.monotonic_ns
     sys.exit(run_rig(rig, override or [], ticks, clock))
 
@@ -127,7 +129,7 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
     def ask_to_stop(_signal: int, _frame: object) -> None:
         loop.stop = True
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in stop_signals():
         signal.signal(number, ask_to_stop)
     try:
         loop.run(ticks)
@@ -138,11 +140,19 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
         return EXIT_SOFTWARE  # without an end mark in the ring: it is kept as the black box
     loop.parts.ring.close()
     loop.parts.timing.finish()
-    print(_summary(loop), flush=True)
+    _say_farewell(loop)
     if loop.overstayed:
         print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
         return EXIT_SOFTWARE
     return 0
+
+
+def _say_farewell(loop: ControlLoop) -> None:
+    """The stop went well even where the terminal or the runtime directory is gone, and nobody can be told."""
+    try:
+        print(_summary(loop), flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else what is left fails again at exit
 
 
 def _summary(loop: ControlLoop) -> str:

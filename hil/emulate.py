@@ -49,8 +49,10 @@ def emulate(
     faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
 ) -> None:
-    """Emulate the stage of RIG on its bus until SIGTERM or SIGINT."""
+    """Emulate the stage of RIG on its bus until SIGTERM, SIGINT or SIGHUP."""
     config = load_rig(rig, overrides or [])
+    if status and not status.parent.is_dir():
+        raise typer.BadParameter(f"{status.parent}: no such directory", param_hint="--status")
     scenario = _live_scenario(faults, config) if faults else None
     stage = emulated_stage(config, rig.parent, time.monotonic_ns())
     if scenario:
@@ -67,4 +69,6 @@ def emulate(
         emulator.run()
     finally:
         port.close()
+    if emulator.status_error:
+        print(f"hil emulate: no status: {emulator.status_error}", file=sys.stderr)
     print(f"hil emulate: {stage.commands} commands answered", flush=True)

@@ -17,6 +17,7 @@ from typing import Any
 from drivers.bus import Port
 from drivers.counters import BusState
 from drivers.protocols.base import DriveStatus
+from drivers.stop_signals import stop_signals
 from sim_plant.emulator import EmulatedStage
 
 PRIORITY = 20  # SCHED_FIFO, below every control process: a drive is never late because a desktop redraws
@@ -27,7 +28,7 @@ _REBIND_NS = 200_000_000
 
 
 class StopSignals:
-    """SIGTERM and SIGINT as a readable descriptor, so that waiting for frames ends at once."""
+    """SIGTERM, SIGINT and SIGHUP as a readable descriptor, so that waiting for frames ends at once."""
 
     def __init__(self) -> None:
         self._reader, self._writer = socket.socketpair()
@@ -36,7 +37,7 @@ class StopSignals:
     def __enter__(self) -> "StopSignals":
         self._writer.setblocking(False)
         self._old_fd = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
-        self._old = {number: signal.signal(number, self._note) for number in (signal.SIGTERM, signal.SIGINT)}
+        self._old = {number: signal.signal(number, self._note) for number in stop_signals()}
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -77,13 +78,14 @@ class Emulator:
         self.stage = stage
         self.port = port
         self.realtime = False
+        self.status_error = ""  # why the status could not be written when that last happened
         self._status_path = status_path
         self._reported_ns = 0
         self._reported_trips = 0
         self._rebind_ns = 0
 
     def run(self) -> None:
-        """Answer until SIGTERM or SIGINT; the last status is on disk when this returns."""
+        """Answer until SIGTERM, SIGINT or SIGHUP; the last status is on disk when this returns."""
         with StopSignals() as stop:
             self.realtime = promote()
             while not stop.seen:
@@ -151,5 +153,8 @@ class Emulator:
         if self._status_path is None:
             return
         draft = self._status_path.with_suffix(".new")
-        draft.write_text(json.dumps(self.status(running=running), indent=1), encoding="utf-8")
-        draft.replace(self._status_path)  # a reader sees the old one or the new one, never half of it
+        try:
+            draft.write_text(json.dumps(self.status(running=running), indent=1), encoding="utf-8")
+            draft.replace(self._status_path)  # a reader sees the old one or the new one, never half of it
+        except OSError as error:  # no room, or its directory is gone: the stage goes on for whoever drives it
+            self.status_error = f"{self._status_path}: {error.strerror}"

@@ -1,6 +1,7 @@
 """`hil run` as a process: how it starts, what it refuses, and that every end leaves the stage without torque."""
 
 import os
+import shutil
 import signal
 import socket
 import time
@@ -30,7 +31,7 @@ def decoded(emulator):
     return [(frame.timestamp_ns, layout.decode_command(frame)) for frame in frames]
 
 
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, CommandKind.SHUTDOWN])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, CommandKind.SHUTDOWN])
 def test_asked_to_end_while_active_it_stops_sends_zero_torque_last_and_exits_with_0(end):
     with emulated() as emulator, Control() as control:
         reader = control.wait_for(State.READY)
@@ -52,6 +53,32 @@ def test_asked_to_end_while_active_it_stops_sends_zero_torque_last_and_exits_wit
     assert State.STOPPING in states
     with RingReader(places("paper").ring) as ring:
         assert ring.ended
+
+
+def test_with_terminal_and_runtime_directory_gone_it_stops_in_the_same_order_and_still_exits_with_0():
+    with emulated() as emulator, Control() as control:
+        reader = control.wait_for(State.READY)
+        order(CommandKind.ACTIVATE)
+        control.wait_for(State.ACTIVE, reader)
+        control.process.stdout.close()
+        control.process.stdout = None
+        shutil.rmtree(places("paper").directory)
+        control.process.send_signal(signal.SIGHUP)
+        assert control.process.wait(PATIENCE_S) == 0
+        _, last = decoded(emulator)[-1]
+        assert (list(last.force), last.enable) == ([0.0, 0.0], 0)
+
+
+def test_a_process_that_was_told_to_ignore_the_hangup_outlives_its_terminal():
+    ignore = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    with emulated(), Control(wrap=ignore) as control:
+        reader = control.wait_for(State.READY)
+        control.process.send_signal(signal.SIGHUP)
+        time.sleep(0.1)  # a stop would be over by then; then there is nobody to become ACTIVE
+        order(CommandKind.ACTIVATE)
+        control.wait_for(State.ACTIVE, reader)
+        control.process.terminate()
+        assert control.finish()[0] == 0
 
 
 def test_a_run_of_n_ticks_leaves_n_records_and_a_timing_file():

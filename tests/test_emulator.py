@@ -172,6 +172,19 @@ def test_on_a_live_bus_a_stall_of_the_emulator_expires_no_watchdog_that_was_fed(
     emulator.port.close()
 
 
+def test_a_status_file_that_cannot_be_written_does_not_end_the_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator, _, _ = live_pair(tmp_path, monkeypatch)
+    emulator.step(time.monotonic_ns())
+    (tmp_path / "status.new").mkdir()  # stands in the way, as a full file system or a removed directory would
+    before = (tmp_path / "status.json").read_text()
+    emulator.step(time.monotonic_ns() + 10**9)
+    assert "status.json: Is a directory" in emulator.status_error
+    assert (tmp_path / "status.json").read_text() == before
+    emulator.port.close()
+
+
 def test_on_a_live_bus_canopen_drives_announce_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
     bus = BusConfig(interface="local", channel="emu1", protocol="cia402")

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from drivers.stop_signals import stop_signals
 from hil.config import RigConfig, load_rig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
@@ -214,11 +215,11 @@ class Sidecar:
 
 
 class _StopFlag:
-    """Set by SIGTERM or SIGINT; `pause` returns at once when it is."""
+    """Set by SIGTERM, SIGINT or SIGHUP; `pause` returns at once when it is."""
 
     def __init__(self) -> None:
         self.set = False
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in stop_signals():
             signal.signal(number, self._stop)
 
     def _stop(self, *_: object) -> None:
@@ -239,7 +240,7 @@ def _listening(rig: RigConfig, listen: list[str], or_free_port: bool) -> Publish
 
 
 def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: bool = False) -> None:
-    """Run until SIGTERM or SIGINT. Raises ListenError."""
+    """Run until told to stop by a signal. Raises ListenError."""
     stop = _StopFlag()
     rig_places = places(rig.name)
     token = renew_token(rig_places.token)
@@ -270,7 +271,7 @@ def sidecar(
     or_free_port: Annotated[bool, typer.Option("--or-free-port", help="else on any free port of loopback")] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value over the rig file")] = None,
 ) -> None:
-    """Publish, record and take commands for a control process. Ends on SIGTERM or SIGINT."""
+    """Publish, record and take commands for a control process. Ends on SIGTERM, SIGINT or SIGHUP."""
     config = load_rig(rig, set_ or ())
     rig_places = places(config.name)
     try:
