@@ -3,14 +3,13 @@
 import hashlib
 import json
 import os
-import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from drivers.config import STRICT, BusConfig, WireConfig
+from drivers.toml_file import TomlError, parse_toml, read_toml, shown
 from sim_plant.config import PlantConfig, Resolution
 
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus
@@ -260,8 +259,8 @@ def _describe(error: ValidationError) -> list[str]:
     for item in error.errors():
         path = ".".join(str(part) for part in item["loc"]) or "rig"
         value = item.get("input")
-        shown = "" if isinstance(value, dict) else f" = {value!r}"
-        lines.append(f"{path}{shown}: {item['msg']}")
+        given = "" if isinstance(value, dict) else f" = {shown(value)}"
+        lines.append(f"{path}{given}: {item['msg']}")
     return lines
 
 
@@ -272,19 +271,21 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     if not separator or not all(path):
         raise RigError([f"--set {text!r}: expected key.path=value, for example --set plant.mass_scale=1.2"])
     try:
-        return path, tomllib.loads(f"v = {raw.strip()}")["v"]
-    except tomllib.TOMLDecodeError:
+        return path, parse_toml(f"v = {raw.strip()}")["v"]
+    except TomlError:
         return path, raw.strip()
 
 
 def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> None:
     if path == ["law", "name"]:
         law = document.setdefault("law", {})
-        if law.get("name") != value:
+        if isinstance(law, dict) and law.get("name") != value:
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
     if path == ["plant", "encoder_resolution"]:
         # Another encoder is another data sheet: the belief follows, else every position would be scaled wrongly.
-        for index, axis in enumerate(document.get("axes", {}).values()):
+        axes = document.get("axes")
+        tables = [axis for axis in axes.values() if isinstance(axis, dict)] if isinstance(axes, dict) else []
+        for index, axis in enumerate(tables):
             axis["encoder_resolution"] = value[index] if isinstance(value, list) and index < len(value) else value
     table = document
     for part in path[:-1]:
@@ -309,11 +310,11 @@ def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigCon
 def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> RigConfig:
     """Read and validate a rig file. Raises RigError naming key, value and allowed range of every problem."""
     try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        document = read_toml(path)
     except OSError as error:
         raise RigError([f"{path}: {error.strerror or error}"]) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RigError([f"{path}: not a TOML document: {error}"]) from None
+    except TomlError as error:
+        raise RigError([f"{path}: {error}"]) from None
     try:
         return build_rig(document, overrides)
     except RigError as error:

@@ -2,15 +2,20 @@
 
 import hashlib
 import os
+import stat
 from pathlib import Path
+
+from drivers.toml_file import LARGEST
 
 
 class WatchedFile:
-    """One stat(2) per question; the file is read again (some kB) only when its inode, size or times have moved."""
+    """One stat(2) per question; the file is read again (some kB) only when its inode or times have moved, and its size
+    has not: whatever takes its place, be it endless or a pipe that nobody writes to, holds nobody up.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._digest = self._read()
+        self._size, self._digest = self._read()
         self._seen = self._stat()
         self._same = True
 
@@ -21,16 +26,27 @@ class WatchedFile:
             return None
         return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
-    def _read(self) -> bytes | None:
+    def _read(self) -> tuple[int, bytes]:
+        """Bytes read and their digest; of no more than a rig file can have, which is refused where it has more."""
         try:
-            return hashlib.sha256(self.path.read_bytes()).digest()
+            with self.path.open("rb") as file:
+                content = file.read(LARGEST + 1)
         except OSError:
-            return None
+            return 0, b""
+        return len(content), hashlib.sha256(content).digest()
 
     def unchanged(self) -> bool:
         """True while the content is what it was at the start; touching the file or writing it back does not matter."""
         seen = self._stat()
         if seen != self._seen:
             self._seen = seen
-            self._same = seen is not None and self._read() == self._digest
+            self._same = self._still_there() and self._read() == (self._size, self._digest)
         return self._same
+
+    def _still_there(self) -> bool:
+        """A regular file of the same size."""
+        try:
+            found = os.stat(self.path)
+        except OSError:
+            return False
+        return stat.S_ISREG(found.st_mode) and found.st_size == self._size

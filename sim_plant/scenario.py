@@ -12,13 +12,13 @@ count, delay_s, bit, period_s, length. Faults begin and end at their exact insta
 `seed`.
 """
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from drivers.toml_file import TomlError, read_toml, shown
 from drivers.wire_faults import FOREVER_NS, FaultKind, WireFault
 
 WIRE_PREFIX = "wire_"
@@ -197,12 +197,11 @@ class ScenarioError(ValueError):
 def load_scenario(path: Path) -> Scenario:
     """Read a scenario file. Raises ScenarioError with every problem."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        return Scenario.model_validate(document)
+        return Scenario.model_validate(read_toml(path))
     except OSError as error:
         raise ScenarioError([f"{path}: {error.strerror or error}"]) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError([f"{path}: not a TOML document: {error}"]) from None
+    except TomlError as error:
+        raise ScenarioError([f"{path}: {error}"]) from None
     except ValidationError as error:
         raise ScenarioError([f"{path}: {line}" for line in _describe(error)]) from None
 
@@ -212,5 +211,5 @@ def _describe(error: ValidationError) -> list[str]:
     for item in error.errors():
         where = ".".join(str(part + 1) if isinstance(part, int) else part for part in item["loc"]) or "scenario"
         value = item["input"]
-        lines.append(f"{where}{'' if isinstance(value, dict) else f' = {value!r}'}: {item['msg']}")
+        lines.append(f"{where}{'' if isinstance(value, dict) else f' = {shown(value)}'}: {item['msg']}")
     return lines

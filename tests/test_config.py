@@ -106,6 +106,47 @@ def test_a_missing_file_and_a_broken_file_are_refused(tmp_path: Path) -> None:
             load_rig(path)
 
 
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("a = " + "1" * 5000, "not a TOML document"),
+        ("rate_hz = 0x" + "f" * 5000, "a number of thousands of digits"),
+        ("description = 5\nname = '" + "x" * 100_000 + "'", "name = 'xxxxx"),
+        ("\ufeffname = 'x'", "byte order mark"),
+        ("#" * 2**20 + "\n", "longer than 1048576 bytes"),
+    ],
+)
+def test_documents_beyond_all_bounds_are_refused_in_a_few_lines(tmp_path: Path, content: str, reason: str) -> None:
+    path = tmp_path / "odd.toml"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(RigError) as caught:
+        load_rig(path)
+    assert reason in str(caught.value)
+    assert all(len(line) < 500 for line in caught.value.problems)
+
+
+def test_a_file_without_an_end_is_refused() -> None:
+    with pytest.raises(RigError, match="longer than"):
+        load_rig("/dev/zero")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["axes=5", "plant.encoder_resolution=1e-9"],
+        ["axes.x=5", "plant.encoder_resolution=1e-9"],
+        ["law=5", "law.name=pid"],
+        ["rate_hz=" + "1" * 5000],
+        ["law.gains=" + "[" * 5000],
+        ["plant.mass=0x" + "f" * 5000],
+    ],
+)
+def test_overrides_that_make_no_sense_together_are_refused(overrides: list[str]) -> None:
+    with pytest.raises(RigError):
+        load_rig(PAPER, overrides)
+
+
 def test_the_same_rig_has_the_same_hash_whatever_its_comments_and_order(tmp_path: Path) -> None:
     copy = tmp_path / "copy.toml"
     copy.write_text("# a comment\n" + PAPER.read_text())

@@ -349,6 +349,7 @@ def test_robust_pd_readings_differ_in_static_stiffness(reading: str, stiffness: 
         (LawConfig(name="magic"), "law.name = 'magic'"),
         (LawConfig(gains={"kq": 1.0}), "law.gains.kq"),
         (LawConfig(gains={"kp": -1.0}), "law.gains.kp = -1.0"),
+        (LawConfig(gains={"kp": 10**400}), "law.gains.kp = 1000"),
         (LawConfig(gains={"kp": [1.0]}), "1 values for 2 axes"),
         (LawConfig(name="robust-pd", gains={"reading": "loud"}), "reading = 'loud'"),
     ],

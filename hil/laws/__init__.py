@@ -1,10 +1,11 @@
 """Control laws by name, one per file, all with the signature of hil/laws/base.py; see `LAWS` and `make_law`."""
 
-import math
+import sys
 from typing import Any
 
 import numpy as np
 
+from drivers.toml_file import shown
 from hil.config import LawConfig
 from hil.laws.base import Array, Law, Model, axis_model
 from hil.laws.computed_torque import ComputedTorque
@@ -44,15 +45,15 @@ def _gain(key: str, value: Any, n_axes: int, default: Any) -> Any:
     """One gain as the law takes it: a word stays, a number or one per axis becomes (n_axes,). Raises ValueError."""
     if isinstance(default, str):
         if not isinstance(value, str):
-            raise ValueError(f"law.gains.{key} = {value!r}: expected a word such as {default!r}")
+            raise ValueError(f"law.gains.{key} = {shown(value)}: expected a word such as {default!r}")
         return value
     values = value if isinstance(value, list | tuple | np.ndarray) else [value] * n_axes
     if len(values) != n_axes:
         raise ValueError(f"law.gains.{key} has {len(values)} values for {n_axes} axes")
     for item in values:
         is_number = isinstance(item, int | float) and not isinstance(item, bool)
-        if not is_number or not math.isfinite(item) or item < 0:
-            raise ValueError(f"law.gains.{key} = {value!r}: expected a finite number >= 0, or one per axis")
+        if not is_number or not 0 <= item <= sys.float_info.max:
+            raise ValueError(f"law.gains.{key} = {shown(value)}: expected a finite number >= 0, or one per axis")
     return np.array(values, dtype=np.float64)
 
 
