@@ -121,12 +121,6 @@ def test_the_recorder_counts_as_alive_for_one_second(box: Mailbox) -> None:
     assert not box.recorder_ok(now - 1)
 
 
-def test_the_operators_sign_of_life_is_kept(box: Mailbox) -> None:
-    assert box.operator_ns == 0
-    box.beat_operator(42)
-    assert box.operator_ns == 42
-
-
 @pytest.mark.parametrize("content", [b"", b"\0" * SIZE, b"noise" * 20], ids=["empty", "zeros", "noise"])
 def test_a_file_that_is_no_mailbox_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "mailbox").write_bytes(content)

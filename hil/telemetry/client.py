@@ -77,17 +77,15 @@ class RigClient(Closing):
             if status := self.status():
                 return status
             time.sleep(_POLL_S)
-        raise NoSidecarError(
-            f"no sidecar answers at {self.endpoint}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
-        )
+        raise NoSidecarError(_NOBODY.format(self.endpoint))
 
     def command(self, kind: CommandKind, token: str) -> pb.CommandReply:
         """Send a command and wait for the verdict. Raises NoSidecarError."""
-        now_ns = self._ask(pb.CommandRequest(token=token, kind=ASK_TIME))
-        if not now_ns.accepted:
-            return now_ns
+        clock = self._ask(pb.CommandRequest(token=token, kind=ASK_TIME))
+        if not clock.accepted:
+            return clock
         self._sequence += 1
-        expires_ns = now_ns.now_ns + COMMAND_LIFE_NS
+        expires_ns = clock.now_ns + COMMAND_LIFE_NS
         request = pb.CommandRequest(
             token=token, kind=kind, client=self._client, sequence=self._sequence, expires_ns=expires_ns
         )

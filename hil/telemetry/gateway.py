@@ -87,8 +87,6 @@ class Gateway:
             sequence = mailbox.post(kind, request.expires_ns)
         except MailboxError as error:
             return str(error)
-        if kind is CommandKind.HEARTBEAT:
-            mailbox.beat_operator(now_ns)
         self._pending[sequence] = _Pending(query, kind, now_ns + VERDICT_TIMEOUT_NS)
         return ""
 

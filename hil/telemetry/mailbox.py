@@ -1,9 +1,9 @@
 """The mailbox: how commands reach the control process at next to no cost.
 
-A small memory-mapped file. Senders (the sidecar's gateway, `hil command`) post under a lock among themselves; the
-control process alone takes. A tick without mail costs one comparison. Each slot carries a CRC: a torn or damaged slot
-is dropped and counted, and nothing in the file, whatever its bytes, can raise in the control process. It also carries
-two times (monotonic ns): when the recorder and when the operator last gave a sign of life.
+A small memory-mapped file. Senders (the sidecar's gateway; benchmarks and tests) post under a lock among themselves;
+the control process alone takes. A tick without mail costs one comparison. Each slot carries a CRC: a torn or damaged
+slot is dropped and counted, and nothing in the file, whatever its bytes, can raise in the control process. It also
+carries a time (monotonic ns): when the recorder last gave a sign of life.
 """
 
 import fcntl
@@ -25,7 +25,7 @@ SIZE = FIRST_SLOT + SLOTS * SLOT_SIZE
 RECORDER_TIMEOUT_NS = 1_000_000_000  # the sidecar gives a sign of life 50 times a second
 
 # u64 words; what senders write and what the control process writes lie on separate cache lines
-_MAGIC, _POSTED, _RECORDER_NS, _OPERATOR_NS, _TAKEN, _DAMAGED = 0, 8, 9, 10, 16, 17
+_MAGIC, _POSTED, _RECORDER_NS, _TAKEN, _DAMAGED = 0, 8, 9, 16, 17
 
 _COMMAND = struct.Struct("<QIIqI")  # sequence, kind, 0, expires_ns, CRC-32 of what precedes it
 _BODY = _COMMAND.size - 4
@@ -127,16 +127,7 @@ class Mailbox(Closing):
         """Sign of life of the recorder, monotonic ns."""
         self._words[_RECORDER_NS] = now_ns
 
-    def beat_operator(self, now_ns: int) -> None:
-        """Sign of life of the operator, monotonic ns."""
-        self._words[_OPERATOR_NS] = now_ns
-
     # ---- either end
-
-    @property
-    def operator_ns(self) -> int:
-        """When the operator last gave a sign of life, monotonic ns; 0: never."""
-        return self._words[_OPERATOR_NS]
 
     @property
     def damaged(self) -> int:
