@@ -8,8 +8,9 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from hil.config import EXIT_CONFIG, RigError
+from hil.config import RigError
 from hil.control_path import control_path
+from hil.exit_status import EXIT_CONFIG
 from sim_plant.config import PlantError
 
 

@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from hil.config import RigConfig, load_rig
+from hil.exit_status import EXIT_UNAVAILABLE
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
 from hil.telemetry.places import Known, known_sidecars, places
 from hil.tick import CommandKind
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 CONNECT_S = 3.0
 
 

@@ -12,7 +12,6 @@ from drivers.config import STRICT, BusConfig, WireConfig
 from drivers.toml_file import TomlError, parse_toml, read_toml, shown
 from sim_plant.config import PlantConfig, Resolution
 
-EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus
 MAX_AXES = 4
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 

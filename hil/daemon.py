@@ -22,10 +22,11 @@ from drivers.protocols import host_protocol
 from drivers.runtime import RuntimeDirectoryError
 from drivers.stop_signals import stop_signals
 from hil.check import refuse_unschedulable
-from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
+from hil.config import RigConfig, RigError, load_rig
+from hil.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.loop import ControlLoop, Parts
 from hil.notify import Notifier
-from hil.realtime import EXIT_REALTIME, claim
+from hil.realtime import claim
 from hil.stability import refuse_unstable
 from hil.stage_clock import TimedCycle
 from hil.telemetry.mailbox import Mailbox
@@ -34,10 +35,6 @@ from hil.telemetry.provenance import describe_run
 from hil.telemetry.ring import RingError, RingWriter
 from hil.timing import TimingRecorder, read_timing
 from hil.watched_file import WatchedFile
-
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
-EXIT_SOFTWARE = 70  # EX_SOFTWARE
-TIMING_FILE = "timing"  # in the rig's runtime directory
 
 
 class RealtimeRefusedError(Exception):
@@ -116,9 +113,7 @@ def control_loop(
         ring = RingWriter(files.ring, rig.telemetry.ring_slots, period_ns=rig.period_ns, metadata=metadata)
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)
-        timing = TimingRecorder(
-            files.directory / TIMING_FILE, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict
-        )
+        timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(Parts(cycle, port, ring, mailbox, timing, held, rig_file, notifier), stage_clock)
 

@@ -21,7 +21,7 @@ from hil.sim import write_json
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
-from hil.telemetry.places import DEMO_PREFIX
+from hil.telemetry.places import DEMO_PREFIX, Places, places_in
 from hil.telemetry.recorder import RecordingError
 from hil.tick import CommandKind
 
@@ -67,9 +67,9 @@ class Scene(NamedTuple):
     out: Path
 
     @property
-    def rig_runtime(self) -> Path:
-        """The rig's part of the private runtime directory."""
-        return self.runtime / self.rig.name
+    def places(self) -> Places:
+        """The rig's files in the private runtime directory."""
+        return places_in(self.runtime, self.rig.name)
 
 
 class Signals:
@@ -145,7 +145,7 @@ class Demo:
 
     def _await_endpoint(self) -> str:
         """Where the sidecar listens, as soon as it does."""
-        place = self.scene.rig_runtime / "endpoint"
+        place = self.scene.places.endpoint
         until = time.monotonic() + START_S
         while not place.exists():
             self._check_alive()
@@ -192,7 +192,7 @@ class Demo:
             self.console.print(f"{status.fault} at tick {status.index}: this machine held a process up; resetting")
 
     def _command(self, client: RigClient, kind: CommandKind) -> None:
-        reply = client.command(kind, (self.scene.rig_runtime / "token").read_text(encoding="utf-8"))
+        reply = client.command(kind, self.scene.places.token.read_text(encoding="utf-8"))
         self._refusal = "" if reply.accepted else f"; {kind.name} was refused: {reply.reason}"
 
     def _look(self, client: RigClient) -> bool:
@@ -241,7 +241,7 @@ class Demo:
         if self.control.exit_status == 0:
             return
         try:
-            state = json.loads((self.scene.rig_runtime / "emulator.json").read_text(encoding="utf-8"))
+            state = json.loads(self.scene.places.emulator.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             self.troubles.append("the emulator left no word of its drives")
             return

@@ -10,15 +10,13 @@ import typer
 from drivers.bus import PortError, open_port
 from drivers.runtime import RuntimeDirectoryError
 from hil.config import RigConfig, RigError, load_rig
+from hil.exit_status import EXIT_UNAVAILABLE
 from hil.scenario import load_scenario
 from hil.telemetry.places import places
 from sim_plant.emulator import EmulatedStage
 from sim_plant.faults import Injector
 from sim_plant.live import Emulator
 from sim_plant.scenario import Scenario
-
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
-STATUS_FILE = "emulator.json"  # in the rig's runtime directory
 
 
 def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedStage:
@@ -59,7 +57,7 @@ def emulate(
         Injector(scenario, stage, None, config.period_ns)
     try:
         port = open_port(config.bus, role="device", fd=stage.fd)
-        target = status or places(config.name).directory / STATUS_FILE
+        target = status or places(config.name).emulator
     except (PortError, RuntimeDirectoryError) as error:
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from hil.config import TimingConfig
 
-EXIT_REALTIME = 77  # EX_NOPERM of sysexits.h: real time denied and [timing] allow_degraded is false
 DMA_LATENCY = "/dev/cpu_dma_latency"  # kernel: Documentation/power/pm_qos_interface.rst
 
 # A mapping this large of which hardly anything has ever been touched is somebody's reserve, not a working set.

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig, rig_hash
+from hil.config import RigConfig, RigError, load_rig, rig_hash
+from hil.exit_status import EXIT_CONFIG
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 PAPER = RIGS / "paper.toml"

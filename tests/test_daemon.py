@@ -89,7 +89,7 @@ def test_a_run_of_n_ticks_leaves_n_records_and_a_timing_file():
     assert len(records) == 301  # the stop asked for after 300 is carried out in the one after
     assert (records["cpu_ns"][5:].sum(axis=1) > 0).all()
     assert (records["index"][1:] > records["index"][:-1]).all()
-    timing = read_timing(places("paper").directory / "timing")
+    timing = read_timing(places("paper").timing)
     assert timing.counters["ticks"] == 301
     assert timing.counters["missed_own"] + timing.counters["missed_host"] == records["index"][-1] - 300
     assert timing.quantile("cpu", 0.5) > 0
@@ -134,7 +134,7 @@ def test_denied_real_time_is_refused_without_a_frame_unless_the_rig_allows_it():
     with RingReader(places("paper").ring) as ring:
         assert "core refused" in ring.metadata["realtime"]
         assert not any(ring.read().records["flags"] & REALTIME_OK)
-    timing = read_timing(places("paper").directory / "timing")
+    timing = read_timing(places("paper").timing)
     assert not timing.realtime_ok
     assert "core refused" in timing.verdict
 

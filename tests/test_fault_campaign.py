@@ -18,8 +18,9 @@ from hil.campaign.means import Means, fixed_means
 from hil.campaign.trials import TRIALS
 from hil.campaign.voyage import Cell, Leg, displaced, in_fork, legs, run_cell, sail
 from hil.cli import main
-from hil.config import EXIT_CONFIG, RigConfig, RigError, load_rig
+from hil.config import RigConfig, RigError, load_rig
 from hil.cycle import ControlCycle
+from hil.exit_status import EXIT_CONFIG
 from hil.faults import REACTIONS, Fault, FaultMonitor, Reaction
 from hil.gate import TorqueGate
 from hil.inbox import Inbox

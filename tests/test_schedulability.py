@@ -13,7 +13,8 @@ from drivers.response_time import ErrorModel
 from drivers.schedulability import Analysis, analyse, faults_tolerated
 from hil.check import refuse_unschedulable
 from hil.cli import build_app
-from hil.config import EXIT_CONFIG, RigError, load_rig
+from hil.config import RigError, load_rig
+from hil.exit_status import EXIT_CONFIG
 from tests.traffic import Simulation, random_messages
 
 MS = 1_000_000

@@ -259,7 +259,7 @@ def _collect(
 
 
 def _timing(rig: RigConfig) -> TimingSnapshot:
-    return read_timing(places(rig.name).directory / "timing")
+    return read_timing(places(rig.name).timing)
 
 
 def _resident(pid: int) -> int:

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
+from hil.exit_status import EXIT_UNAVAILABLE
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, find_endpoint
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 ROLLOVER = 1200  # points kept per line: two minutes at 10 Hz
 UPDATE_MS = 100
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728")

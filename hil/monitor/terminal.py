@@ -12,11 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.exit_status import EXIT_UNAVAILABLE
 from hil.sim import metres
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 STALE_S = 2.0
 POLL_S = 0.05
 LINE_INTERVAL_S = 1.0  # without a terminal

@@ -21,6 +21,15 @@ class Places(NamedTuple):
     mailbox: Path
     token: Path  # whoever can read it may command the rig
     endpoint: Path  # where the sidecar listens
+    timing: Path  # what hil/timing.py keeps of the loop
+    emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/live.py)
+
+
+def places_in(runtime: Path, rig_name: str) -> Places:
+    """The rig's files below that runtime directory; makes nothing."""
+    directory = runtime / rig_name
+    names = ("ring", "mailbox", "token", "endpoint", "timing", "emulator.json")
+    return Places(directory, *(directory / name for name in names))
 
 
 class AlreadyServedError(Exception):
@@ -28,10 +37,10 @@ class AlreadyServedError(Exception):
 
 
 def places(rig_name: str) -> Places:
-    """The rig's files; makes the (private) directory."""
-    directory = runtime_dir() / rig_name
-    make_private(directory)
-    return Places(directory, *(directory / name for name in Places._fields[1:]))
+    """The rig's files below this user's runtime directory; makes the rig's (private) part of it."""
+    found = places_in(runtime_dir(), rig_name)
+    make_private(found.directory)
+    return found
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ import typer
 
 from drivers.stop_signals import stop_signals
 from hil.config import RigConfig, load_rig
+from hil.exit_status import EXIT_UNAVAILABLE
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
@@ -30,7 +31,6 @@ from hil.telemetry.window import Window
 STATUS_NS = 100_000_000
 MAX_PERIOD = 0.1  # s; commands and the recorder's sign of life do not wait longer
 SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process to end before it
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 
 
 class Attached:

@@ -124,7 +124,7 @@ class LiveRig:
 
     def stage(self) -> dict[str, Any]:
         """What the emulated drives say of themselves, as of now (they write it twice a second)."""
-        path = places(self.name).directory / "emulator.json"
+        path = places(self.name).emulator
         asked = time.monotonic_ns()
         found: dict[str, Any] = {}
 
