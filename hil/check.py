@@ -15,7 +15,7 @@ from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
 from hil.config import RigConfig, RigError, load_rig
 from hil.exit_status import EXIT_CONFIG
-from hil.sim import write_json
+from hil.output import write_json
 from hil.stability import StabilityReport, check_stability
 
 

@@ -159,7 +159,7 @@ def compare(
     """All control laws (or velocity estimators) on the same task; tables, a picture, and JSON."""
     from rich.console import Console
 
-    from hil.sim import write_json
+    from hil.output import write_json
 
     changes = list(overrides or ())
     rig = load_rig(rig_file, changes)

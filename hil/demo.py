@@ -16,8 +16,8 @@ from rich.live import Live
 from drivers.runtime import make_private, runtime_dir
 from hil.config import RigConfig, load_rig
 from hil.monitor.terminal import line, view
+from hil.output import write_json
 from hil.processes import Family
-from hil.sim import write_json
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient

@@ -15,7 +15,7 @@ from rich.console import Console
 from drivers.frame import Frame
 from hil.config import RigConfig
 from hil.cycle import ControlCycle
-from hil.sim import write_json
+from hil.output import write_json
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.provenance import rig_of_run

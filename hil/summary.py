@@ -12,7 +12,7 @@ from rich.table import Table
 
 from hil.config import RigConfig
 from hil.faults import Fault
-from hil.sim import axis_table
+from hil.output import axis_table
 from hil.state_machine import State
 from hil.statistics import axis_statistics
 from hil.telemetry import codec

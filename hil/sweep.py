@@ -275,7 +275,7 @@ def sweep(
     """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
     from rich.console import Console
 
-    from hil.sim import write_json
+    from hil.output import write_json
 
     base = load_rig(rig_file, overrides or ())
     console = Console(stderr=json_target == "-")
@@ -324,7 +324,7 @@ def _case(path: Path, seconds: float, number: int, figures: Figures) -> dict[str
 def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) -> None:
     from rich.table import Table
 
-    from hil.sim import metres
+    from hil.output import metres
 
     title = f"{rig.name}, {rig.law.name}: {found['plant_ticks_per_s'] / 1e6:.2f} million plant-ticks/s"
     table = Table("axis", "error", "median", "90 %", "99 %", "worst", title=title, title_justify="left")

@@ -17,8 +17,8 @@ import typer
 
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws.base import Array
+from hil.output import metres
 from hil.rehearsal import LOST
-from hil.sim import metres
 from hil.stability import check_stability
 from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
 

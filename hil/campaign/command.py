@@ -17,7 +17,7 @@ from hil.campaign.report import blind_lines, document, terminal_table, write_htm
 from hil.campaign.voyage import Cell, Leg, displaced, legs, sail
 from hil.config import RigConfig, RigError, load_rig
 from hil.cycle import ControlCycle
-from hil.sim import write_json
+from hil.output import write_json
 
 PAPER = 150  # columns of a table that no terminal bounds
 SHIPPED = Path(__file__).parent.parent.parent / "deploy" / "rigs"

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.exit_status import EXIT_UNAVAILABLE
-from hil.sim import metres
+from hil.output import metres
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 

@@ -16,11 +16,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from hil.output import write_json
 from hil.paper.claims import Claim
 from hil.paper.experiment import STEPS, Job, Run, carry_out, jobs_of
 from hil.paper.figures import draw
 from hil.paper.outcome import Outcome, find_claims, outcome_of, page, problems, statements
-from hil.sim import write_json
 
 _channel: Any = None  # the worker's way to report its progress
 

@@ -1,0 +1,58 @@
+"""What commands say alike: JSON to a file or standard output, lengths for people, the table of axes."""
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from hil.config import RigConfig
+
+
+def write_json(document: Any, target: str) -> None:
+    """Write JSON (NaN as null) to a path, or to standard output for '-'."""
+    text = json.dumps(_without_nan(document), indent=2) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        Path(target).write_text(text, encoding="utf-8")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def metres(value: float, kind: str = "linear") -> str:
+    """A small length (or angle) for people."""
+    unit = "m" if kind == "linear" else "rad"
+    if not math.isfinite(value):
+        return "-"
+    for scale, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
+        if abs(value) >= scale:
+            return f"{value / scale:.3g} {prefix}{unit}"
+    return f"{round(value / 1e-9, 3):.3g} n{unit}"  # less than that is rounding, not motion
+
+
+def axis_table(rig: RigConfig, axes: dict[str, dict[str, float]], title: str) -> Table:
+    """Per axis: errors, peak force, chatter."""
+    table = Table(
+        "axis", "max error", "RMS error", "plateau", "peak force", "chatter", title=title, title_justify="left"
+    )
+    for name, row in axes.items():
+        kind = rig.axes[name].kind
+        force = "N" if kind == "linear" else "N m"
+        table.add_row(
+            name,
+            metres(row["max_error"], kind),
+            metres(row["rms_error"], kind),
+            metres(row["plateau_error"], kind),
+            f"{row['peak_force']:.3g} {force}",
+            f"{row['chatter']:.3g} {force}",
+        )
+    return table
