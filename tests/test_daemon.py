@@ -197,20 +197,26 @@ def test_a_second_control_process_for_the_same_rig_is_refused_and_the_first_does
         assert first.finish()[0] == 0
 
 
+def until(reader, seen):
+    """Until `seen` holds of the newest record."""
+    limit = time.monotonic() + PATIENCE_S
+    while time.monotonic() < limit:
+        batch = reader.read().records
+        if len(batch) and seen(batch[-1]):
+            return
+        time.sleep(0.01)
+    raise AssertionError(f"never seen within {PATIENCE_S} s")
+
+
 def test_changing_the_rig_file_during_a_run_is_seen_and_forbids_activation(tmp_path):
     rig = tmp_path / "paper.toml"
     rig.write_text(PAPER.read_text())
     with emulated(), Control(rig=rig) as control:
         reader = control.wait_for(State.READY)
         rig.write_text(PAPER.read_text().replace("force = 5.0,", "force = 50.0,"))
-        limit = time.monotonic() + PATIENCE_S
-        while time.monotonic() < limit:
-            batch = reader.read().records
-            if len(batch) and not batch["flags"][-1] & RIG_OK:
-                break
-            time.sleep(0.01)
+        until(reader, lambda record: not record["flags"] & RIG_OK)
         order(CommandKind.ACTIVATE)
-        time.sleep(0.2)
+        until(reader, lambda record: record["commands_refused"] > 0)
         control.process.terminate()
         assert control.finish()[0] == 0
     records = every_record()
@@ -233,9 +239,12 @@ def test_systemd_hears_of_readiness_and_progress_from_the_loop_alone(tmp_path):
         first = listener.recv(4096).decode()
         assert "READY=1" in first.splitlines()
         assert "WATCHDOG=1" in first.splitlines()
-        heard = [first]
+        heard, limit = [first], time.monotonic() + PATIENCE_S
         while "STATUS=READY" not in heard[-1]:
+            assert time.monotonic() < limit, heard[-1]
             heard.append(listener.recv(4096).decode())
+            if len(heard) % 20 == 0:
+                order(CommandKind.RESET)  # where this machine has let the drives' watchdogs trip
         assert all("WATCHDOG=1" in text for text in heard)
         control.process.send_signal(signal.SIGSTOP)  # a wedged loop
         os.waitpid(control.process.pid, os.WUNTRACED)

@@ -10,14 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.frame import BRS, FD, Frame
-from drivers.protocols import device_protocol
-from drivers.protocols.base import Command
 from hil.state_machine import State
 from hil.telemetry.mailbox import MailboxError
 from hil.telemetry.places import places
 from hil.tick import CommandKind
-from tests.live_rig import PAPER, PATIENCE_S, Control, Emulator, emulated, order, rig_with
+from tests.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 
 pytestmark = pytest.mark.live
 WATCHDOG = ("plant.watchdog_s=0.01",)
@@ -155,17 +152,3 @@ def test_a_full_runtime_folder_is_refused_before_any_torque(tmp_path: Path, monk
         assert str(folder) in err or "space" in err
     finally:
         subprocess.run(["umount", str(folder)], check=True)
-
-
-def test_the_last_thing_said_before_a_clean_exit_is_zero() -> None:
-    with emulated(PATIENT) as emulator, Control() as control:
-        reader = control.wait_for(State.READY)
-        order(CommandKind.ACTIVATE)
-        control.wait_for(State.ACTIVE, reader)
-        end_it(control, signal.SIGTERM, emulator)
-        rig = rig_with()
-        layout = device_protocol(rig.bus, 2, [axis.rated_force for axis in rig.axes.values()], PAPER.parent)
-        arrived, data = emulator.commands[-1]
-        last = layout.decode_command(Frame(rig.bus.host_id, data, FD | BRS, arrived))
-        assert isinstance(last, Command)
-        assert (list(last.force), last.enable) == ([0.0, 0.0], 0)
