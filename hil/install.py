@@ -93,21 +93,31 @@ def network_files(bus: BusConfig, *, fd: bool) -> Files:
     }
 
 
-def unit_drop_in(rig: RigConfig, cpus: int) -> str:
-    """The rig's own part of its control unit: bound to its CAN device, on its CPU."""
-    device = f"sys-subsystem-net-devices-{escape(rig.bus.channel)}.device"
-    lines = ["[Unit]", f"BindsTo={device}", f"After={device}"]
-    if rig.timing.cpu >= 0 or cpus > 1:
-        lines += ["", "[Service]", f"CPUAffinity={rig.timing.cpu if rig.timing.cpu >= 0 else cpus - 1}"]
+def device_of(rig: RigConfig) -> str:
+    """The systemd device unit of the rig's CAN interface."""
+    return f"sys-subsystem-net-devices-{escape(rig.bus.channel)}.device"
+
+
+def unit_drop_in(rig: RigConfig, cpu: int | None = None) -> str:
+    """The rig's own part of a unit: bound to its CAN device and, where one is given, to a CPU."""
+    lines = ["[Unit]", f"BindsTo={device_of(rig)}", f"After={device_of(rig)}"]
+    if cpu is not None:
+        lines += ["", "[Service]", f"CPUAffinity={cpu}"]
     return "\n".join([f"# written by `hil install` for rig {rig.name}", *lines, ""])
+
+
+def control_cpu(rig: RigConfig, cpus: int) -> int | None:
+    """The CPU of the control unit: the one of [timing], else the last of so many; None where there is but one."""
+    if rig.timing.cpu >= 0:
+        return rig.timing.cpu
+    return cpus - 1 if cpus > 1 else None
 
 
 def rig_links(rig: RigConfig, unit_directory: str, *, emulator: bool) -> Links:
     """Which units hil.target starts, and which the CAN device brings back when it is plugged in again."""
-    device = f"sys-subsystem-net-devices-{escape(rig.bus.channel)}.device"
     bound = ["hil-control", "hil-emulator"] if emulator else ["hil-control"]
     started = [*bound, "hil-sidecar"]
-    wants = [("hil.target", unit) for unit in started] + [(device, unit) for unit in bound]
+    wants = [("hil.target", unit) for unit in started] + [(device_of(rig), unit) for unit in bound]
     return {
         f"etc/systemd/system/{wanting}.wants/{unit}@{rig.name}.service": f"/{unit_directory}/{unit}@.service"
         for wanting, unit in wants
@@ -116,16 +126,11 @@ def rig_links(rig: RigConfig, unit_directory: str, *, emulator: bool) -> Links:
 
 def rig_files(rig: RigConfig, *, fd: bool, emulator: bool) -> Files:
     """Everything but the rig file itself that belongs to one rig."""
-    drop_in = unit_drop_in(rig, os.cpu_count() or 1)
-    units = ["hil-control", "hil-emulator"] if emulator else ["hil-control"]
-    return {
-        **network_files(rig.bus, fd=fd),
-        **{f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": drop_in for unit in units[:1]},
-        **{
-            f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": drop_in.partition("\n[Service]")[0]
-            for unit in units[1:]
-        },
-    }
+    drop_ins = {"hil-control": unit_drop_in(rig, control_cpu(rig, os.cpu_count() or 1))}
+    if emulator:
+        drop_ins["hil-emulator"] = unit_drop_in(rig)
+    places = {f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": text for unit, text in drop_ins.items()}
+    return {**network_files(rig.bus, fd=fd), **places}
 
 
 def _digest(text: str) -> str:
