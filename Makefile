@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-slow lint lock proto profile hashes
+.PHONY: help setup run test test-slow lint lock proto docs mutants hashes profile
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -41,7 +41,6 @@ include deploy/vm/vm.mk
 include deploy/package.mk
 include deploy/compiled.mk
 
-.PHONY: proto
 proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
 
