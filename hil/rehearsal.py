@@ -238,8 +238,9 @@ class _Run:
         fresh = inputs.fresh != 0.0
         self._error = np.where(fresh, stage.position - inputs.sample.position, self._error)
         self._force_before = self._force
-        self._force = of_limit = self._bounds.limit(asked, self._force, self._measured)
-        self._net = [nominal_net_force(of_limit, of.model, inputs.mean_velocity, inputs.mean_sign), self._net[0]]
+        self._force = self._bounds.limit(asked, self._force, self._measured)
+        net = nominal_net_force(self._force, of.model, inputs.mean_velocity, inputs.mean_sign)
+        self._net = [net, self._net[0]]
         if tick:  # until the first command arrives the brakes hold the stage
             stage.advance(tick, self._applied)
         sent = self._force.astype(np.float32).astype(np.float64)

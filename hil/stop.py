@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 from hil.laws.base import Model
 
-TIME_CONSTANT_S = (
-    0.008  # six of them fit into the default 50 ms; eight periods of the loop, so the delay does not matter
-)
+# Six of them fit into the default 50 ms; eight periods of a loop at 1 kHz, so that its delay does not matter.
+TIME_CONSTANT_S = 0.008
 
 
 class DampedStop:

@@ -24,6 +24,7 @@ from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
 from hil.laws.base import Array
 from hil.lockstep import LockstepRun, simulate
+from hil.trajectories import make_trajectory
 from sim_plant.stage import Truth
 
 CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
@@ -125,8 +126,6 @@ def jobs(
             ["hil sweep batches the layout stage_fd on a wire without jitter and loss (bus.protocol, [wire])"]
         )
     single = plant_rig(rig, seed, 0, hard)
-    from hil.trajectories import make_trajectory
-
     steady_from = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
     ticks = round(seconds * 1e9 / rig.period_ns) - startup_ticks(single, base_dir)
     steady = FIRST_ON_TASK + steady_from // rig.period_ns

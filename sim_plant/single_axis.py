@@ -1,4 +1,6 @@
-"""One axis of floats: the formulas of axis.py with parameters bound and absent terms left out, at a third of the cost.
+"""One axis of floats: the formulas of axis.py with parameters bound and absent terms left out.
+
+It costs two thirds of the general ones where friction is all that acts, a third with ripple and a Stribeck peak.
 
 A lockstep run and the live emulator spend their time here, one axis at a time, where an array of one costs more than
 the arithmetic. Every operation comes in the order it has in axis.py, friction.py and cell.py, so that the bits are the

@@ -262,7 +262,7 @@ class Stage:
 
 
 def _advance_many(axis: Axis, state: State, drive: Array, h: float) -> State:
-    """As `substeps` and `advance_piece` for an array: axes that need equally many substeps go together."""
+    """As one piece of `SingleAxis.advance`, for an array: axes that need equally many substeps go together."""
     work = effort(axis, state.velocity, drive, h)
     count = np.ones(work.shape)
     while np.any(short := (count * ACCURACY < work) & (count < MAX_SUBSTEPS)):

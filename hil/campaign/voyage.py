@@ -257,8 +257,8 @@ def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
 
 
 def displaced(rig: RigConfig) -> RigConfig:
-    """The rig with its axes a tenth of the travel off zero, where it does not say itself where they begin: every axis
-    then has a way home and an approach.
+    """The rig with its axes a twentieth of the travel off zero, where it does not say itself where they begin: every
+    axis then has a way home and an approach.
     """
     if any(per_axis(rig.plant.initial_position, len(rig.axes))):
         return rig

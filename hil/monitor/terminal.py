@@ -51,13 +51,11 @@ def axis_rows(status: pb.Status) -> Table:
     table = Table("axis", "position", "setpoint", "max error, last s", "force", "drive", expand=True)
     columns = (status.axes, status.units, status.position, status.setpoint, status.max_error, status.force)
     for name, unit, position, setpoint, error, force, drive in zip(*columns, status.drive_status, strict=False):
-        kind = "linear" if unit == "m" else "rotary"
-        scale, prefix = (1e3, "m")
         table.add_row(
             name,
-            f"{position * scale:+.6f} {prefix}{unit}",
-            f"{setpoint * scale:+.6f} {prefix}{unit}",
-            metres(error, kind),
+            f"{position * 1e3:+.6f} m{unit}",
+            f"{setpoint * 1e3:+.6f} m{unit}",
+            metres(error, "linear" if unit == "m" else "rotary"),
             f"{force:+.4f} {'N' if unit == 'm' else 'N m'}",
             drive_words(drive),
         )

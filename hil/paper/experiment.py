@@ -55,7 +55,7 @@ class Run:
 
 
 def jobs_of(claim: str) -> list[Job]:
-    """Every run a claim needs, the longest last-named step included."""
+    """Every run a claim needs: each variant with each of STEPS, or once where the solver chooses its steps."""
     return [
         Job(claim, index, step)
         for index, variant in enumerate(CLAIMS[claim].variants)

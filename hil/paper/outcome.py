@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.paper.claims import CLAIMS, INFEASIBLE, Claim, agrees, judge
+from hil.paper.claims import CLAIMS, HOLDS, INFEASIBLE, Claim, agrees, judge
 from hil.paper.experiment import Job, Run
 from hil.paper.figures import Figure, embedded
 from hil.paper.problem import KD, KP, MASS
@@ -93,7 +93,7 @@ def _sampled(claim: Claim) -> Outcome:
     """The lowest rate at which the paper's gains are stable, force one period late, velocity by finite difference."""
     axes = zip(MASS.tolist(), KP, KD, strict=True)
     x, y = (finite_difference_lowest_rate(mass, kp, kd) for mass, kp, kd in axes)
-    verdict = INFEASIBLE if max(x, y) > 1000.0 else "holds"
+    verdict = INFEASIBLE if max(x, y) > 1000.0 else HOLDS
     same = all(abs(ours - said) <= SAMPLED_SHARE * said for ours, said in zip((x, y), SAMPLED_HZ, strict=True))
     return Outcome(claim, (), (), verdict, same, (x, y))
 

@@ -52,12 +52,11 @@ def circle(t: float) -> Setpoint:
 class ContinuousLaw:
     """A law as the paper writes it: the exact state goes in, at one instant, and the force acts at that instant.
 
-    Several states can be tried at once: position and velocity are (..., 2). `evaluations` counts calls.
+    Several states can be tried at once: position and velocity are (..., 2).
     """
 
     def __init__(self, law: Law, shape: tuple[int, ...]) -> None:
         self.law = law
-        self.evaluations = 0
         self._inputs = blank_inputs(shape)
         self._inputs.fresh[:] = 1.0
         law.reset(np.zeros(shape), np.zeros(shape))
@@ -65,7 +64,7 @@ class ContinuousLaw:
     @property
     def floors(self) -> int:
         """How often a denominator of the law was held at its floor so far, over all states tried."""
-        return int(getattr(self.law, "denominator_floors", 0))
+        return self.law.denominator_floors
 
     def force(self, t: float, position: Array, velocity: Array) -> Array:
         """tau (N), (..., 2); the law's own array, valid until the next call."""
@@ -76,6 +75,5 @@ class ContinuousLaw:
             reference.position, reference.velocity, reference.acceleration = target
         inputs.mean_velocity, inputs.mean_acceleration = target.velocity, target.acceleration
         inputs.mean_sign = np.sign(target.velocity)
-        self.evaluations += 1
         force: Array = self.law.force(inputs)
         return force

@@ -35,7 +35,6 @@ _LOCKSTEP_BATCH = 50  # ticks
 RUN_ATTACHMENT = "run.json"
 _SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
 
-
 _RECORD_LIMIT = 256 * 2**20
 _CUT_SHORT = (McapError, ValueError, struct.error, zstandard.ZstdError)  # what a file that ends anywhere can cause
 
