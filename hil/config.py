@@ -60,7 +60,9 @@ class AxisConfig(BaseModel):
     kind: Literal["linear", "rotary"] = "linear"
     encoder_resolution: Resolution  # m or rad per count
     rated_force: Positive  # N or N m; full scale of the bus layouts that carry per-mille or counts
-    safe: Literal["release", "brake"] = "release"  # at zero torque: free to move, or held by its brake
+    # At zero torque: free to move, or held by its brake. For whoever reads the file: the drive does it, nothing here
+    # acts on it, and the emulated drive goes by plant.brake.
+    safe: Literal["release", "brake"] = "release"
     limits: LimitsConfig
     model: ModelConfig
 

@@ -51,7 +51,7 @@ class PlantConfig(BaseModel):
     brake: bool | list[bool] = False  # the axis has a brake, engaged by its drive whenever it applies no torque
     brake_force: Positive | list[Positive] = 100.0  # N (N m) the brake holds
     watchdog_s: Annotated[float, Field(gt=0, le=1)] = 0.01  # no valid command for this long: zero torque, latched
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1  # of nothing yet: noise is a scenario's, loss and jitter the wire's
 
     @model_validator(mode="after")
     def _one_cell_per_axis(self) -> "PlantConfig":
