@@ -173,7 +173,6 @@ class SafetyConfig(BaseModel):
     """[safety]: thresholds of hil/faults.py, in ticks unless named otherwise."""
 
     model_config = STRICT
-    hold_ticks: Annotated[int, Field(ge=1, le=2)] = 2
     silent_stop_ticks: Ticks = 3
     silent_zero_ticks: Ticks = 10
     bad_frame_limit: Ticks = 5
