@@ -11,8 +11,9 @@ from hil.scenario import load_scenario
 from hil.state_machine import State
 from sim_plant.scenario import Scenario
 
-ROOT = Path(__file__).parents[1]
-RIG = ROOT / "deploy/rigs/microscope.toml"
+DEPLOY = Path(__file__).parents[1] / "deploy"
+RIG = DEPLOY / "rigs/microscope.toml"
+SHIPPED = sorted(DEPLOY.glob("scenarios/*.toml"))
 
 
 def run(scenario: Scenario | None, ticks: int) -> LockstepRun:
@@ -24,8 +25,9 @@ def run(scenario: Scenario | None, ticks: int) -> LockstepRun:
     return lockstep
 
 
-def test_the_example_scenario_fits_its_rig() -> None:
-    assert len(load_scenario(ROOT / "deploy/examples/faults.toml", load_rig(RIG)).fault) == 3
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_scenario_we_ship_fits_the_microscope(path: Path) -> None:
+    assert len(load_scenario(path, load_rig(RIG)).fault) == 3
 
 
 def test_a_phase_or_state_the_rig_does_not_have_is_refused_with_the_allowed_ones(tmp_path: Path) -> None:
