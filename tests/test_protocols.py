@@ -20,7 +20,6 @@ from drivers.frame import BRS, ECHO, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
-from drivers.protocols.cia402 import separate_rpdo_messages
 from drivers.protocols.compiled import compile_codec, load_dbc
 from drivers.schedulability import analyse
 
@@ -286,12 +285,6 @@ def test_every_layout_fits_its_tick_as_designed(protocol: str, tick_us: int) -> 
     analysis = analyse(messages, 1_000_000, 5_000_000)
     assert analysis.schedulable
     assert analysis.tick_ns == tick_us * 1000
-
-
-def test_four_separate_rpdos_fill_the_bus_and_leave_no_room_for_services() -> None:
-    messages = separate_rpdo_messages(1, 4, 1_000_000)
-    assert analyse(messages[:9], 1_000_000, 1_000_000).bus_load == pytest.approx(0.985)
-    assert not analyse(messages, 1_000_000, 1_000_000).schedulable
 
 
 @pytest.mark.parametrize("protocol", [*STAGES, "cia402"])

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.protocols.base import Message
-from drivers.protocols.cia402 import cia402_messages, separate_rpdo_messages, service_messages
+from drivers.protocols.cia402 import cia402_messages, service_messages
 from drivers.response_time import ErrorModel
 from drivers.schedulability import Analysis, analyse, faults_tolerated
 from hil.check import refuse_unschedulable
@@ -83,9 +83,10 @@ def test_separate_rpdos_do_not_fit_once_sdo_and_heartbeats_are_in() -> None:
 
 
 def test_the_cia402_protocol_says_of_its_traffic_what_fits() -> None:
+    services = service_messages(1, 4, MS)
+    assert any(message.sender == "host" for message in services)
     assert at_1_mbit(cia402_messages(1, 4, MS)).schedulable
-    assert not at_1_mbit(separate_rpdo_messages(1, 4, MS)).schedulable
-    assert any(message.sender == "host" for message in service_messages(1, 4, MS))
+    assert not at_1_mbit(SEPARATE + services).schedulable  # the usual layout, an RPDO for each drive
 
 
 def test_a_service_frame_that_spills_over_stands_before_the_next_tick_s_commands() -> None:

@@ -249,34 +249,16 @@ def _interpret(word: int) -> tuple[DriveState, int] | None:
 
 def cia402_messages(node_id: int, n_axes: int, period_ns: int) -> list[Message]:
     """Traffic of the shared-RPDO layout for the schedulability analysis."""
-    rpdo = [Message("torques", cia301.RPDO1_ID + node_id, 2 * n_axes, False, period_ns, period_ns, 0, "host")]
-    return rpdo + _sync_and_feedback(node_id, n_axes, period_ns, 6) + service_messages(node_id, n_axes, period_ns)
-
-
-def separate_rpdo_messages(node_id: int, n_axes: int, period_ns: int) -> list[Message]:
-    """Traffic of the usual CANopen layout: an RPDO per drive (6040h, 6071h), 8-byte TPDOs. It does not fit 1 kHz."""
-    rpdos = [
-        Message(f"torque {axis}", cia301.RPDO1_ID + node_id + axis, 4, False, period_ns, period_ns, 0, "host")
-        for axis in range(n_axes)
-    ]
-    return rpdos + _sync_and_feedback(node_id, n_axes, period_ns, 8) + service_messages(node_id, n_axes, period_ns)
-
-
-def _sync_and_feedback(node_id: int, n_axes: int, period_ns: int, length: int) -> list[Message]:
-    sync = Message("sync", cia301.SYNC_ID, 1, False, period_ns, period_ns, 0, "host")
-    return [sync] + [
-        Message(
-            f"feedback {axis}",
-            cia301.TPDO1_ID + node_id + axis,
-            length,
-            False,
-            period_ns,
-            period_ns,
-            0,
-            f"axis {axis}",
-            "sync",
-        )
-        for axis in range(n_axes)
+    return [
+        Message("torques", cia301.RPDO1_ID + node_id, 2 * n_axes, False, period_ns, period_ns, 0, "host"),
+        Message("sync", cia301.SYNC_ID, 1, False, period_ns, period_ns, 0, "host"),
+        *(
+            Message(
+                f"feedback {a}", cia301.TPDO1_ID + node_id + a, 6, False, period_ns, period_ns, 0, f"axis {a}", "sync"
+            )
+            for a in range(n_axes)
+        ),
+        *service_messages(node_id, n_axes, period_ns),
     ]
 
 
