@@ -13,9 +13,9 @@ import pytest
 from hil.bench import harness
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
 from hil.bench.jitter import lateness_in_histogram, stalls
-from hil.bench.live import calls_per_tick
+from hil.bench.live import build_reference, calls_per_tick
 from hil.bench.lockstep import measure
-from hil.bench.tick import allocations_per_tick, build_reference
+from hil.bench.tick import C_SOURCE, allocations_per_tick
 from hil.config import load_rig
 
 RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
@@ -103,7 +103,7 @@ def test_the_clock_reader_counts_the_periods_of_cpu_time_between_two_readings_of
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: the C reference of hil bench tick is not built")
 def test_the_c_reference_compiles_and_says_how_it_is_called(tmp_path):
-    program = build_reference(tmp_path)
+    program = build_reference(C_SOURCE, tmp_path)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "BUS_DIRECTORY" in done.stderr

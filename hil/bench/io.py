@@ -6,7 +6,6 @@ that has come, so that nothing old is left for the next tick. The frames to rece
 measured part, so that one side alone is measured; the cost of reading the CPU clock is taken off in all three.
 """
 
-import shutil
 import subprocess
 import tempfile
 import time
@@ -23,7 +22,7 @@ from drivers.bus import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame
 from hil.bench.harness import Block, Case, Figures, as_json, block_table, interleave, publish, ratios, spread, values_of
-from hil.bench.live import BenchError, private_bus
+from hil.bench.live import BenchError, build_reference, private_bus
 
 C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "io.c"
 OURS, PYTHON_CAN, C_PROGRAM = "ours", "python_can", "c"
@@ -41,22 +40,12 @@ def io(
     """One tick's I/O through the bus layer: against python-can and against C, in one run."""
     try:
         with private_bus(), tempfile.TemporaryDirectory() as build:
-            measured = measure(build_reference(Path(build)), blocks, ticks)
+            measured = measure(build_reference(C_SOURCE, Path(build)), blocks, ticks)
     except BenchError as error:
         raise typer.BadParameter(str(error)) from None
     result = summarise(measured)
     table = block_table("CPU per tick, 4 frames received and 1 sent, us", measured, ["cpu_us"], digits=2)
     publish(result, [table], as_json_to, _lines(result))
-
-
-def build_reference(directory: Path) -> Path:
-    """Compile io.c. Raises BenchError without a compiler or outside a checkout."""
-    compiler = shutil.which("cc")
-    if not compiler or not C_SOURCE.exists():
-        raise BenchError(f"needs a C compiler (apt install gcc) and {C_SOURCE}")
-    program = directory / "io"
-    subprocess.run([compiler, "-O2", "-o", str(program), str(C_SOURCE)], check=True)
-    return program
 
 
 def measure(program: Path, blocks: int, ticks: int) -> list[Block]:

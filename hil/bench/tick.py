@@ -29,7 +29,17 @@ from hil.bench.harness import (
     spread,
     values_of,
 )
-from hil.bench.live import TO_THE_DEADLINE, BenchError, Run, cores, emulator, local, private_bus, run_control
+from hil.bench.live import (
+    TO_THE_DEADLINE,
+    BenchError,
+    Run,
+    build_reference,
+    cores,
+    emulator,
+    local,
+    private_bus,
+    run_control,
+)
 from hil.config import RigConfig, load_rig
 from hil.timing import STAGES
 
@@ -52,22 +62,12 @@ def tick(
         raise typer.BadParameter("the C program speaks stage_fd only")
     try:
         with private_bus(), tempfile.TemporaryDirectory() as build:
-            program = build_reference(Path(build))
+            program = build_reference(C_SOURCE, Path(build))
             measured, runs, calls = _measure(rig, sets, config, program, blocks, ticks)
     except BenchError as error:
         raise SystemExit(f"hil bench tick: {error}") from None
     result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
     publish(result, [_table(measured)], as_json_to, _lines(result))
-
-
-def build_reference(directory: Path) -> Path:
-    """Compile tick.c. Raises BenchError without a compiler or outside a checkout."""
-    compiler = shutil.which("cc")
-    if not compiler or not C_SOURCE.exists():
-        raise BenchError(f"needs a C compiler (apt install gcc) and {C_SOURCE}")
-    program = directory / "tick"
-    subprocess.run([compiler, "-O2", "-o", str(program), str(C_SOURCE), "-lm"], check=True)
-    return program
 
 
 def _measure(
