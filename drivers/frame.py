@@ -1,20 +1,20 @@
 """One CAN or CAN FD frame, in the terms of Linux's can_frame and canfd_frame (include/uapi/linux/can.h)."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 # What a NamedTuple's constructor ends in, without its detour through Python: for the innermost loops.
 new_tuple = tuple.__new__
 
-EXTENDED = 0x80000000  # CAN_EFF_FLAG, in can_id
-REMOTE = 0x40000000  # CAN_RTR_FLAG, in can_id
-ERROR = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic
-STANDARD_MASK = 0x7FF
-EXTENDED_MASK = 0x1FFFFFFF
+EXTENDED: Final = 0x80000000  # CAN_EFF_FLAG, in can_id
+REMOTE: Final = 0x40000000  # CAN_RTR_FLAG, in can_id
+ERROR: Final = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic
+STANDARD_MASK: Final = 0x7FF
+EXTENDED_MASK: Final = 0x1FFFFFFF
 
-BRS = 0x01  # CANFD_BRS, in flags: data phase at the data bit rate
-ESI = 0x02  # CANFD_ESI, in flags: the sender is error-passive
-FD = 0x04  # CANFD_FDF, in flags: an FD frame
-ECHO = 0x80  # in flags, on no wire: an own frame given back by the bus, stamped with when it was out (MSG_CONFIRM)
+BRS: Final = 0x01  # CANFD_BRS, in flags: data phase at the data bit rate
+ESI: Final = 0x02  # CANFD_ESI, in flags: the sender is error-passive
+FD: Final = 0x04  # CANFD_FDF, in flags: an FD frame
+ECHO: Final = 0x80  # in flags, on no wire: an own frame given back by the bus, stamped with when it was out
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 

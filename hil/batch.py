@@ -15,7 +15,7 @@ from hil.estimation import MotionFilter, design_gains, per_axis
 from hil.gate import ForceLimits
 from hil.laws import make_law
 from hil.laws.base import Array, Law, axis_inputs
-from hil.laws.per_axis import gather
+from hil.laws.coupled import gather
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.trajectories import make_trajectory, task_repeat
 from sim_plant.stage import Stage, Truth

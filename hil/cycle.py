@@ -6,8 +6,8 @@ Output depends on the rig, the inputs and this object's own state alone; time co
 
 import math
 from collections.abc import Sequence
-from operator import sub
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from hil.gate import TorqueGate
 from hil.homing import plan_homing
 from hil.inbox import Inbox
 from hil.laws import make_axis_laws
-from hil.laws.base import axis_inputs, axis_model
+from hil.laws.base import AxisLaws, axis_inputs, axis_model
 from hil.sampling import Sampling
 from hil.setpoints import Setpoints, nominal_net_force
 from hil.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
@@ -32,10 +32,22 @@ from hil.telemetry.record import MAX_COMMANDS, RecordBuilder
 from hil.tick import BusState, CycleResult, Tick
 from hil.trajectories import plan_task, task_repeat
 
-_OF_THE_SHELL = (0, 0, 0)  # slots missed: the record's fields that the shell fills in
-RESET_TICKS = 3  # with the reset bit clear, then set: the drives see its edge even if two frames of each are lost
-ESTIMATE, CONTROL, GATE, RECORD = range(4)  # the stages of a tick that follow the reading of it
-ENABLED, UNWELL = int(DriveStatus.ENABLED), int(UNHEALTHY)  # flags' own operators are slow
+RESET_TICKS: Final = 3  # with the reset bit clear, then set: drives see its edge even if two frames of each are lost
+# The stages of a tick that follow the reading of it.
+ESTIMATE: Final = 0
+CONTROL: Final = 1
+GATE: Final = 2
+RECORD: Final = 3
+ENABLED: Final = int(DriveStatus.ENABLED)  # flags' own operators are slow
+UNWELL: Final = int(UNHEALTHY)
+# So is looking an enum's member up, which compiled code would do at every use.
+_BOOT: Final = State.BOOT
+_CONNECTED: Final = State.CONNECTED
+_HOMING: Final = State.HOMING
+_ACTIVE: Final = State.ACTIVE
+_STOPPING: Final = State.STOPPING
+_SHUTDOWN: Final = State.SHUTDOWN
+_STOP: Final = Reaction.STOP
 
 
 class ControlCycle:
@@ -66,7 +78,7 @@ class ControlCycle:
         learning = rig.law.iterative_learning
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if learning else None
         force = np.array([axis.limits.force for axis in axes])
-        self.law = make_axis_laws(rig.law, model, period, force, repeat)
+        self.law: AxisLaws = make_axis_laws(rig.law, model, period, force, repeat)
         self.commands = CommandDesk()
         self.inputs = [axis_inputs() for _ in range(n)]
         resolution = [axis.encoder_resolution for axis in axes]
@@ -85,6 +97,7 @@ class ControlCycle:
         self._enabled_seen = False
         self._stopping_since_ns = 0
         self._sent_now_ns = 0
+        self._heartbeat_s = rig.safety.heartbeat_s
         self._zero = [0.0] * n
         self._measured = self._requested = self._zero
         self._net_last = self._net_before = self._zero  # the filters' known input, N
@@ -123,30 +136,34 @@ class ControlCycle:
         sampling = self.sampling
         sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
         found = not sampling.tracked and all(self.inbox.heard)
-        each = zip(self.inputs, self.filters, sampling.clocks, self._net_before, self._net_last, strict=True)
-        for x, motion, clock, before, last in each:
-            motion.correct(before, x.sample_interval, x.position, x.fresh, clock.stretch)
+        clocks, filters, measured = sampling.clocks, self.filters, []
+        for axis, x in enumerate(self.inputs):
+            motion = filters[axis]
+            motion.correct(self._net_before[axis], x.sample_interval, x.position, x.fresh, clocks[axis].stretch)
             if found:
                 motion.reseed(x.position)
             elif not x.fresh and sampling.tracked:
                 x.position = motion.position
-            motion.look_ahead(last, x.ahead)
+            motion.look_ahead(self._net_last[axis], x.ahead)
             motion.tell(x)
+            measured.append(x.position)
         sampling.tracked = sampling.tracked or found
-        self._measured = [x.position for x in self.inputs]
+        self._measured = measured
         self.setpoints.update(sampling.instants, sampling.starts)
 
     def _check_motion(self, tick: Tick) -> None:
-        if self.machine.state not in TORQUE_STATES:
-            self.monitor.check_released(self.inbox)
+        monitor, state = self.monitor, self.machine.state
+        if state not in TORQUE_STATES:
+            monitor.check_released(self.inbox)
             return
-        monitor, following = self.monitor, self.machine.state is not State.STOPPING
-        for axis, (x, motion, force) in enumerate(zip(self.inputs, self.filters, self.gate.force, strict=True)):
+        filters, let_out, following = self.filters, self.gate.force, state is not _STOPPING
+        for axis, x in enumerate(self.inputs):
+            motion = filters[axis]
             monitor.check_filter(axis, motion.innovation)
             monitor.check_motion(
-                axis, x.position, motion.velocity, force, x.sample, x.end.position, following=following
+                axis, x.position, motion.velocity, let_out[axis], x.sample, x.end.position, following=following
             )
-        heartbeat = self.rig.safety.heartbeat_s
+        heartbeat = self._heartbeat_s
         if heartbeat and tick.now_ns - (self.commands.heartbeat_ns or 0) > heartbeat * 1e9:
             monitor.see(Fault.HEARTBEAT_LOST)
 
@@ -154,12 +171,13 @@ class ControlCycle:
 
     def _advance(self, tick: Tick) -> None:
         """Faults first, then exit, then the operator, then what the state itself has reached."""
-        if self.machine.state is State.BOOT:
+        if self.machine.state is _BOOT:
             self._handle(Event.BUS_UP, tick)
-        fault, reaction = self.monitor.judge(self.machine.state)
-        if reaction >= Reaction.STOP:
-            self._latch(fault, reaction, tick)
-        if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
+        if self.monitor.active:
+            fault, reaction = self.monitor.judge(self.machine.state)
+            if reaction >= _STOP:
+                self._latch(fault, reaction, tick)
+        if tick.stop and self.machine.state not in (_STOPPING, _SHUTDOWN):
             self._handle(Event.EXIT, tick)
         self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
         self._progress(tick)
@@ -233,14 +251,14 @@ class ControlCycle:
 
     def _progress(self, tick: Tick) -> None:
         state = self.machine.state
-        if state is State.CONNECTED:
+        if state is _CONNECTED:
             self._await_axes(tick)
-        elif state in (State.ACTIVE, State.HOMING):
+        elif state is _ACTIVE or state is _HOMING:
             if not self._enabled_seen:
                 self._await_enable(tick)
-            elif state is State.HOMING and self._at_home():
+            elif state is _HOMING and self._at_home():
                 self._handle(Event.HOMED, tick)
-        elif state is State.STOPPING:
+        elif state is _STOPPING:
             elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
             if self._stop.over([motion.ahead_velocity for motion in self.filters], elapsed):
                 self._handle(self._after_stop(tick), tick)
@@ -288,8 +306,8 @@ class ControlCycle:
             self._mark(GATE)
             self._remember_force(tick)
             return []
-        for x, force in zip(self.inputs, gate.force, strict=True):
-            x.force_last = force
+        for axis, x in enumerate(self.inputs):
+            x.force_last = gate.force[axis]
         permitted = state in TORQUE_STATES
         if permitted:
             self._requested = self._ask(state)
@@ -309,7 +327,7 @@ class ControlCycle:
 
     def _ask(self, state: State) -> list[float]:
         """The force asked for, N per axis: of the damped stop, else of the law."""
-        if state is State.STOPPING:
+        if state is _STOPPING:
             return self._stop.force([motion.ahead_velocity for motion in self.filters])
         try:
             return self.law.force(self.inputs)
@@ -320,9 +338,10 @@ class ControlCycle:
         """The force just let out acts in the interval the setpoints' means belong to."""
         self._sent_now_ns = tick.now_ns
         self._net_before = self._net_last
+        let_out, models = self.gate.force, self.models
         self._net_last = [
-            nominal_net_force(force, model, x.mean_velocity, x.mean_sign)
-            for force, model, x in zip(self.gate.force, self.models, self.inputs, strict=True)
+            nominal_net_force(let_out[axis], models[axis], x.mean_velocity, x.mean_sign)
+            for axis, x in enumerate(self.inputs)
         ]
 
     # record -----------------------------------------------------------------------------------------------------------
@@ -331,15 +350,25 @@ class ControlCycle:
         records, inbox, inputs, filters = self._records, self.inbox, self.inputs, self.filters
         index, scheduled_ns, now_ns, port, _, stop, recorder_ok, realtime_ok, rig_ok = tick[:]
         flags = stop | recorder_ok << 1 | realtime_ok << 2 | rig_ok << 3 | bool(sent) << 4
-        measured, setpoint = self._measured, [x.sample.position for x in inputs]
+        measured, position, velocity, disturbance, innovation = self._measured, [], [], [], []
+        for motion in filters:
+            position.append(motion.position)
+            velocity.append(motion.velocity)
+            disturbance.append(motion.disturbance)
+            innovation.append(motion.innovation)
+        setpoint, setpoint_velocity, error = [], [], []
+        for axis, x in enumerate(inputs):
+            reference = x.sample
+            setpoint.append(reference.position)
+            setpoint_velocity.append(reference.velocity)
+            error.append(measured[axis] - reference.position)
         records.state(
             index, scheduled_ns, now_ns, self.machine.state, self.fault, self.monitor.active, flags,
             max(self.sent_sequence, 0), self.setpoints.task_ns,
-            *measured, *[f.position for f in filters], *[f.velocity for f in filters],
-            *[f.disturbance for f in filters], *[f.innovation for f in filters], *setpoint,
-            *[x.sample.velocity for x in inputs], *map(sub, measured, setpoint), *self._requested, *self.gate.force,
+            *measured, *position, *velocity, *disturbance, *innovation, *setpoint, *setpoint_velocity, *error,
+            *self._requested, *self.gate.force,
             *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port,
-            *inbox.rejects, inbox.lost, *_OF_THE_SHELL, self.machine.refused, self.commands.refused,
+            *inbox.rejects, inbox.lost, 0, 0, 0, self.machine.refused, self.commands.refused,
             self.law.denominator_floors, *self.gate.saturations,
         )  # fmt: skip
         records.traffic(self.commands.handled, sent, received)

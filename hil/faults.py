@@ -9,7 +9,7 @@ R3, and nothing more is sent until an explicit reset, so that the drives' own wa
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.protocols.base import DriveStatus
 from hil.config import SafetyConfig
@@ -150,17 +150,17 @@ RULES: dict[Fault, Rule] = {
     ),
 }
 
-_FAULTS = list(Fault)  # by number: an enum's own lookup is slow
+_FAULTS: Final = list(Fault)  # by number: an enum's own lookup is slow
 REACTIONS = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
-_BLOCKING = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
+_BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
 _STATUS_FAULTS = (
     (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
     (int(DriveStatus.WATCHDOG), Fault.DRIVE_WATCHDOG),
     (int(DriveStatus.ENCODER_FAULT), Fault.ENCODER_FAULT),
 )
-_BAD_STATUS = sum(bit for bit, _ in _STATUS_FAULTS)
-_ENABLED = int(DriveStatus.ENABLED)
-_ARMED = {state: sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State}
+_BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
+_ENABLED: Final = int(DriveStatus.ENABLED)
+_ARMED: Final = {state: sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State}
 
 
 class AxisLimits(NamedTuple):

@@ -1,6 +1,7 @@
 """From received frames to at most one trusted sample per axis and tick: layout, checksum, sequence, age."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from drivers.frame import Frame
 from drivers.protocols.base import HostProtocol, Reject, Sample
@@ -17,7 +18,7 @@ SUSPICIOUS = frozenset(
 )
 
 
-_NOT_EXPECTED = -2  # no sample has this sequence number
+_NOT_EXPECTED: Final = -2  # no sample has this sequence number
 
 
 class Inbox:

@@ -12,7 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
@@ -33,14 +33,14 @@ from hil.watched_file import WatchedFile
 
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
-_UNSIGNED_32 = 0xFFFFFFFF
-_NO_AGE = -1
+_UNSIGNED_32: Final = 0xFFFFFFFF
+_NO_AGE: Final = -1
 
 _FIELDS: dict[str, Any] = dict(RECORD_DTYPE.fields or {})
-_MISSED = struct.Struct("<3Q")  # missed_own, missed_host, longest_streak
-_MISSED_AT = int(_FIELDS["missed_own"][1])
-_STAGES = struct.Struct("<6I")  # cpu_ns, run_delay_ns
-_STAGES_AT = int(_FIELDS["cpu_ns"][1])
+_pack_missed: Final = struct.Struct("<3Q").pack_into  # missed_own, missed_host, longest_streak
+_MISSED_AT: Final = int(_FIELDS["missed_own"][1])
+_pack_stages: Final = struct.Struct("<6I").pack_into  # cpu_ns, run_delay_ns
+_STAGES_AT: Final = int(_FIELDS["cpu_ns"][1])
 
 
 class MissLedger:
@@ -193,9 +193,9 @@ class ControlLoop:
     def _complete(self) -> None:
         """The record's fields that only the shell knows."""
         ledger = self.ledger
-        _MISSED.pack_into(self._record_bytes, _MISSED_AT, ledger.own, ledger.host, ledger.longest)
+        _pack_missed(self._record_bytes, _MISSED_AT, ledger.own, ledger.host, ledger.longest)
         delay = min(ledger.run_delay_ns, _UNSIGNED_32) if self.pacer.skipped else 0
-        _STAGES.pack_into(self._record_bytes, _STAGES_AT, *self._stages, delay)
+        _pack_stages(self._record_bytes, _STAGES_AT, *self._stages, delay)
 
     def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:
         """Time per stage, for the timing file and the next record."""

@@ -6,15 +6,16 @@ learnt.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from drivers.protocols.base import Sample
 from hil.faults import FaultMonitor
 from hil.inbox import Inbox
 from hil.laws.base import LawInputs
 
-LATENCY_SHIFT = 6  # the send-to-sample latency is averaged over 64 samples
-LATENCY_STEP_NS = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
-LONGEST_PERIODS = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged all the same
+LATENCY_SHIFT: Final = 6  # the send-to-sample latency is averaged over 64 samples
+LATENCY_STEP_NS: Final = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
+LONGEST_PERIODS: Final = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged anyway
 
 
 class SampleClock:

@@ -1,10 +1,13 @@
 """Setpoints of one tick: at the samples' instants, and at both ends of the interval in which the coming force acts."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from hil.laws.base import LawInputs, Model
 from hil.number import Number
 from hil.trajectories import Trajectory
+
+_NEVER: Final = -(1 << 60)  # ns
 
 
 def nominal_net_force(force: Number, model: Model, mean_velocity: Number, mean_sign: Number) -> Number:
@@ -29,8 +32,8 @@ class Setpoints:
         n = len(self._inputs)
         self.trajectory: Trajectory | None = None
         self.origin = [0] * n  # ns on the samples' clock at which the task's time is 0
-        self._starts: list[int | None] = [None] * n  # task times that `start` and `end` are filled for
-        self._ends: list[int | None] = [None] * n
+        self._starts = [_NEVER] * n  # task times that `start` and `end` are filled for
+        self._ends = [_NEVER] * n
         self.task_ns = -1  # first axis' sample instant on the task's clock; -1 where no task runs
 
     def hold(self, position: Sequence[float]) -> None:
@@ -47,34 +50,35 @@ class Setpoints:
         """From now on: `trajectory`, whose time 0 is at `origin_ns`."""
         self.trajectory = trajectory
         self.origin = list(origin_ns)
-        self._starts = [None] * len(self._inputs)
-        self._ends = [None] * len(self._inputs)
+        self._starts = [_NEVER] * len(self._inputs)
+        self._ends = [_NEVER] * len(self._inputs)
 
     def update(self, sample_ns: Sequence[int], start_ns: Sequence[int]) -> None:
         """Setpoints for samples taken at sample_ns and a force that acts from start_ns on."""
-        if self.trajectory is None:
+        trajectory = self.trajectory
+        if trajectory is None:
             return
         for axis, origin in enumerate(self.origin):
-            self._update_axis(axis, sample_ns[axis] - origin, start_ns[axis] - origin)
+            self._update_axis(trajectory, axis, sample_ns[axis] - origin, start_ns[axis] - origin)
         self.task_ns = sample_ns[0] - self.origin[0]
 
-    def _update_axis(self, axis: int, sampled: int, begins: int) -> None:
+    def _update_axis(self, trajectory: Trajectory, axis: int, sampled: int, begins: int) -> None:
         """An interval mostly begins where the last one ended: then the objects change places and keep their values."""
-        x, at, period = self._inputs[axis], self.trajectory.at, self._period  # type: ignore[union-attr]
+        x, period, ends = self._inputs[axis], self._period, begins + self._period_ns
         sample, start, end = x.sample, x.start, x.end
         if sampled == self._starts[axis]:
             sample, start = start, sample
         else:
-            sample.position, sample.velocity, sample.acceleration = at(axis, sampled)
+            sample.position, sample.velocity, sample.acceleration = trajectory.at(axis, sampled)
         if begins == self._ends[axis]:
             start, end = end, start
         else:
-            start.position, start.velocity, start.acceleration = at(axis, begins)
-        self._starts[axis], self._ends[axis] = begins, begins + self._period_ns
-        q1, v1, _ = end.position, end.velocity, end.acceleration = at(axis, begins + self._period_ns)
+            start.position, start.velocity, start.acceleration = trajectory.at(axis, begins)
+        self._starts[axis], self._ends[axis] = begins, ends
+        end.position, end.velocity, end.acceleration = trajectory.at(axis, ends)
         x.sample, x.start, x.end, x.task_ns = sample, start, end, begins
-        x.mean_velocity = (q1 - start.position) / period
-        v0 = start.velocity
+        x.mean_velocity = (end.position - start.position) / period
+        v0, v1 = start.velocity, end.velocity
         x.mean_acceleration = (v1 - v0) / period
         # The velocity taken as linear in the interval. The feedforward at the sample's instant instead would cost 45-55
         # um on the paper's task (PAPER.md, Pitfalls).

@@ -12,7 +12,7 @@ import resource
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,12 @@ STAGES = ("read", "estimate", "control", "gate", "send")
 # lateness: wake against deadline. stages: time spent in each. cpu: CPU time from wake to wake.
 # age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
 METRICS = ("lateness", *STAGES, "cpu", "age")
+_ALL: Final = len(METRICS)
 
 SUB_BINS = 16  # per octave: a quantile is known to 1/16
 OCTAVES = 36  # up to 2^36 ns = 69 s
 BINS = SUB_BINS * OCTAVES
-CHUNK = 256  # rows folded together
+CHUNK: Final = 256  # rows folded together
 WINDOW_CHUNKS = 16  # the window is the last complete 4096 ticks
 
 MAGIC = b"HILTIME1"
@@ -60,7 +61,8 @@ _LAYOUT = np.dtype(
     ]
 )
 _ROW = struct.Struct(f"<{len(METRICS)}q")
-_pack_row, _ROW_SIZE = _ROW.pack_into, _ROW.size
+_pack_row: Final = _ROW.pack_into
+_ROW_SIZE: Final = _ROW.size
 
 
 def bin_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -124,7 +126,7 @@ class TimingRecorder:
         """One tick: its METRICS, ns."""
         index = self._row
         _pack_row(self._filling, index * _ROW_SIZE, lateness, read, estimate, control, gate, send, cpu, age)
-        if self._to_fold < len(METRICS):
+        if self._to_fold < _ALL:
             self._fold(self._to_fold, CHUNK)
             self._to_fold += 1
         self._row = index + 1

@@ -22,7 +22,7 @@ from hil.config import LawConfig, RigConfig
 from hil.estimation import filter_parameters
 from hil.laws import make_law
 from hil.laws.base import Array, Model
-from hil.laws.per_axis import gather
+from hil.laws.coupled import gather
 from hil.laws.structured_kalman import StructuredKalman
 from hil.lockstep import LockstepRun, steady_from
 

@@ -153,16 +153,19 @@ def test_a_push_stronger_than_the_drive_is_a_following_error_and_ends_at_zero() 
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, OverflowError])
-def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(
-    error: type[ArithmeticError], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(error: type[ArithmeticError]) -> None:
     run = Posted(paper(), activate_once()).go(200)
     assert run.cycle.state is State.ACTIVE
 
-    def failing(inputs: object) -> list[float]:
-        raise error
+    class Failing:
+        denominator_floors = 0
 
-    monkeypatch.setattr(run.cycle.law, "force", failing)
+        def reset(self, *_: object) -> None: ...
+
+        def force(self, axes: object) -> list[float]:
+            raise error
+
+    run.cycle.law = Failing()
     run.tick()
     assert run.cycle.state is State.FAULT
     assert run.cycle.fault is Fault.NOT_FINITE

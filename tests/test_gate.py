@@ -197,10 +197,13 @@ def test_permission_is_never_given_by_an_argument_in_the_wrong_place() -> None:
     assert heard == []
 
 
-def test_a_request_for_fewer_axes_than_there_are_is_an_error_and_nothing_goes_out() -> None:
+@pytest.mark.parametrize(("forces", "positions"), [(1, 2), (3, 2), (2, 1), (2, 3)])
+def test_a_request_for_other_than_the_axes_there_are_is_an_error_and_nothing_goes_out(
+    forces: int, positions: int
+) -> None:
     gate, heard = listened()
-    with pytest.raises(ValueError, match="zip"):
-        gate.release([1.0], [0.0, 0.0], permitted=True, sequence=1)
+    with pytest.raises(ValueError, match=f"^{forces} forces and {positions} positions for 2 axes$"):
+        gate.release([1.0] * forces, [0.0] * positions, permitted=True, sequence=1)
     assert heard == []
 
 

@@ -318,8 +318,8 @@ def test_an_axis_that_has_not_broken_away_teaches_no_bias() -> None:
     for _ in range(3000):
         run.tick()
     assert np.abs(run.true_position).max() < 1e-6
-    laws: list[Any] = run.cycle.law._laws
-    for learnt, limit in zip(laws, (3.4, 0.9), strict=True):
+    laws: Any = run.cycle.law
+    for learnt, limit in zip(laws.laws, (3.4, 0.9), strict=True):
         bias, coulomb, _, _ = learnt._disturbance
         assert abs(bias) < 0.02 * limit
         assert coulomb >= 0.0

@@ -26,8 +26,8 @@ LINKED = ("tests", "deploy", "docs")
 # Every module a tick runs through, in three tables. Not among them:
 # what sleeps (hil/sleep.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
 # might not see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
-# users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/laws/per_axis.py,
-# hil/state_machine.py, drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
+# users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/state_machine.py,
+# drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
 
 # Written once for floats and arrays (hil/number.py). The build has them twice: compiled for a rig as hil/floats, where
 # `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for batches as they
@@ -50,9 +50,9 @@ drivers/protocols: base checksum sampling stage stage_classic stage_fd
 sim_plant: drive emulator single_axis trigonometry
 """
 
-SEAM = "hil/laws/per_axis.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
-IMPORT = re.compile(r"\bhil\.(estimation|number|setpoints|laws)\b(?!\.per_axis)")  # of FOR_BOTH
-HIDDEN_IMPORT = re.compile(r"^from hil(\.laws)? import .*\b(estimation|number|setpoints|laws|per_axis)\b", re.MULTILINE)
+SEAM = "hil/laws/coupled.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
+IMPORT = re.compile(r"\bhil\.(estimation|number|setpoints|laws)\b(?!\.coupled)")  # of FOR_BOTH
+HIDDEN_IMPORT = re.compile(r"^from hil(\.laws)? import .*\b(estimation|number|setpoints|laws|coupled)\b", re.MULTILINE)
 
 # The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
 # where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.

@@ -29,7 +29,7 @@ class Codec(NamedTuple):
 
     names: tuple[str, ...]
     length: int
-    unpack: Callable[[bytes], Sequence[Any]]
+    unpack: Callable[[bytes], tuple[Any, ...]]
     pack: Callable[..., bytes]
 
 
@@ -176,14 +176,14 @@ class MixedPlan:
         self._length = length
         self._fields = fields
 
-    def unpack(self, data: bytes) -> list[Any]:
+    def unpack(self, data: bytes) -> tuple[Any, ...]:
         """Raw values of `length` bytes."""
         words = int.from_bytes(data, "little"), int.from_bytes(data, "big")
         values: list[Any] = []
         for big, shift, mask, sign, to_float, _ in self._fields:
             raw = (((words[big] >> shift) & mask) ^ sign) - sign
             values.append(raw if to_float is None else to_float(raw))
-        return values
+        return tuple(values)
 
     def pack(self, *values: Any) -> bytes:
         """Payload of raw values; OverflowError where one does not fit its signal."""

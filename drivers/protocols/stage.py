@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Container, Sequence
+from typing import Final
 
 from drivers.config import BusConfig
 from drivers.frame import ERROR, EXTENDED, REMOTE, STANDARD_MASK
 from drivers.protocols.base import DriveStatus, Message, Reject
 from drivers.protocols.compiled import LayoutError
 
-MAX_AXES = 4
-STATUS_MASK = 0x7F  # every bit DriveStatus knows
+MAX_AXES: Final = 4
+STATUS_MASK: Final = 0x7F  # every bit DriveStatus knows
 assert sum(DriveStatus) == STATUS_MASK
 
 

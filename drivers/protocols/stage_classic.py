@@ -4,9 +4,9 @@ Quantisation: force in steps of 1/2047 of the rated force (12 bits), sample time
 is left to enable single axes; the torque value -2048, which no force maps to, says "disabled" instead.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame, new_tuple
@@ -19,15 +19,15 @@ DBC = Path(__file__).with_name("stage_classic.dbc")
 COMMAND_NAMES = ("torque_0", "torque_1", "torque_2", "torque_3", "sequence", "reset", "reserved", "checksum")
 FEEDBACK_NAMES = ("position", "sample_time", "sequence", "status", "checksum")
 
-SEQUENCE_MODULUS = 32
-LENGTH = 8
-FULL_SCALE = 2047
-DISABLED = -2048
+SEQUENCE_MODULUS: Final = 32
+LENGTH: Final = 8
+FULL_SCALE: Final = 2047
+DISABLED: Final = -2048
 
-_WRAP_NS = 4096 * 1000  # sample_time
-_HALF_NS = _WRAP_NS // 2
-_WRAP = 1 << 32  # position
-_HALF = 1 << 31
+_WRAP_NS: Final = 4096 * 1000  # sample_time
+_HALF_NS: Final = _WRAP_NS // 2
+_WRAP: Final = 1 << 32  # position
+_HALF: Final = 1 << 31
 _BYTES = [bytes((value,)) for value in range(256)]
 
 
@@ -61,7 +61,8 @@ class StageClassicHost(_Layout):
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         super().__init__(bus, n_axes, rated_force)
         self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
-        self._unpack_feedback, self._pack_command = self._feedback.unpack, self._command.pack
+        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = self._feedback.unpack
+        self._pack_command = self._command.pack
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2.048 ms."""

@@ -1,8 +1,9 @@
 """The default layout: CAN FD, one command frame for all axes, one feedback frame per axis. Contract: stage_fd.dbc."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from struct import Struct
+from typing import Final
 from zlib import crc32
 
 from drivers.config import BusConfig
@@ -15,16 +16,16 @@ DBC = Path(__file__).with_name("stage_fd.dbc")
 COMMAND_NAMES = ("force_0", "force_1", "force_2", "force_3", "sequence", "flags", "checksum")
 FEEDBACK_NAMES = ("position", "sample_time", "status", "sequence", "checksum")
 
-RESET = 1 << MAX_AXES
-SEQUENCE_MODULUS = 1 << 16
-COMMAND_LENGTH = 24
-FEEDBACK_LENGTH = 16
-COMMAND_CHECKED = COMMAND_LENGTH - 4  # bytes the checksum covers
-FEEDBACK_CHECKED = FEEDBACK_LENGTH - 4
-RESIDUE = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
+RESET: Final = 1 << MAX_AXES
+SEQUENCE_MODULUS: Final = 1 << 16
+COMMAND_LENGTH: Final = 24
+FEEDBACK_LENGTH: Final = 16
+COMMAND_CHECKED: Final = COMMAND_LENGTH - 4  # bytes the checksum covers
+FEEDBACK_CHECKED: Final = FEEDBACK_LENGTH - 4
+RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
 
-_WRAP = 1 << 32  # sample_time, ns
-_HALF = 1 << 31
+_WRAP: Final = 1 << 32  # sample_time, ns
+_HALF: Final = 1 << 31
 _SINGLE = Struct("<f")
 
 
@@ -62,7 +63,8 @@ class StageFdHost(_Layout):
         super().__init__(bus, n_axes, rated_force)
         self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
-        self._unpack_feedback, self._pack_command = self._feedback.unpack, self._command.pack
+        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = self._feedback.unpack
+        self._pack_command = self._command.pack
         self._padding = (0.0,) * (MAX_AXES - n_axes)
 
     def decode(self, frame: Frame) -> Sample | Reject:

@@ -9,7 +9,7 @@ from drivers.protocols.base import DriveStatus, Sample
 from drivers.protocols.cia301 import DriveState
 from drivers.wire_faults import FaultKind, WireFault
 from hil.campaign.trial import Step, axis_name, once
-from hil.laws.base import LawInputs
+from hil.laws.base import AxisLaws, LawInputs
 from hil.lockstep import LockstepRun
 from sim_plant.object_dictionary import key_of
 
@@ -67,19 +67,25 @@ def fail(run: LockstepRun, axis: int) -> None:
     run.stage.drives[axis].fail()
 
 
+class _Falsified:
+    """A law that asks for something else."""
+
+    def __init__(self, honest: AxisLaws, change: Callable[[list[float], int], None], axis: int) -> None:
+        self._honest, self._change, self._axis = honest, change, axis
+        self.reset, self.denominator_floors = honest.reset, honest.denominator_floors
+
+    def force(self, axes: Sequence[LawInputs]) -> list[float]:
+        """See AxisLaws."""
+        asked = self._honest.force(axes)
+        self._change(asked, self._axis)
+        return asked
+
+
 def law_asks(change: Callable[[list[float], int], None]) -> Step:
     """Falsify what the law asks for, on one axis."""
 
     def act(run: LockstepRun, axis: int) -> None:
-        law = run.cycle.law
-        honest = law.force
-
-        def force(inputs: Sequence[LawInputs]) -> list[float]:
-            asked = honest(inputs)
-            change(asked, axis)
-            return asked
-
-        law.force = force  # type: ignore[method-assign, assignment]
+        run.cycle.law = _Falsified(run.cycle.law, change, axis)
 
     return once(act)
 

@@ -7,12 +7,13 @@ import numpy as np
 
 from drivers.toml_file import shown
 from hil.config import LawConfig
-from hil.laws.base import Array, Law, Model, axis_model
+from hil.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.laws.computed_torque import ComputedTorque
+from hil.laws.coupled import Coupled
 from hil.laws.disturbance_observer import DisturbanceObserver
 from hil.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.laws.pd_feedforward import PdFeedforward
-from hil.laws.per_axis import Coupled, PerAxis
+from hil.laws.per_axis import PerAxis
 from hil.laws.pid import Pid
 from hil.laws.robust_pd import AlphaBracketsPd, FilteredErrorPd, RobustPd
 from hil.laws.sliding_mode import SlidingMode
@@ -78,7 +79,7 @@ def make_law(
 
 def make_axis_laws(
     law: LawConfig, model: Any, period: float, force_limit: Array, repeat: tuple[int, int] | None = None
-) -> PerAxis:
+) -> AxisLaws:
     """As make_law, from a Model of arrays (n_axes,), for one rig on plain floats; the same bits at a fraction of the
     cost.
     """

@@ -5,8 +5,9 @@ expected reception of tick k+1's command, about one period after s_k) for one pe
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,3 +126,17 @@ class Law(ABC):
     @abstractmethod
     def force(self, inputs: LawInputs) -> Number:
         """Force asked for, N."""
+
+
+class AxisLaws(Protocol):
+    """A rig's law on plain floats, for all its axes. denominator_floors: of all laws together."""
+
+    @property
+    def denominator_floors(self) -> int:
+        """How often a denominator was held at its floor."""
+
+    def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
+        """Bumpless start at rest at `position` (m) with `force` (N) now applied; one value an axis."""
+
+    def force(self, axes: Sequence[Any]) -> list[float]:
+        """Force asked for, N; one value an axis. axes: LawInputs of floats, one an axis."""

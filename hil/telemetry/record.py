@@ -6,6 +6,7 @@ Little-endian, SI units, 4096 bytes. Per-axis arrays have MAX_AXES places; those
 import struct
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -82,7 +83,7 @@ _FIELDS = [
 ]
 
 _USED = np.dtype(_FIELDS).itemsize
-RECORD_SIZE = 4096
+RECORD_SIZE: Final = 4096
 RECORD = np.dtype([*_FIELDS, ("padding", "u1", RECORD_SIZE - _USED)])
 
 MOTION_FIELDS = (
@@ -98,12 +99,15 @@ MOTION_FIELDS = (
     "force",
 )
 _OFFSET = {name: int(offset[1]) for name, offset in (RECORD.fields or {}).items()}
-_COUNTS_AT, _COMMANDS_AT = _OFFSET["n_commands"], _OFFSET["commands"]
-_SENT_AT, _RECEIVED_AT = _OFFSET["sent"], _OFFSET["received"]
+_COUNTS_AT: Final = _OFFSET["n_commands"]
+_COMMANDS_AT: Final = _OFFSET["commands"]
+_SENT_AT: Final = _OFFSET["sent"]
+_RECEIVED_AT: Final = _OFFSET["received"]
 _FRAME = struct.Struct("<qIBB2x64s")
-_pack_frame, _FRAME_SIZE = _FRAME.pack_into, _FRAME.size
-_COMMAND = struct.Struct("<IIQq")
-_COUNTS = struct.Struct("<3H2x")
+_pack_frame: Final = _FRAME.pack_into
+_FRAME_SIZE: Final = _FRAME.size
+_COMMAND: Final = struct.Struct("<IIQq")
+_pack_counts: Final = struct.Struct("<3H2x").pack_into
 _MAX_U32, _MAX_U64, _MAX_I64 = 2**32 - 1, 2**64 - 1, 2**63 - 1
 
 
@@ -128,7 +132,7 @@ class RecordBuilder:
     ) -> None:
         """All that went in and out of the tick."""
         buffer = self.buffer
-        _COUNTS.pack_into(buffer, _COUNTS_AT, len(commands), len(received), len(sent))
+        _pack_counts(buffer, _COUNTS_AT, len(commands), len(received), len(sent))
         offset = _COMMANDS_AT
         for command, accepted in commands:
             # Cut to the fields' widths: no sender's number, however absurd, may raise in the control process.

@@ -22,7 +22,7 @@ import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +36,13 @@ PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
 _LOCK = struct.Struct("hhqqi0q")  # struct flock (fcntl.h)
 
-_WRITE_INDEX = 128 // 8  # u64 words of the header, on cache lines of their own
+_WRITE_INDEX: Final = 128 // 8  # u64 words of the header, on cache lines of their own
 _ENDED = 192 // 8
 _CLEAN, _SAVED = 1, 2  # values of _ENDED
 
-_FIRST_RECEIVED = RECORD.fields["received"][1]  # type: ignore[index]
-_N_RECEIVED = RECORD.fields["n_received"][1] // 2  # type: ignore[index]  # as an index of u16
-_USED = tuple(_FIRST_RECEIVED + FRAME.itemsize * n for n in range(MAX_RECEIVED + 1))
+_FIRST_RECEIVED: Final = RECORD.fields["received"][1]  # type: ignore[index]
+_N_RECEIVED: Final[int] = RECORD.fields["n_received"][1] // 2  # type: ignore[index]  # as an index of u16
+_USED: Final = tuple(_FIRST_RECEIVED + FRAME.itemsize * n for n in range(MAX_RECEIVED + 1))
 
 
 class RingError(Exception):

@@ -6,14 +6,15 @@ A segment's numbers are all worked out when it is made, and on floats: a plan of
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from hil.laws.base import Array
 from hil.trajectories.base import Times, Trajectory
 
-NS = 1e-9  # s
+NS: Final = 1e-9  # s
+_NEVER: Final = 1 << 60  # ns
 
 Values = Sequence[float]  # one per axis
 # Of one axis, t in s from the segment's start: position c0 + c1 t + ... + c5 t^5, velocity c1 + v2 t + ... + v5 t^4,
@@ -72,6 +73,7 @@ class Segments(Trajectory):
         self.segments = segments
         self._starts = list(accumulate([segment.duration_ns for segment in segments], initial=0))
         self._total = self._starts.pop()
+        self._hold(0)
         self._repeats = repeat
         self._arrays: dict[int, Array] = {}  # an axis' rows, (segments, 14): for who asks for many instants
         self.phase_names = phase_names
@@ -84,17 +86,26 @@ class Segments(Trajectory):
             t_ns %= self._total
         return self.segments[max(bisect_right(self._starts, t_ns) - 1, 0)].phase
 
+    def _hold(self, t_ns: int) -> None:
+        """Have at hand the segment that holds task time `t_ns`: the next instant asked for is mostly there too."""
+        index = bisect_right(self._starts, t_ns) - 1
+        segment = self.segments[index]
+        self._begins = self._starts[index]
+        self._ends = self._starts[index + 1] if index + 1 < len(self._starts) else _NEVER
+        self._rows, self._still = segment.rows, segment.still
+
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """See Trajectory."""
         t_ns = t_ns if t_ns > 0 else 0  # a third of what max() costs
         if self._repeats:
             t_ns %= self._total
-        index = bisect_right(self._starts, t_ns) - 1
-        segment = self.segments[index]
-        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = segment.rows[axis]
-        if segment.still[axis]:
-            return c0, 0.0, 0.0
-        t = (t_ns - self._starts[index]) * NS
+        if not self._begins <= t_ns < self._ends:
+            self._hold(t_ns)
+        row = self._rows[axis]
+        if self._still[axis]:
+            return row[0], 0.0, 0.0
+        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = row
+        t = (t_ns - self._begins) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
             c1 + t * (v2 + t * (v3 + t * (v4 + t * v5))),
