@@ -333,16 +333,14 @@ def test_margins_of_candidates_are_those_of_hil_check() -> None:
 
 
 @pytest.mark.parametrize("law", SPACE)
-def test_gains_of_the_rig_are_whole_with_margins_and_say_how_they_were_found(law: str) -> None:
-    """Every knob of every law from one command from mid-range, at least 6 dB and 30 degrees on both axes."""
+def test_gains_of_the_rig_are_whole_and_say_how_they_were_found(law: str) -> None:
+    """Every knob of every law from one command from mid-range. Their margins: tests/test_stability.py."""
     assert set(load_rig(PAPER).law.tuned[law]) == set(SPACE[law])
     section = PAPER.read_text().split(f"[law.tuned.{law}]", 1)[1]
     command = section.splitlines()[1]
     assert command.startswith(f"# hil tune deploy/rigs/paper.toml --law {law} ")
     assert command.count("--start middle") == 1
     assert "--only" not in command
-    for axis in check_stability(load_rig(PAPER, [f"law.name={law}"]), ticks=2000).axes.values():
-        assert margins_of(axis).short(Margins(6.0, 30.0)) == 0.0
 
 
 @pytest.mark.parametrize("law", ["structured-kalman", "pd-feedforward"])

@@ -12,10 +12,6 @@ from tests.vm import links
 _numbers = itertools.count()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "systemd: needs systemd as init and the installed package")
-
-
 def _missing() -> str | None:
     if os.geteuid() != 0:
         return "making CAN interfaces needs root"

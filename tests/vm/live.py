@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counters import BusState
 from hil.config import load_rig
 from hil.state_machine import State
 from hil.telemetry.mailbox import Mailbox
@@ -25,6 +26,12 @@ from tests.vm import links
 RIGS = Path(__file__).parents[2] / "deploy/rigs"
 PATIENCE_S = 240.0
 EXPIRY_NS = 60_000_000_000
+LAYOUTS = {  # rig file and bus.protocol of every kind of layout
+    "stage_fd": ("paper.toml", "stage_fd"),
+    "stage_classic": ("paper.toml", "stage_classic"),
+    "cia402": ("paper.toml", "cia402"),
+    "dbc": ("paper-dbc.toml", "dbc:example_drive.dbc"),
+}
 
 # Function, never timing: soft gains at 100 Hz, and thresholds that forgive a guest that is not let run for a second.
 PATIENT = (
@@ -75,6 +82,10 @@ class LiveRig:
         """All records read so far, oldest first."""
         self.newest()
         return np.concatenate(self._records)
+
+    def bus_state(self) -> BusState:
+        """The bus as the control process's port has seen it last."""
+        return BusState(int(self.newest()["port"][-1]))
 
     def wait_for(self, *states: State) -> State:
         """Until the control process is in one of `states`."""

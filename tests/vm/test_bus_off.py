@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.counters import BusState
 from hil.faults import Fault
 from hil.state_machine import State
 from hil.tick import CommandKind
@@ -70,7 +71,7 @@ def test_bus_off_ends_torque_and_only_the_operator_arms_it_again(adapter: Relayi
         # somebody restarts the controller: the bus is back, the rig is not
         adapter.down()
         adapter.up(BITRATE)
-        links.eventually(lambda: int(rig.newest()["port"][11]) == 0, "the port sees the bus again")
+        links.eventually(lambda: rig.bus_state() is BusState.ERROR_ACTIVE, "the port sees the bus again")
         assert controller_state(adapter) == "ERROR-ACTIVE"
         stays_in_fault(rig)
         rig.order(CommandKind.ACTIVATE)

@@ -5,19 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from drivers.counters import BusState
 from hil.faults import Fault
 from hil.state_machine import State
 from tests.vm import links
-from tests.vm.live import RIGS, assert_closed_loop, live_rig
+from tests.vm.live import LAYOUTS, RIGS, assert_closed_loop, live_rig
 
 pytestmark = pytest.mark.vcan
-
-LAYOUTS = {
-    "stage_fd": ("paper.toml", "stage_fd"),
-    "stage_classic": ("paper.toml", "stage_classic"),
-    "cia402": ("paper.toml", "cia402"),
-    "dbc": ("paper-dbc.toml", "dbc:example_drive.dbc"),
-}
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -37,7 +31,7 @@ def test_an_interface_that_goes_down_stops_the_rig_and_only_a_reset_brings_it_ba
         assert Fault(int(rig.newest()["fault"])) is Fault.INTERFACE_DOWN
         links.ip("link", "set", vcan, "up")
         # the port comes back by itself, the state does not
-        links.eventually(lambda: int(rig.newest()["port"][11]) == 0, "the port is bound again")
+        links.eventually(lambda: rig.bus_state() is BusState.ERROR_ACTIVE, "the port is bound again")
         after = rig.wait_ticks(50)
         assert set(after["state"]) == {State.FAULT}
         assert rig.applied_forces() == [0.0, 0.0], "the drives' own watchdogs have acted"

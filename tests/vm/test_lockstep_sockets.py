@@ -11,19 +11,13 @@ from hil.cycle import ControlCycle
 from hil.state_machine import State
 from hil.tick import CommandKind, OperatorCommand, PortCounters, Tick
 from sim_plant.emulator import EmulatedStage
-from tests.vm.live import RIGS
+from tests.vm.live import LAYOUTS, RIGS
 from tests.vm.ports import receive
 
 pytestmark = pytest.mark.vcan
 
 TICKS = 400
 WIRE_NS = 100_000  # one way, on the virtual clock
-LAYOUTS = {
-    "stage_fd": ("paper.toml", "stage_fd"),
-    "stage_classic": ("paper.toml", "stage_classic"),
-    "cia402": ("paper.toml", "cia402"),
-    "dbc": ("paper-dbc.toml", "dbc:example_drive.dbc"),
-}
 
 Carry = Callable[[Sequence[Frame]], list[Frame]]
 
