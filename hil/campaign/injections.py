@@ -72,13 +72,18 @@ class _Falsified:
 
     def __init__(self, honest: AxisLaws, change: Callable[[list[float], int], None], axis: int) -> None:
         self._honest, self._change, self._axis = honest, change, axis
-        self.reset, self.denominator_floors = honest.reset, honest.denominator_floors
+        self.reset = honest.reset
 
     def force(self, axes: Sequence[LawInputs]) -> list[float]:
         """See AxisLaws."""
         asked = self._honest.force(axes)
         self._change(asked, self._axis)
         return asked
+
+    @property
+    def denominator_floors(self) -> int:
+        """See AxisLaws."""
+        return self._honest.denominator_floors
 
 
 def law_asks(change: Callable[[list[float], int], None]) -> Step:
