@@ -15,6 +15,7 @@ import typer
 from hil.compare_report import comparison_table, draw, summary_table
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
+from hil.usable import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
 CORNERS = {
@@ -94,6 +95,8 @@ def run_case(case: Case) -> dict[str, Any]:
         refuse_unstable(rig)
     except RigError as error:
         refused = error.problems
+    except ValueError as error:
+        raise RigError([f"{case.law}: {error}"]) from None
     try:
         report, _ = simulate(rig, Path(case.rig).parent, case.seconds)
     except ValueError as error:
@@ -118,9 +121,11 @@ def cases(
     chosen = dict(CORNERS) if corners else {"nominal": CORNERS["nominal"]}
     if disturbed:
         chosen |= disturbances(rig)
+    for rate in rates:
+        load_rig(path, [*overrides, f"rate_hz={rate!r}"])
     found = []
     for law in laws:
-        law_overrides(law)  # a wrong name is told before anything runs
+        usable(load_rig(path, [*overrides, *law_overrides(law)]), path)  # what cannot run is told before anything does
         found += [
             Case(str(path), law, name, rig.rate_hz, [*overrides, *extra], seconds) for name, extra in chosen.items()
         ]
@@ -150,7 +155,7 @@ def compare(
     ] = True,
     rates: Annotated[str, typer.Option(help="further rates, Hz, comma-separated; gains scale with them")] = "",
     velocity: Annotated[bool, typer.Option("--velocity", help="velocity estimators instead of laws")] = False,
-    seconds: Annotated[float, typer.Option(min=1.0, help="virtual time of each run")] = 20.0,
+    seconds: Annotated[float, typer.Option(min=1.0, max=1e6, help="virtual time of each run")] = 20.0,
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     picture: Annotated[Path | None, typer.Option(help="where to draw it (PNG) [default: runs/RIG-compare.png]")] = None,
@@ -169,7 +174,7 @@ def compare(
     if velocity:
         from hil.velocity import compare_velocity, velocity_table
 
-        rows = compare_velocity(rig, rig_file.parent, seconds)
+        rows = compare_velocity(usable(rig, rig_file), rig_file.parent, seconds)
         console.print(velocity_table(rig, rows))
     else:
         chosen = [name.strip() for name in laws.split(",") if name.strip()] or list(LAWS)

@@ -15,8 +15,9 @@ from sim_plant.config import PlantConfig, Resolution
 MAX_AXES = 4
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+# Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite, and a tick would divide by it.
+Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
+NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 Duration = Annotated[float, Field(gt=0, le=1e6)]  # s; a thousand cells of the longest still fit 64 bits of ns
 Pause = Annotated[float, Field(ge=0, le=1e6)]  # s
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -226,10 +227,13 @@ class RigConfig(BaseModel):
 
     @model_validator(mode="after")
     def _per_axis_lengths(self) -> "RigConfig":
-        problems = [*_length_problems(self), *_task_problems(self)]
+        problems = [*_length_problems(self), *_task_problems(self), *_watchdog_problems(self)]
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+
+_MAY_BE_EMPTY = ("gravity",)
 
 
 def _length_problems(rig: RigConfig) -> list[str]:
@@ -241,7 +245,7 @@ def _length_problems(rig: RigConfig) -> list[str]:
         f"{table}.{key} has {len(value)} values for {n} axes"
         for table, model in tables
         for key, value in model
-        if isinstance(value, list) and key != "cells" and value and len(value) != n
+        if isinstance(value, list) and key != "cells" and len(value) != n and (value or key not in _MAY_BE_EMPTY)
     ]
 
 
@@ -252,6 +256,17 @@ def _task_problems(rig: RigConfig) -> list[str]:
     if rig.task.kind in ("circle", "lissajous") and len(rig.task.axes) != 2:
         problems.append(f"task.axes = {rig.task.axes}: a {rig.task.kind} needs two axes")
     return problems
+
+
+def _watchdog_problems(rig: RigConfig) -> list[str]:
+    """Every drive would trip between any two commands, and no run could ever become ACTIVE."""
+    watchdog_s, period_s = rig.plant.watchdog_s, rig.period_ns * 1e-9
+    if watchdog_s > period_s:
+        return []
+    return [
+        f"plant.watchdog_s = {watchdog_s:g}: it must be longer than the {period_s:g} s from one command to the next "
+        f"(rate_hz = {rig.rate_hz:g})"
+    ]
 
 
 def _describe(error: ValidationError) -> list[str]:

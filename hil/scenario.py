@@ -17,7 +17,10 @@ def load_scenario(path: Path, rig: RigConfig) -> Scenario:
         scenario = load(path)
     except ScenarioError as error:
         raise RigError(error.problems) from None
-    trajectory = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns)
+    try:
+        trajectory = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns)
+    except ValueError as error:  # a task this rig cannot have; the text names its keys
+        raise RigError([f"rig {rig.name}: {error}"]) from None
     try:
         scenario.check(rig.axis_names, [state.name for state in State], trajectory.phase_names)
     except ScenarioError as error:

@@ -25,6 +25,7 @@ from hil.laws import LAWS
 from hil.laws.base import Array
 from hil.lockstep import LockstepRun, simulate
 from hil.trajectories import make_trajectory
+from hil.usable import usable
 from sim_plant.stage import Truth
 
 CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
@@ -260,7 +261,7 @@ def worst_plants(figures: Figures, count: int) -> list[int]:
 def sweep(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
     plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
-    seconds: Annotated[float, typer.Option(min=0.1, help="virtual time, start-up included")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
     laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
     seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
     hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
@@ -285,7 +286,7 @@ def sweep(
     document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
     with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
         for name in names:
-            rig = load_rig(rig_file, [*(overrides or ()), f"law.name={name}"])
+            rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
             work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
             figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
             plot(output / f"{name}.png", rig, figures)

@@ -21,6 +21,7 @@ from hil.output import metres
 from hil.rehearsal import LOST
 from hil.stability import check_stability
 from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
+from hil.usable import usable
 
 DIGITS = 4
 WIDTH = 120  # characters of a table that goes to a file
@@ -175,6 +176,7 @@ def tune(
     name = law or rig.law.name
     if name not in SPACE:
         raise RigError([f"--law {name}: the laws are {', '.join(SPACE)}"])
+    usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH

@@ -6,8 +6,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+# Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
+Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
+NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 Position = Annotated[float, Field(ge=-1e3, le=1e3)]
 Resolution = Annotated[float, Field(ge=1e-15, le=1e3)]
 PerAxis = float | list[float]  # one number for all axes, or one per axis

@@ -85,6 +85,15 @@ def test_another_encoder_changes_the_belief_with_the_truth() -> None:
         ("nonsense", "expected key.path=value"),
         ("task.kind=injection", "[task.injection]"),
         ("plant.modelling_error=-0.1", "plant.modelling_error"),
+        ("plant.stribeck_scale=[]", "plant.stribeck_scale has 0 values for 2 axes"),
+        ("plant.mass=[]", "plant.mass has 0 values for 2 axes"),
+        ("estimator.disturbance_noise=[]", "estimator.disturbance_noise has 0 values for 2 axes"),
+        (
+            "axes.x.limits.force=5e-324",
+            "axes.x.limits.force = 5e-324: Input should be greater than or equal to 0.000000000000001",
+        ),
+        ("axes.x.model.mass=1e300", "axes.x.model.mass = 1e+300: Input should be less than or equal to"),
+        ("rate_hz=100", "plant.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next"),
     ],
 )
 def test_a_bad_value_is_refused_with_its_key_and_the_allowed_range(override: str, expected: str) -> None:
@@ -181,9 +190,18 @@ def test_any_override_gives_a_valid_finite_rig_or_a_refusal(overrides: list[str]
         assert math.isfinite(rig.rate_hz)
 
 
-def test_the_command_line_exits_with_78_and_no_traceback() -> None:
-    command = [sys.executable, "-m", "hil", "sim", str(PAPER), "--set", "rate_hz=nan"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["sim", "--set", "rate_hz=nan"], "rate_hz"),
+        (["check", "--set", "bus.protocol=dbc:none.dbc"], "bus.protocol = 'dbc:none.dbc'"),
+        (["sweep", "--laws", "magic", "--plants", "1"], "law.name = 'magic'"),
+        (["tune", "--law", "pid", "--set", "law.tuned.pid.kp=[1.0]"], "law.gains.kp has 1 values for 2 axes"),
+    ],
+)
+def test_the_command_line_exits_with_78_and_no_traceback(words: list[str], reason: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hil", words[0], str(PAPER), *words[1:]]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert result.returncode == EXIT_CONFIG
-    assert "rate_hz" in result.stderr
+    assert reason in result.stderr
     assert "Traceback" not in result.stderr

@@ -43,6 +43,14 @@ def test_a_phase_or_state_the_rig_does_not_have_is_refused_with_the_allowed_ones
         load_scenario(tmp_path / "missing.toml", load_rig(RIG))
 
 
+def test_a_scenario_for_a_rig_whose_task_is_impossible_is_refused_for_the_task(tmp_path: Path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text('[[fault]]\nkind = "garbage"\nat_s = 0.1\n')
+    rig = load_rig(RIG, ["task.injection.contact_speed=100"])
+    with pytest.raises(RigError, match="contact_speed = 100"):
+        load_scenario(path, rig)
+
+
 def test_a_fault_at_a_state_begins_in_the_tick_that_enters_it_and_is_reacted_to() -> None:
     fault = {"kind": "encoder_silent", "axis": "y", "at_state": "ACTIVE", "after_s": 0.05}
     lockstep = run(Scenario.model_validate({"fault": [fault]}), 200)

@@ -416,6 +416,21 @@ def test_compare_runs_every_combination_asked_for() -> None:
         cases(PAPER, ["magic"], [], [], corners=False, disturbed=False, seconds=1.0)
 
 
+@pytest.mark.parametrize(
+    ("law", "change", "rates", "reason"),
+    [
+        ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
+        ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
+        ("pid", "rate_hz=500", [50.0], "plant.watchdog_s = 0.01"),
+    ],
+)
+def test_compare_refuses_what_cannot_run_before_anything_runs(
+    law: str, change: str, rates: list[float], reason: str
+) -> None:
+    with pytest.raises(RigError, match=reason):
+        cases(PAPER, ["pd-feedforward", law], [change], rates, corners=False, disturbed=False, seconds=1.0)
+
+
 def test_at_another_rate_gains_are_what_their_unit_makes_of_them() -> None:
     """A stiffness of 1 kHz would shake the axis at 250 Hz; gains without a unit of time stay."""
     changes = ["law.name=pid", "law.gains.kp=1600", "law.gains.kd=8", "law.gains.ki=[320, 640]"]

@@ -16,8 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hil.campaign.report import blind_lines, document, terminal_table, write_html
 from hil.campaign.voyage import Cell, Leg, displaced, legs, sail
 from hil.config import RigConfig, RigError, load_rig
-from hil.cycle import ControlCycle
 from hil.output import write_json
+from hil.usable import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
 SHIPPED = Path(__file__).parent.parent.parent / "deploy" / "rigs"
@@ -48,12 +48,7 @@ def campaign(
 
 def _checked(rig: RigConfig, path: Path) -> RigConfig:
     """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
-    rig = displaced(rig)
-    try:
-        ControlCycle(rig, path.parent)
-    except ValueError as error:
-        raise RigError([f"{path}: {error}"]) from None
-    return rig
+    return usable(displaced(rig), path)
 
 
 def faults(
