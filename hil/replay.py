@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -10,10 +11,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from google.protobuf.message import DecodeError
 from rich.console import Console
 
 from drivers.frame import Frame
-from hil.config import RigConfig
+from hil.config import RigConfig, RigError
 from hil.cycle import ControlCycle
 from hil.output import write_json
 from hil.telemetry import codec
@@ -40,12 +42,19 @@ class Replayed:
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
 
+def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    try:
+        return ControlCycle(rig, base_dir)
+    except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
+        raise RigError([f"rig {rig.name}: {error}"]) from None
+
+
 class _Comparison:
     """Runs a second rig over the same ticks; how its force differs, in open loop: the stage did not feel it."""
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self._names = rig.axis_names
-        self._cycle = ControlCycle(rig, base_dir)
+        self._cycle = _new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
         self._largest = np.zeros(len(self._names))
         self._ticks = 0
@@ -67,10 +76,14 @@ class _Comparison:
 
 
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
-    """Every recorded tick, in order."""
+    """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
     for item in recording:
         if item.topic == "traffic":
-            yield from codec.recorded_ticks(pb.Traffic.FromString(item.data))
+            try:
+                ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+            except (DecodeError, ValueError, IndexError, RuntimeError) as error:
+                raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
+            yield from ticks
 
 
 def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:
@@ -85,13 +98,16 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle = ControlCycle(rig, base_dir)
+        cycle = _new_cycle(rig, base_dir)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
-            result = cycle.step(step.tick, step.received)
+            try:
+                result = cycle.step(step.tick, step.received)
+            except struct.error as error:  # a number of a tick or frame that no record has room for
+                raise RecordingError(f"{path}: tick {step.tick.index} makes no sense: {error}") from None
             report.ticks += 1
             report.frames += len(step.sent)
             if bytes_of(result.frames) != bytes_of(step.sent):
@@ -114,7 +130,7 @@ def _show(report: Replayed, console: Console) -> None:
     if report.gap_at is not None:
         console.print(f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there")
     if report.truncated:
-        console.print("the recording was cut short: replayed as far as it goes")
+        console.print("the recording was cut short or is damaged: replayed as far as it is whole")
     for name, row in (report.other_force or {}).items():
         console.print(f"  {report.other_law} would differ on {name} by {row['rms']:.3g} RMS, {row['max']:.3g} at most")
 

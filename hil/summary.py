@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -18,7 +19,7 @@ from hil.statistics import axis_statistics
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.provenance import rig_of_run
-from hil.telemetry.recorder import Recording
+from hil.telemetry.recorder import Recording, RecordingError
 from hil.trajectories import make_trajectory
 
 _FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
@@ -68,15 +69,18 @@ def load_run(path: Path) -> RunData:
     status = None
     batches: list[dict[str, NDArray[Any]]] = []
     last, lost = pb.Counters(), 0
-    for item in recording:
-        if item.topic == "telemetry":
-            message = pb.Telemetry.FromString(item.data)
-            batches.append(codec.columns(message))
-            last = message.counters
-            lost += message.lost
-        elif item.topic == "status":
-            status = pb.Status.FromString(item.data)
-    columns = _joined(batches, len(rig.axes))
+    try:
+        for item in recording:
+            if item.topic == "telemetry":
+                message = pb.Telemetry.FromString(item.data)
+                batches.append(codec.columns(message))
+                last = message.counters
+                lost += message.lost
+            elif item.topic == "status":
+                status = pb.Status.FromString(item.data)
+        columns = _joined(batches, len(rig.axes))
+    except (DecodeError, ValueError) as error:
+        raise RecordingError(f"{path}: its telemetry makes no sense: {error}") from None
     return RunData(rig, recording.metadata, columns, last, status, lost, recording.truncated)
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
-from hil.config import RigConfig, load_rig
+from hil.config import RigConfig, RigError, load_rig
 from hil.lockstep import simulate
 from hil.replay import replay_run
 from hil.summary import load_run, summarise
@@ -92,6 +93,60 @@ def test_a_recording_cut_short_replays_as_far_as_it_goes(recording: Path, tmp_pa
     assert report.truncated
     assert 0 < report.ticks < 1200
     assert report.different == 0
+
+
+def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_never_blamed_on_the_cycle(
+    recording: Path, tmp_path: Path
+) -> None:
+    whole = recording.read_bytes()
+    path = tmp_path / "damaged.mcap"
+    described = whole.index(b'"rig_hash"')  # what comes before is the rig itself, and may say something else
+    outcomes = set()
+    for place in range(described, len(whole), len(whole) // 20):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        try:
+            report = replay_run(path)
+            load_run(path)
+        except (RecordingError, RigError):
+            outcomes.add("refused")
+        else:
+            assert report.different == 0
+            outcomes.add("cut short" if report.truncated else "whole")
+    assert "cut short" in outcomes
+
+
+@pytest.mark.parametrize("description", [b"", b"[]", b"{}", b'{"rig": 5, "rig_hash": "", "version": ""}', b"\xff"])
+def test_a_recording_without_a_rig_is_refused(recording: Path, tmp_path: Path, description: bytes) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_attachment(0, 0, "run.json", "application/json", description)
+        writer.finish()
+    with pytest.raises(RecordingError, match="damaged"):
+        replay_run(path)
+
+
+def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: Path, tmp_path: Path) -> None:
+    def nonsense(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 2:
+            del message.received.can_id[-1]
+        return message
+
+    def oversized(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received.flags[0] = 2**32 - 1
+        return message
+
+    for change in (nonsense, oversized):
+        with pytest.raises(RecordingError, match="makes no sense"):
+            replay_run(rewritten(recording, tmp_path / "x.mcap", change))
+
+
+def test_a_law_the_rig_cannot_have_is_refused_by_name(recording: Path) -> None:
+    with pytest.raises(RigError, match=r"law\.name = 'magic'"):
+        replay_run(recording, ("law.name=magic",))
 
 
 def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -> None:

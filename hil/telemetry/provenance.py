@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.config import RigConfig, build_rig, rig_hash
+from hil.config import RigConfig, RigError, build_rig, rig_hash
 from hil.control_path import control_path
 
 
@@ -48,8 +48,11 @@ def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Ite
     document = json.loads(json.dumps(metadata["rig"]))
     with tempfile.TemporaryDirectory(prefix="hil-rig-") as directory:
         base_dir = Path(directory)
-        for name, text in metadata.get("files", {}).items():
-            place = base_dir / Path(name).name
-            place.write_text(text, encoding="utf-8", errors="surrogateescape")
-            document["bus"]["protocol"] = f"dbc:{place.name}"
+        try:
+            for name, text in metadata.get("files", {}).items():
+                place = base_dir / Path(name).name
+                place.write_text(text, encoding="utf-8", errors="surrogateescape")
+                document["bus"]["protocol"] = f"dbc:{place.name}"
+        except (AttributeError, KeyError, TypeError, ValueError, OSError):
+            raise RigError(["the recording's description of the files its rig names is damaged"]) from None
         yield build_rig(document, overrides), base_dir

@@ -36,7 +36,8 @@ RUN_ATTACHMENT = "run.json"
 _SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
 
 _RECORD_LIMIT = 256 * 2**20
-_CUT_SHORT = (McapError, ValueError, struct.error, zstandard.ZstdError)  # what a file that ends anywhere can cause
+# What a file that ends anywhere, or has any bit wrong, can cause: a length may be beyond all bounds.
+_DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
 
 
 class RecordingError(Exception):
@@ -167,10 +168,10 @@ class Recorded(NamedTuple):
 
 
 class Recording:
-    """Reads a recording from front to end, cut short or not.
+    """Reads a recording from front to end, cut short or damaged or not.
 
     path: the file. metadata: what `run.json` holds. truncated: set once iteration has met the end of a file that was
-    cut short. Raises RecordingError when the file is none.
+    cut short, or a chunk whose checksum does not hold. Raises RecordingError when the file is none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -181,19 +182,28 @@ class Recording:
     def _metadata(self) -> dict[str, Any]:
         for item in self._items():
             if isinstance(item, Attachment) and item.name == RUN_ATTACHMENT:
-                text: dict[str, Any] = json.loads(item.data)
-                return text
+                return self._described(item.data)
             if isinstance(item, McapMessage):
                 break
         raise RecordingError(f"{self.path}: not a recording of a control process")
 
+    def _described(self, data: bytes) -> dict[str, Any]:
+        try:
+            metadata = json.loads(data)
+            known = isinstance(metadata["rig"], dict) and {"rig_hash", "version"} <= metadata.keys()
+        except (ValueError, KeyError, TypeError):  # TypeError: it is no object
+            known = False
+        if not known:
+            raise RecordingError(f"{self.path}: its description ({RUN_ATTACHMENT}) is damaged")
+        return dict(metadata)
+
     def _items(self) -> Iterator[Any]:
         try:
             with self.path.open("rb") as file:
-                yield from StreamReader(file, record_size_limit=_RECORD_LIMIT).records
+                yield from StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT).records
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}") from None
-        except _CUT_SHORT:
+        except _DAMAGED:
             self.truncated = True
 
     def __iter__(self) -> Iterator[Recorded]:
@@ -202,4 +212,7 @@ class Recording:
             if isinstance(item, Channel):
                 topics[item.id] = item.topic
             elif isinstance(item, McapMessage):
+                if item.channel_id not in topics:  # where its channel stood is damaged
+                    self.truncated = True
+                    return
                 yield Recorded(topics[item.channel_id], item.log_time, item.data)
