@@ -21,7 +21,8 @@ from drivers.error_frames import decode_error
 from drivers.frame import ECHO, ERROR, FD, Frame, new_tuple
 from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
 from drivers.local_medium import LocalMedium
-from drivers.receive_block import SLOTS, STAMPED, ReceiveBlock
+from drivers.receive_block import ReceiveBlock
+from drivers.recvmmsg import SLOTS, STAMPED
 from drivers.runtime import RuntimeDirectoryError
 from drivers.socketcan import Filters, SocketCanMedium, is_can_interface
 

@@ -19,7 +19,7 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from drivers.frame import BRS, ERROR, ESI, EXTENDED, EXTENDED_MASK, FD, REMOTE, STANDARD_MASK, Frame
 from drivers.frame_bytes import CANFD_MTU, from_bytes, to_bytes
 from drivers.local_medium import LocalMedium, channels
-from drivers.receive_block import SO_TIMESTAMPNS
+from drivers.recvmmsg import SO_TIMESTAMPNS
 from drivers.runtime import RuntimeDirectoryError
 
 RECEIVE_QUEUE = 512  # frames; tools read in bursts

@@ -38,7 +38,7 @@ from pathlib import Path
 from drivers.counters import BusState
 from drivers.error_frames import overflow_notice
 from drivers.frame_bytes import CANFD_MTU, to_bytes
-from drivers.receive_block import SO_TIMESTAMPNS
+from drivers.recvmmsg import SO_TIMESTAMPNS
 from drivers.runtime import make_private, runtime_dir
 
 FIRST_DEPTH = 16  # frames that may wait on a link before its greeting has been read
@@ -190,8 +190,9 @@ class LocalMedium:
                 link.greet(self._depth)
 
     def _open_door(self, directory: Path) -> None:
-        paths = (directory / f"{os.getpid()}-{number}-{self._depth}.sock" for number in _door_numbers)
-        self._door_path = path = next(path for path in paths if not path.exists())
+        while (path := directory / f"{os.getpid()}-{next(_door_numbers)}-{self._depth}.sock").exists():
+            pass
+        self._door_path = path
         with _address(path) as address:
             self._door.bind(address)
         path.chmod(0o666)  # who may come in is the directory's business

@@ -1,64 +1,32 @@
-"""recvmmsg(2) into memory that is laid out once: one system call takes a whole tick's frames from a socket.
+"""The frames among the messages that recvmmsg(2) has brought.
 
-Python's own recvmsg_into costs one call per frame and one more to learn that there are none left; with the
-ancillary data it builds each time that is half the I/O budget of a tick. Works for SocketCAN and for the AF_UNIX
-links of the local bus alike: both deliver `struct can_frame` (16 B) or `struct canfd_frame` (72 B).
+Works for SocketCAN and for the AF_UNIX links of the local bus alike: both deliver `struct can_frame` (16 B) or
+`struct canfd_frame` (72 B).
 """
 
-import ctypes
-import errno
-import os
-import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Final
 
 from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
 from drivers.frame_bytes import CANFD_MTU
-
-SLOTS = 32  # messages per system call
-
-SO_TIMESTAMPNS = 35  # <asm-generic/socket.h>; Python's socket module has no names for these two
-SO_RXQ_OVFL = 40
-STAMPED = socket.CMSG_SPACE(struct.calcsize("@ll"))  # control bytes of a message that has a time stamp
+from drivers.recvmmsg import CONTROL_BYTES, CONTROL_LENGTH_AT, FLAGS_GAP, HEADER_BYTES, SLOTS, MessageMemory
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]
+Ordinary = tuple[int, int, bytes, int]
 # The headers that some number of messages use; these when all are plain; when they are fresh; the messages' slots. No
 # NamedTuple: only a true tuple is unpacked quickly.
 Parts = tuple[memoryview, bytes, bytes, memoryview]
-
-
-class _IoVec(ctypes.Structure):
-    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
-
-
-class _MsgHdr(ctypes.Structure):
-    _fields_ = (
-        ("name", ctypes.c_void_p),
-        ("name_length", ctypes.c_uint),
-        ("iov", ctypes.c_void_p),
-        ("iov_length", ctypes.c_size_t),
-        ("control", ctypes.c_void_p),
-        ("control_length", ctypes.c_size_t),
-        ("flags", ctypes.c_int),
-    )
-
-
-class _MMsgHdr(ctypes.Structure):
-    _fields_ = (("header", _MsgHdr), ("received", ctypes.c_uint))
 
 
 def _exactly(layout: str, size: int) -> struct.Struct:
     return struct.Struct(f"{layout}{size - struct.calcsize(layout)}x")
 
 
-_CONTROL_BYTES = 64  # two control messages, 8-byte aligned behind the frame
-_SLOT_BYTES = CANFD_MTU + _CONTROL_BYTES
-_HEADER_BYTES = ctypes.sizeof(_MMsgHdr)
-
+_SLOT_BYTES: Final = CANFD_MTU + CONTROL_BYTES
 # control_length, flags, received: next to each other in struct mmsghdr but for padding
-_GAP = _MMsgHdr.received.offset - _MsgHdr.flags.offset - ctypes.sizeof(ctypes.c_int)
-_RESULT = _exactly(f"@{_MsgHdr.control_length.offset}xNi{_GAP}xI", _HEADER_BYTES)
+_RESULT = _exactly(f"@{CONTROL_LENGTH_AT}xNi{FLAGS_GAP}xI", HEADER_BYTES)
 # can_id, len, flags, reserved, data; then the control messages: SO_TIMESTAMPNS with seconds and nanoseconds,
 # SO_RXQ_OVFL with its count. cmsg_len and cmsg_level are skipped, as only SOL_SOCKET messages have been asked for.
 _CMSG = f"{struct.calcsize('@N') + 4}x"
@@ -71,15 +39,11 @@ _ORDINARY = {
     for length in FD_LENGTHS
 }
 
-_SECOND = 1_000_000_000
-_DONT_WAIT = int(socket.MSG_DONTWAIT)
-# PyDLL keeps the GIL: the call never waits, and handing the GIL over costs more than it takes.
-_recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
-_recvmmsg.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
+_SECOND: Final = 1_000_000_000
 
 
 class ReceiveBlock:
-    """Room for SLOTS messages, reused by every call.
+    """What one call has brought, at most SLOTS messages; reused by every call.
 
     `frames` is the short way, for what almost every tick brings: frames of one length with nothing to tell but their
     data. Anything else is left to the long way, message by message: `results` and `contents`.
@@ -89,53 +53,30 @@ class ReceiveBlock:
         """size: of the messages that the short way is for, CAN_MTU or CANFD_MTU."""
         self._mark = FD if size == CANFD_MTU else 0
         self.count = 0  # messages received last
-        self._headers = (_MMsgHdr * SLOTS)()
-        self._vectors = (_IoVec * SLOTS)()
-        self._memory = ctypes.create_string_buffer(SLOTS * _SLOT_BYTES)
-        for index in range(SLOTS):
-            frame = ctypes.addressof(self._memory) + index * _SLOT_BYTES
-            self._vectors[index].base = frame
-            self._vectors[index].length = CANFD_MTU
-            header = self._headers[index].header
-            header.iov = ctypes.addressof(self._vectors) + index * ctypes.sizeof(_IoVec)
-            header.iov_length = 1
-            header.control = frame + CANFD_MTU
-            header.control_length = _CONTROL_BYTES
-        self._address = ctypes.byref(self._headers)  # quicker to pass than a c_void_p
-        headers, slots = memoryview(self._headers).cast("B"), memoryview(self._memory).cast("B")
-        fresh = bytes(headers)  # the kernel overwrites control_length and flags
-        for index in range(SLOTS):
-            self._headers[index].header.control_length = STAMPED
-            self._headers[index].received = size
-        plain = bytes(headers)
-        headers[:] = fresh
+        memory = MessageMemory(CANFD_MTU, size)
+        self._receive: Callable[[int], int] = memory.receive
         # Everything by the number of messages, so that a tick cuts nothing out of anything.
         self._parts: list[Parts] = []
         for count in range(SLOTS + 1):
-            end = count * _HEADER_BYTES
-            self._parts.append((headers[:end], plain[:end], fresh[:end], slots[: count * _SLOT_BYTES]))
+            end = count * HEADER_BYTES
+            self._parts.append(
+                (memory.headers[:end], memory.plain[:end], memory.fresh[:end], memory.slots[: count * _SLOT_BYTES])
+            )
         self.expect(0, 0)
 
     def expect(self, length: int, flags: int) -> None:
         """The short way is for frames of `length` data bytes with these raw flags, from now on."""
         unpack = _ORDINARY.get(length)
         if unpack is not None:
-            self._unpack = unpack
+            self._unpack: Callable[[memoryview], Iterator[Ordinary]] = unpack
             self._head: int = _HEAD.unpack(bytes((length, flags)))[0]
             self._flags = flags & ~ECHO | FD if self._mark else 0
 
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
-        self.count = count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
-        if count < 0:
-            self._fail()
-        return self.count
-
-    def _fail(self) -> None:
         self.count = 0
-        number = ctypes.get_errno()
-        if number != errno.EAGAIN:
-            raise OSError(number, os.strerror(number))
+        self.count = self._receive(fd)
+        return self.count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
@@ -146,11 +87,10 @@ class ReceiveBlock:
         and `contents`.
         Raises OSError as `receive` does.
         """
-        self.count = count = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
+        self.count = 0
+        self.count = count = self._receive(fd)
         if not 0 < count < SLOTS:
-            if count < 0:
-                self._fail()
-            return None if self.count else []
+            return None if count else []
         used, plain, fresh, slots = self._parts[count]
         if used.tobytes() != plain or latest_ns - earliest_ns >= _SECOND:  # one comparison is quicker than parsing
             return None
@@ -159,12 +99,11 @@ class ReceiveBlock:
         first = last - (latest_ns - earliest_ns)
         base_ns = latest_ns - last
         frames: list[Frame] = []
-        # Local names and no call that can be saved: this is the innermost loop.
-        expected, flags, error = self._head, self._flags, ERROR
-        append, new, kind = frames.append, new_tuple, Frame
+        # Local names, as this is the innermost loop.
+        expected, flags, kind = self._head, self._flags, Frame
         for can_id, head, data, ns in self._unpack(slots):
-            if head == expected and first <= ns <= last and (can_id < error or not can_id & error):
-                append(new(kind, (can_id, data, flags, base_ns + ns)))
+            if head == expected and first <= ns <= last and (can_id < ERROR or not can_id & ERROR):
+                frames.append(new_tuple(kind, (can_id, data, flags, base_ns + ns)))
         if len(frames) != count:
             return None
         used[:] = fresh

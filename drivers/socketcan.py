@@ -11,7 +11,7 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.counters import BusState
-from drivers.receive_block import SO_RXQ_OVFL
+from drivers.recvmmsg import SO_RXQ_OVFL
 
 _ARPHRD_CAN = 280  # <linux/if_arp.h>
 _SIOCGIFFLAGS = 0x8913

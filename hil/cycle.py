@@ -367,7 +367,7 @@ class ControlCycle:
             max(self.sent_sequence, 0), self.setpoints.task_ns,
             *measured, *position, *velocity, *disturbance, *innovation, *setpoint, *setpoint_velocity, *error,
             *self._requested, *self.gate.force,
-            *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port,
+            *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port[:],
             *inbox.rejects, inbox.lost, 0, 0, 0, self.machine.refused, self.commands.refused,
             self.law.denominator_floors, *self.gate.saturations,
         )  # fmt: skip

@@ -13,7 +13,6 @@ Rules:
 from collections.abc import Callable
 from typing import NamedTuple
 
-from drivers.frame import new_tuple
 from drivers.protocols.base import DriveStatus, Sample
 
 NEVER_NS = 1 << 62
@@ -125,7 +124,7 @@ class ServoDrive:
     def sample(self, position: float, now_ns: int) -> Sample:
         """The encoder's count at now_ns, answering the last fresh command. position: truth, m."""
         status = self.status | self.extra_status
-        sample = new_tuple(Sample, (self.axis, round(position / self.resolution), status, self._sequence, now_ns))
+        sample = Sample(self.axis, round(position / self.resolution), status, self._sequence, now_ns)
         for tap in self.taps:
             sample = tap(sample)
         return sample

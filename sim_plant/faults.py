@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus, Sample
@@ -123,19 +123,19 @@ def _silent(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
 
 def _stuck(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     count = round(float(stage.position[axis]) / stage.drives[axis].resolution)
-    return _tap_samples(stage, axis, lambda sample: sample._replace(position=count))
+    return _tap_samples(stage, axis, lambda sample: replace(sample, position=count))
 
 
 def _jump(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     offset = _counts(stage, axis, fault.amount)
-    return _tap_samples(stage, axis, lambda sample: sample._replace(position=sample.position + offset))
+    return _tap_samples(stage, axis, lambda sample: replace(sample, position=sample.position + offset))
 
 
 def _glitch(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     offset, random = _counts(stage, axis, fault.amount), _random(fault, axis)
 
     def tap(sample: Sample) -> Sample:
-        return sample._replace(position=sample.position + offset) if random.chance(fault.probability) else sample
+        return replace(sample, position=sample.position + offset) if random.chance(fault.probability) else sample
 
     return _tap_samples(stage, axis, tap)
 
@@ -143,12 +143,12 @@ def _glitch(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
 def _noise(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     span, random = _counts(stage, axis, fault.amount), _random(fault, axis)
     return _tap_samples(
-        stage, axis, lambda sample: sample._replace(position=sample.position + random.below(2 * span + 1) - span)
+        stage, axis, lambda sample: replace(sample, position=sample.position + random.below(2 * span + 1) - span)
     )
 
 
 def _extreme(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
-    return _tap_samples(stage, axis, lambda sample: sample._replace(position=_MOST_NEGATIVE))
+    return _tap_samples(stage, axis, lambda sample: replace(sample, position=_MOST_NEGATIVE))
 
 
 def _show(stage: EmulatedStage, axis: int, bit: DriveStatus) -> Undo:
@@ -184,7 +184,7 @@ def _drive_watchdog(stage: EmulatedStage, axis: int, fault: FaultConfig) -> None
 
 def _wrong_sequence(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     offset = round(fault.amount)
-    return _tap_samples(stage, axis, lambda sample: sample._replace(sequence=sample.sequence + offset))
+    return _tap_samples(stage, axis, lambda sample: replace(sample, sequence=sample.sequence + offset))
 
 
 def _bad_checksum(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
@@ -234,7 +234,7 @@ def _reordered(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
 
 def _clock_jump(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     offset_ns = round(fault.amount * 1e9)
-    return _tap_samples(stage, axis, lambda sample: sample._replace(stamp_ns=sample.stamp_ns + offset_ns))
+    return _tap_samples(stage, axis, lambda sample: replace(sample, stamp_ns=sample.stamp_ns + offset_ns))
 
 
 def _torque_constant(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:

@@ -19,12 +19,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import bus as bus_module
-from drivers import receive_block
+from drivers import recvmmsg
 from drivers.bus import BusState, EchoingPort, Port, PortCounters, PortError, open_port, resolve_interface
 from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_bytes import CANFD_MTU, to_bytes
-from drivers.receive_block import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED, ReceiveBlock
+from drivers.receive_block import ReceiveBlock
+from drivers.recvmmsg import SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
@@ -161,7 +162,7 @@ def test_the_short_way_of_reading_never_mistakes_the_second(stamp: int, age: int
     used[:] = plain
     latest = stamp + age - offset
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(receive_block, "_recvmmsg", lambda *_: 1)
+        patch.setattr(recvmmsg, "_recvmmsg", lambda *_: 1)
         frames = block.frames(0, offset, latest - window, latest)
     if 0 <= age <= window < 10**9 and stamp // 10**9 == (stamp + age) // 10**9:
         assert frames == [FEEDBACK._replace(timestamp_ns=stamp - offset)]

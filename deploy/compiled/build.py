@@ -25,7 +25,7 @@ LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through, in three tables. Not among them:
 # what sleeps (hil/sleep.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
-# might not see SIGTERM; what defines ctypes structures (drivers/receive_block.py), which mypyc cannot compile; what
+# might not see SIGTERM; what defines ctypes structures (drivers/recvmmsg.py), which mypyc cannot compile; what
 # users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/state_machine.py,
 # drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
 
@@ -45,7 +45,7 @@ hil: clock commands cycle faults gate inbox loop sampling stage_clock stop tick 
 OTHERS = """
 hil/telemetry: mailbox record ring
 hil/trajectories: base figures minimum_jerk segments
-drivers: bus counters frame frame_bytes frame_length wire wire_node
+drivers: bus counters frame frame_bytes frame_length local_medium receive_block socketcan wire wire_node
 drivers/protocols: base checksum sampling stage stage_classic stage_fd
 sim_plant: drive emulator single_axis trigonometry
 """

@@ -1,6 +1,7 @@
 """What every frame layout offers: bytes to values and back, no I/O, no clock."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import NamedTuple, Protocol
 
@@ -37,7 +38,8 @@ class Reject(IntEnum):
     DUPLICATE = 9  # answers a command already answered (the cycle's judgement)
 
 
-class Sample(NamedTuple):
+@dataclass(slots=True)
+class Sample:
     """One axis' encoder sample.
 
     axis: index, 0-based. position: encoder counts, int. status: DriveStatus bits. sequence: of the command frame

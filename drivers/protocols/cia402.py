@@ -24,7 +24,7 @@ from typing import Any
 import canopen
 
 from drivers.config import BusConfig
-from drivers.frame import ECHO, FD, Frame, new_tuple
+from drivers.frame import ECHO, FD, Frame
 from drivers.protocols import cia301
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
 from drivers.protocols.cia301 import DriveState, mapping_entry
@@ -185,7 +185,7 @@ class Cia402Host:
         if state is not node.state:
             self.master.stir()
         node.on_state(state)
-        return new_tuple(Sample, (axis, position, status | node.alarms, -1, self._clock.instant(axis, frame)))
+        return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         service = self._services.get(can_id)

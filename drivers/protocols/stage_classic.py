@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 from drivers.config import BusConfig
-from drivers.frame import FD, Frame, new_tuple
+from drivers.frame import FD, Frame
 from drivers.protocols.base import Command, Message, Reject, Sample
 from drivers.protocols.checksum import IdentifiedCrc8
 from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
@@ -79,7 +79,7 @@ class StageClassicHost(_Layout):
         position, stamp, sequence, status, _ = self._unpack_feedback(data)
         earliest = received - _HALF_NS
         stamp_ns = earliest + (stamp * 1000 - earliest) % _WRAP_NS
-        return new_tuple(Sample, (axis, position, status, sequence, stamp_ns))
+        return Sample(axis, position, status, sequence, stamp_ns)
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from struct import Struct
 from typing import Final
-from zlib import crc32
+from zlib import crc32 as _crc32
 
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame, new_tuple
@@ -26,6 +26,7 @@ RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it,
 
 _WRAP: Final = 1 << 32  # sample_time, ns
 _HALF: Final = 1 << 31
+crc32: Final = _crc32
 _SINGLE = Struct("<f")
 
 
@@ -83,7 +84,7 @@ class StageFdHost(_Layout):
         if status > STATUS_MASK:
             return Reject.INVALID_VALUE
         earliest = received - _HALF
-        return new_tuple(Sample, (axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP))
+        return Sample(axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP)
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
@@ -127,9 +128,8 @@ class StageFdDevice(_Layout):
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """The feedback frame of one axis; position and stamp wrap at 32 bits."""
-        axis, position, status, sequence, stamp = sample
-        can_id = self._feedback_id + axis
-        position = (position + _HALF) % _WRAP - _HALF
-        data = self._feedback.pack(position, stamp % _WRAP, status & STATUS_MASK, sequence % SEQUENCE_MODULUS, 0)
+        can_id = self._feedback_id + sample.axis
+        position, stamp = (sample.position + _HALF) % _WRAP - _HALF, sample.stamp_ns % _WRAP
+        data = self._feedback.pack(position, stamp, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0)
         data = data[:FEEDBACK_CHECKED]
         return new_tuple(Frame, (can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS, 0))

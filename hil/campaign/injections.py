@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from drivers.frame import ECHO, Frame
 from drivers.protocols import cia301
@@ -45,7 +46,7 @@ class Encoder:
             drive.taps.append(self._falsify)
 
     def _falsify(self, sample: Sample) -> Sample:
-        return sample._replace(position=self._change(sample.position, self._held, self._ticks))
+        return replace(sample, position=self._change(sample.position, self._held, self._ticks))
 
 
 def status_bit(bit: DriveStatus) -> Step:
@@ -142,7 +143,7 @@ def bend(position_widths: float, speeds: float) -> Step:
 def says_enabled(run: LockstepRun, axis: int) -> None:
     """The drive says that it is enabled, whatever it is told."""
     drive = run.stage.drives[axis]
-    drive.taps.append(lambda sample: sample._replace(status=sample.status | int(DriveStatus.ENABLED)))
+    drive.taps.append(lambda sample: replace(sample, status=sample.status | int(DriveStatus.ENABLED)))
     if run.stage.nodes:  # they tell their own state
         _, enabled = DriveState.OPERATION_ENABLED.value
         run.stage.nodes[axis].dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
@@ -176,7 +177,7 @@ def babble(can_id: int) -> Step:
 def drop_out(run: LockstepRun, axis: int) -> None:
     """The drive is enabled no more, and says so, without a fault."""
     drive = run.stage.drives[axis]
-    drive.taps.append(lambda sample: sample._replace(status=sample.status & ~int(DriveStatus.ENABLED)))
+    drive.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
     if run.stage.nodes:  # they tell their own state
         run.stage.nodes[axis].switch_off()
 
