@@ -1,6 +1,7 @@
 """The sidecar as a real process beside a stand-in for the control process: publishing, commands, recording, deaths."""
 
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
@@ -20,6 +22,7 @@ from hil.telemetry.gateway import Gateway
 from hil.telemetry.places import places
 from hil.telemetry.recorder import Recording
 from hil.telemetry.ring import RingReader
+from hil.telemetry.session import client_config
 from hil.tick import CommandKind
 
 ROOT = Path(__file__).parent.parent
@@ -230,6 +233,20 @@ def test_the_example_subscriber_of_the_readme_prints_the_stage(bench: Bench) -> 
 
 
 @pytest.mark.live
+@pytest.mark.live
+def test_what_strangers_publish_as_a_status_does_not_end_those_who_watch(bench: Bench) -> None:
+    bench.sidecar()
+    with RigClient(bench.endpoint) as client, zenoh.open(client_config(bench.endpoint)) as stranger:
+        client.wait_status(10.0)
+        for _ in range(20):
+            stranger.put("hil/microscope/status", b"\xff\xff no status")
+        assert eventually(client, lambda status: status.rig == "microscope")
+
+
+def test_of_a_stopped_sidecar_whose_kernel_still_accepts_an_operator_hears_sooner_than_zenoh_itself_would_say() -> None:
+    assert json.loads(client_config(free_endpoint()).get_json("transport/unicast/open_timeout")) < 3000  # ms, not 10 s
+
+
 @pytest.mark.live
 def test_a_second_sidecar_of_a_rig_is_refused_and_the_first_ones_operators_are_still_obeyed(bench: Bench) -> None:
     bench.sidecar()

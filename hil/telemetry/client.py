@@ -1,11 +1,13 @@
 """A client of a sidecar: the newest status, and commands with their verdict."""
 
+import contextlib
 import os
 import socket
 import time
 from typing import Any
 
 import zenoh
+from google.protobuf.message import DecodeError
 from zenoh.handlers import RingChannel
 
 from hil.telemetry import telemetry_pb2 as pb
@@ -68,7 +70,10 @@ class RigClient(Closing):
     def status(self) -> pb.Status | None:
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
-        return pb.Status.FromString(sample.payload.to_bytes()) if sample else None
+        try:
+            return pb.Status.FromString(sample.payload.to_bytes()) if sample else None
+        except DecodeError:  # of another version, or of anybody else who can publish there
+            return None
 
     def wait_status(self, timeout_s: float) -> pb.Status:
         """The next status. Raises NoSidecarError."""
@@ -97,7 +102,8 @@ class RigClient(Closing):
         replies = self._session.get(f"{self._key}/command", payload=request.SerializeToString(), timeout=2.0)
         for reply in replies:
             if reply.ok:
-                return pb.CommandReply.FromString(reply.ok.payload.to_bytes())
+                with contextlib.suppress(DecodeError):
+                    return pb.CommandReply.FromString(reply.ok.payload.to_bytes())
         raise NoSidecarError(f"no command gateway answers at {self.endpoint}")
 
     def close(self) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 import zenoh
 
+OPEN_TIMEOUT_MS = 2000
+
 
 def server_config(listen: Sequence[str]) -> zenoh.Config:
     """The sidecar: a router, so that any number of clients reach it and each other through it."""
@@ -23,6 +25,8 @@ def client_config(endpoint: str) -> zenoh.Config:
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("connect/timeout_ms", "0")
     config.insert_json5("connect/exit_on_failure", "false")
+    # A stopped sidecar's kernel still accepts; the default of 10 s is long for somebody who wants to stop the stage.
+    config.insert_json5("transport/unicast/open_timeout", str(OPEN_TIMEOUT_MS))
     retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
     config.insert_json5("connect/retry", json.dumps(retry))
     return config
