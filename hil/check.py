@@ -15,7 +15,7 @@ from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
 from hil.config import RigConfig, RigError, load_rig
 from hil.exit_status import EXIT_CONFIG
-from hil.output import write_json
+from hil.output import writable, write_json
 from hil.stability import StabilityReport, check_stability
 
 
@@ -62,7 +62,9 @@ def problems(rig: RigConfig, analysis: Analysis) -> list[str]:
 def check(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
-    json_path: Annotated[str | None, typer.Option("--json", metavar="PATH", help="write JSON; - for stdout")] = None,
+    json_path: Annotated[
+        str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="the tick's timeline as PNG [default: runs/RIG-tick.png]")
     ] = None,

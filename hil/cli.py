@@ -10,7 +10,7 @@ import typer
 
 from hil.config import RigError
 from hil.control_path import control_path
-from hil.exit_status import EXIT_CONFIG
+from hil.exit_status import EXIT_CONFIG, EXIT_FILE
 from sim_plant.config import PlantError
 
 
@@ -85,7 +85,9 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def main() -> None:
-    """Entry point of the console script. Exit status 78 where the rig file, or an override of it, is at fault."""
+    """Entry point of the console script. Exit status 78 where the rig file, or an override of it, is at fault; 74 where
+    a file or folder that was named cannot be read or written.
+    """
     wanted = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
         build_app(wanted)()
@@ -96,3 +98,8 @@ def main() -> None:
     except PlantError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(EXIT_CONFIG)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"hil: {error.filename}: {error.strerror}", file=sys.stderr)
+        sys.exit(EXIT_FILE)

@@ -15,6 +15,7 @@ import typer
 from hil.compare_report import comparison_table, draw, summary_table
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
+from hil.output import writable, write_json
 from hil.usable import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
@@ -159,12 +160,12 @@ def compare(
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     picture: Annotated[Path | None, typer.Option(help="where to draw it (PNG) [default: runs/RIG-compare.png]")] = None,
-    json_target: Annotated[str, typer.Option("--json", help="write the rows there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the rows there; - for standard output")
+    ] = "",
 ) -> None:
     """All control laws (or velocity estimators) on the same task; tables, a picture, and JSON."""
     from rich.console import Console
-
-    from hil.output import write_json
 
     changes = list(overrides or ())
     rig = load_rig(rig_file, changes)

@@ -2,13 +2,29 @@
 
 import json
 import math
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
+import typer
 from rich.table import Table
 
 from hil.config import RigConfig
+
+
+def writable(target: str | None) -> str | None:
+    """For options that name a file to write, as their callback: refused before a long run, not lost after it.
+
+    Raises typer.BadParameter.
+    """
+    if target and target != "-":
+        path = Path(target)
+        if not path.parent.is_dir():
+            raise typer.BadParameter(f"{target}: there is no folder {path.parent}")
+        if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise typer.BadParameter(f"{target}: cannot be written")
+    return target
 
 
 def write_json(document: Any, target: str) -> None:

@@ -17,7 +17,7 @@ from rich.console import Console
 from drivers.frame import Frame
 from hil.config import RigConfig, RigError
 from hil.cycle import ControlCycle
-from hil.output import write_json
+from hil.output import writable, write_json
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.provenance import rig_of_run
@@ -139,7 +139,9 @@ def replay(
     recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
     law: Annotated[str, typer.Option(help="also show what this law would have asked for")] = "",
     overrides: Annotated[list[str] | None, typer.Option("--set", help="the same with key=value over the rig")] = None,
-    json_target: Annotated[str, typer.Option("--json", help="write the report there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
+    ] = "",
 ) -> None:
     """Exit status 0: every byte is the same; 1: some differ or nothing could be replayed."""
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))

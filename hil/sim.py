@@ -9,14 +9,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.config import RigConfig, RigError, load_rig
-from hil.output import axis_table, write_json
+from hil.output import axis_table, writable, write_json
 
 
 def sim(
     rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
     overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
-    json_target: Annotated[str, typer.Option("--json", help="write the report there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
+    ] = "",
     faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
     record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
     picture: Annotated[Path | None, typer.Option(help="write a picture of the tracking (PNG)")] = None,

@@ -24,6 +24,7 @@ from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
 from hil.laws.base import Array
 from hil.lockstep import LockstepRun, simulate
+from hil.output import writable, write_json
 from hil.trajectories import make_trajectory
 from hil.usable import usable
 from sim_plant.stage import Truth
@@ -270,12 +271,12 @@ def sweep(
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
     output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
-    json_target: Annotated[str, typer.Option("--json", help="write the figures there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
+    ] = "",
 ) -> None:
     """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
     from rich.console import Console
-
-    from hil.output import write_json
 
     base = load_rig(rig_file, overrides or ())
     console = Console(stderr=json_target == "-")

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hil.campaign.report import blind_lines, document, terminal_table, write_html
 from hil.campaign.voyage import Cell, Leg, displaced, legs, sail
 from hil.config import RigConfig, RigError, load_rig
-from hil.output import write_json
+from hil.output import writable, write_json
 from hil.usable import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
@@ -58,7 +58,9 @@ def faults(
     ] = None,
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    json_target: Annotated[str, typer.Option("--json", help="write all cells there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write all cells there; - for standard output")
+    ] = "",
     page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
 ) -> None:
     """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from hil.output import write_json
+from hil.output import writable, write_json
 from hil.paper.claims import Claim
 from hil.paper.experiment import STEPS, Job, Run, carry_out, jobs_of
 from hil.paper.figures import draw
@@ -97,7 +97,9 @@ def _title(job: Job) -> str:
 def reproduce(
     more: Annotated[list[str] | None, typer.Argument(help="further claims", show_default=False)] = None,
     claims: Annotated[list[str] | None, typer.Option("--claims", help="only these: --claims ID ID ...")] = None,
-    json_target: Annotated[str, typer.Option("--json", help="write the outcome there; - for standard output")] = "",
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the outcome there; - for standard output")
+    ] = "",
     output: Annotated[Path | None, typer.Option(help="folder of the report; default runs/reproduce-<time>")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: one per core")] = None,
 ) -> None:
