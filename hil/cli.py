@@ -1,6 +1,7 @@
 """`hil …`: every command is one function in a module of its own; only the one asked for is imported."""
 
 import importlib
+import io
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -8,9 +9,10 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from drivers.runtime import RuntimeDirectoryError
 from hil.config import RigError
 from hil.control_path import control_path
-from hil.exit_status import EXIT_CONFIG, EXIT_FILE
+from hil.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
 from sim_plant.config import PlantError
 
 
@@ -89,6 +91,9 @@ def main() -> None:
     a file or folder that was named cannot be read or written.
     """
     wanted = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
     try:
         build_app(wanted)()
     except RigError as error:
@@ -98,6 +103,9 @@ def main() -> None:
     except PlantError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(EXIT_CONFIG)
+    except RuntimeDirectoryError as error:
+        print(f"hil: {error}", file=sys.stderr)
+        sys.exit(EXIT_UNAVAILABLE)
     except OSError as error:
         if error.filename is None:
             raise

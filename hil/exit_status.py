@@ -1,6 +1,6 @@
 """How a command ends, beside 0 and 1, by the numbers of sysexits.h. The systemd units do not restart on 77 and 78."""
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE: no bus, no sidecar to ask, no port to listen on
+EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE: no bus, no runtime directory, no sidecar to ask, no port to listen on
 EXIT_SOFTWARE = 70  # EX_SOFTWARE: the control cycle failed
 EXIT_FILE = 74  # EX_IOERR: a file or folder named on the command line cannot be read or written
 EXIT_REALTIME = 77  # EX_NOPERM: the kernel refused real time, and [timing] allow_degraded is false

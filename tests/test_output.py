@@ -1,5 +1,6 @@
 """What commands are to write: refused before a run where it cannot be written, and in one line where it then is not."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import build_app
-from hil.exit_status import EXIT_FILE
+from hil.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
+from hil.telemetry.places import known_sidecars
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 FOR_EVER = "1e6"  # s of virtual time: a run that began would not end
@@ -44,3 +46,38 @@ def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path) -> No
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == EXIT_FILE
     assert result.stderr == f"hil: {tmp_path}/file/in: Not a directory\n"
+
+
+@pytest.mark.parametrize(
+    "words", [["monitor", "--once"], ["command", str(PAPER), "stop"], ["sidecar", str(PAPER)], ["blackbox", str(PAPER)]]
+)
+def test_a_runtime_directory_that_cannot_be_made_is_named_in_one_line(tmp_path: Path, words: list[str]) -> None:
+    (tmp_path / "file").touch()
+    result = subprocess.run(
+        [sys.executable, "-m", "hil", *words],
+        env={**os.environ, "HIL_RUNTIME_DIR": str(tmp_path / "file/in/it")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == EXIT_UNAVAILABLE
+    assert result.stderr == f"hil: runtime directory {tmp_path}/file/in/it: Not a directory; set HIL_RUNTIME_DIR\n"
+
+
+def test_a_sidecar_that_ends_while_one_looks_for_it_is_none(private_runtime_dir: Path) -> None:
+    (private_runtime_dir / "paper").mkdir()
+    (private_runtime_dir / "paper" / "endpoint").symlink_to("gone")
+    assert known_sidecars() == []
+
+
+def test_a_terminal_without_the_letters_gets_question_marks_and_the_whole_report(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "hil", "check", str(PAPER)],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "phase margin" in result.stdout

@@ -91,8 +91,9 @@ def known_sidecars(rig: str | None = None) -> list[Known]:
     """Every sidecar (of one rig, or all) that left word, those of demos in a directory of their own first."""
     base = runtime_dir()
     files = [*sorted(base.glob(f"{DEMO_PREFIX}*/*/endpoint")), *sorted(base.glob("*/endpoint"))]
-    return [
-        Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.with_name("token"))
-        for path in files
-        if rig in (None, path.parent.name)
-    ]
+    known = []
+    for path in files:
+        if rig in (None, path.parent.name):
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                known.append(Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.with_name("token")))
+    return known
