@@ -197,7 +197,7 @@ def test_permission_is_never_given_by_an_argument_in_the_wrong_place() -> None:
     assert heard == []
 
 
-@pytest.mark.parametrize(("forces", "positions"), [(1, 2), (3, 2), (2, 1), (2, 3)])
+@pytest.mark.parametrize(("forces", "positions"), [(1, 2), (3, 2), (2, 1), (2, 3), (1, 1), (3, 3)])
 def test_a_request_for_other_than_the_axes_there_are_is_an_error_and_nothing_goes_out(
     forces: int, positions: int
 ) -> None:
