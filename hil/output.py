@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,19 @@ def writable(target: str | None) -> str | None:
         if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
             raise typer.BadParameter(f"{target}: cannot be written")
     return target
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a file anew, with its old mode; where there is no room it stays what it was. Raises OSError."""
+    place = path.resolve()  # a symbolic link stays one
+    draft = place.with_name(f"{place.name}.{os.getpid()}.new")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        shutil.copymode(place, draft)
+        draft.replace(place)
+    except OSError:
+        draft.unlink(missing_ok=True)
+        raise
 
 
 def write_json(document: Any, target: str) -> None:

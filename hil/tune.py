@@ -17,7 +17,7 @@ import typer
 
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws.base import Array
-from hil.output import metres
+from hil.output import metres, replace_text
 from hil.rehearsal import LOST
 from hil.stability import check_stability
 from hil.tune_bench import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
@@ -96,7 +96,7 @@ def write_gains(path: Path, law: str, gains: Mapping[str, Any], notes: Sequence[
         table.add(name, values)
     table.add(tomlkit.nl())
     section["tuned"][law] = table
-    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    replace_text(path, tomlkit.dumps(document))
 
 
 def front(met: Array) -> list[tuple[float, float]]:

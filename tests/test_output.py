@@ -1,6 +1,7 @@
 """What commands are to write: refused before a run where it cannot be written, and in one line where it then is not."""
 
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import build_app
+from hil.config import load_rig
 from hil.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.telemetry.places import known_sidecars
+from hil.tune import write_gains
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 FOR_EVER = "1e6"  # s of virtual time: a run that began would not end
@@ -81,3 +84,24 @@ def test_a_terminal_without_the_letters_gets_question_marks_and_the_whole_report
     )
     assert (result.returncode, result.stderr) == (0, "")
     assert "phase margin" in result.stdout
+
+
+def test_gains_found_on_a_full_disk_do_not_cost_the_rig_file(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(PAPER.read_text())
+    rig.chmod(0o640)
+    link = tmp_path / "link.toml"
+    link.symlink_to(rig)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # a disk that is full after 1000 bytes
+    try:
+        with pytest.raises(OSError, match="too large"):
+            write_gains(link, "pid", {"kp": [1.0, 2.0]}, [])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert rig.read_text() == PAPER.read_text()
+    write_gains(link, "pid", {"kp": [1.0, 2.0]}, [])
+    assert load_rig(rig).law.tuned["pid"] == {"kp": [1.0, 2.0]}
+    assert link.is_symlink()
+    assert rig.stat().st_mode & 0o777 == 0o640
+    assert {path.name for path in tmp_path.glob("*.*")} == {"rig.toml", "link.toml"}
