@@ -226,12 +226,21 @@ def simulate(
         steady_from_s=first * rig.period_ns * 1e-9,
         axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
         state=run.cycle.state.name,
-        faults={fault: count for fault, count in run.cycle.monitor.named_counts().items() if count},
+        faults=_faults_of(run),
         trace_sha256=run.trace_sha256,
         samples_lost=run.cycle.inbox.lost,
         wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
     )
     return report, traces
+
+
+def _faults_of(run: LockstepRun) -> dict[str, int]:
+    """Ticks each fault was seen in; and the one that holds the run in FAULT, where it was latched without having been
+    looked for: a law's request that is not finite, drives that never enable.
+    """
+    seen = {name: count for name, count in run.cycle.monitor.named_counts().items() if count}
+    latched = run.cycle.fault
+    return seen if not latched else {latched.name.lower(): 1} | seen
 
 
 def steady_from(run: LockstepRun, ticks: int) -> int:

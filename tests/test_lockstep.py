@@ -189,3 +189,10 @@ def test_an_expired_or_replayed_command_is_refused_but_an_emergency_stop_never(
     assert run.cycle.commands.refused == 1
     ticks(run, 100)
     assert run.cycle.state is State.ESTOP
+
+
+def test_a_run_that_ends_in_fault_says_for_what_also_where_a_law_lost_its_numbers() -> None:
+    rig = load_rig(RIGS / "paper.toml", ["law.name=structured-kalman", "law.gains.mass_noise=1e300"])
+    with np.errstate(all="ignore"):
+        report, _ = simulate(rig, RIGS, 0.2)
+    assert (report.state, report.faults) == ("FAULT", {"not_finite": 1})
