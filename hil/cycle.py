@@ -48,6 +48,7 @@ _ACTIVE: Final = State.ACTIVE
 _STOPPING: Final = State.STOPPING
 _SHUTDOWN: Final = State.SHUTDOWN
 _STOP: Final = Reaction.STOP
+_OF_THE_SHELL: Final = (0, 0, 0)  # slots missed: the record's fields that the shell fills in
 
 
 class ControlCycle:
@@ -368,7 +369,7 @@ class ControlCycle:
             *measured, *position, *velocity, *disturbance, *innovation, *setpoint, *setpoint_velocity, *error,
             *self._requested, *self.gate.force,
             *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port[:],
-            *inbox.rejects, inbox.lost, 0, 0, 0, self.machine.refused, self.commands.refused,
+            *inbox.rejects, inbox.lost, *_OF_THE_SHELL, self.machine.refused, self.commands.refused,
             self.law.denominator_floors, *self.gate.saturations,
         )  # fmt: skip
         records.traffic(self.commands.handled, sent, received)

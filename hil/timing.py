@@ -1,15 +1,14 @@
 """The timing record: how punctual the loop is and what its ticks cost, without costing it anything to speak of.
 
-Each tick packs one row of eight integers; a full chunk of rows is folded into log-spaced histograms one metric at a
-time, in the ticks that follow, so that no tick pays for more than one. Everything lives in one small memory-mapped file
-that anybody may read while the loop runs; it is written in place and counts only grow, so a reader may see a chunk half
-folded but never nonsense. Nothing is kept per tick and no memory grows.
+Each tick counts up one bin in each of eight log-spaced histograms: every tick the same work, as one that folds what
+others have left is what a loop's slowest ticks are made of. Everything lives in one small memory-mapped file that
+anybody may read while the loop runs; it is written in place and counts only grow, so a reader may see a tick half
+counted but never nonsense. Nothing is kept per tick and no memory grows.
 """
 
 import mmap
 import os
 import resource
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,18 +22,16 @@ STAGES = ("read", "estimate", "control", "gate", "send")
 # lateness: wake against deadline. stages: time spent in each. cpu: CPU time from wake to wake.
 # age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
 METRICS = ("lateness", *STAGES, "cpu", "age")
-_ALL: Final = len(METRICS)
 
-SUB_BINS = 16  # per octave: a quantile is known to 1/16
-OCTAVES = 36  # up to 2^36 ns = 69 s
-BINS = SUB_BINS * OCTAVES
-CHUNK: Final = 256  # rows folded together
-WINDOW_CHUNKS = 16  # the window is the last complete 4096 ticks
+_SUB_BITS: Final = 4
+SUB_BINS: Final = 1 << _SUB_BITS  # per octave: a quantile is known to 1/16
+OCTAVES: Final = 36  # up to 2^36 ns = 69 s
+BINS: Final = SUB_BINS * OCTAVES
+WINDOW: Final = 4096  # ticks of the last complete window
 
-MAGIC = b"HILTIME1"
+MAGIC = b"HILTIME2"
 TEXT_BYTES = 2048
 COUNTERS = (
-    "ticks",
     "missed_own",
     "missed_host",
     "longest_streak",  # slots skipped in a row
@@ -60,17 +57,18 @@ _LAYOUT = np.dtype(
         ("text", "u1", (TEXT_BYTES,)),
     ]
 )
-_ROW = struct.Struct(f"<{len(METRICS)}q")
-_pack_row: Final = _ROW.pack_into
-_ROW_SIZE: Final = _ROW.size
+_FIELDS: dict[str, Any] = dict(_LAYOUT.fields or {})
+_LIFETIME_AT = int(_FIELDS["lifetime"][1])
 
 
-def bin_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Bin of each value (ns): 16 bins to the octave; values below 1 go to the first bin, above 2^36 to the last."""
-    mantissa, exponent = np.frexp(np.maximum(values, 1).astype(np.float64))
-    index = (exponent - 1) * SUB_BINS + ((mantissa * 2 - 1) * SUB_BINS).astype(np.int64)
-    bins: NDArray[np.int64] = np.minimum(index, BINS - 1)
-    return bins
+def bin_of(value: int) -> int:
+    """Bin of a value (ns): 16 bins to the octave; values below 1 go to the first bin, above 2^36 to the last."""
+    if value < 1:
+        return 0
+    octave = value.bit_length() - 1
+    if octave >= OCTAVES:
+        return BINS - 1
+    return (octave << _SUB_BITS) + (value << _SUB_BITS >> octave) - SUB_BINS
 
 
 def bin_edge(index: float) -> float:
@@ -109,52 +107,35 @@ class TimingRecorder:
         self._counters = self._file["counters"]
         self._lifetime = self._file["lifetime"]
         self._window = self._file["window"]
+        self._before = np.zeros_like(self._lifetime)  # the lifetime's counts where the window began
+        size = self._lifetime.nbytes
+        self._bins = memoryview(self._map)[_LIFETIME_AT : _LIFETIME_AT + size].cast("Q")
         self._maximum = self._file["maximum"]
-        self._building = np.zeros_like(self._window)
-        self._buffers = [np.zeros((CHUNK, len(METRICS)), np.int64) for _ in range(2)]
-        self._filling = self._buffers[0].data.cast("B")
-        self._row = 0
-        self._to_fold = len(METRICS)  # metrics of the full chunk that are folded already
-        self._chunks = 0
+        self._longest = [0] * len(METRICS)  # the same, where it is quick to read
         self._ticks = 0
-        self._missed_own = self._missed_host = self._streak = 0
         self._file["magic"] = MAGIC  # last: a reader that sees it sees a whole header
 
     def note(
         self, lateness: int, read: int, estimate: int, control: int, gate: int, send: int, cpu: int, age: int
     ) -> None:
         """One tick: its METRICS, ns."""
-        index = self._row
-        _pack_row(self._filling, index * _ROW_SIZE, lateness, read, estimate, control, gate, send, cpu, age)
-        if self._to_fold < _ALL:
-            self._fold(self._to_fold, CHUNK)
-            self._to_fold += 1
-        self._row = index + 1
-        if self._row == CHUNK:
-            self._swap()
+        bins, longest, first = self._bins, self._longest, 0
+        for metric, value in enumerate((lateness, read, estimate, control, gate, send, cpu, age)):
+            bins[first + bin_of(value)] += 1
+            first += BINS
+            if value > longest[metric]:
+                longest[metric] = value
+                self._maximum[metric] = value
+        self._ticks += 1
+        metric = self._ticks % WINDOW
+        if metric < len(METRICS) and self._ticks >= WINDOW:
+            self._end_window(metric)
 
-    def _swap(self) -> None:
-        self._buffers.reverse()  # the full one is now the last
-        self._filling = self._buffers[0].data.cast("B")
-        self._row = 0
-        self._to_fold = 0
-        self._ticks += CHUNK
-
-    def _fold(self, metric: int, rows: int) -> None:
-        values = self._buffers[1][:rows, metric]
-        counts = np.bincount(bin_of(values), minlength=BINS).astype(np.uint64)
-        self._lifetime[metric] += counts
-        self._building[metric] += counts
-        self._maximum[metric] = max(int(self._maximum[metric]), int(values.max()))
-        if metric == len(METRICS) - 1:
-            self._end_chunk()
-
-    def _end_chunk(self) -> None:
-        self._counters["ticks"] = self._ticks
-        self._chunks += 1
-        if self._chunks % WINDOW_CHUNKS == 0:
-            self._window[:] = self._building
-            self._building[:] = 0
+    def _end_window(self, metric: int) -> None:
+        """One metric a tick: what has come since the last window ended."""
+        counts = self._lifetime[metric]
+        np.subtract(counts, self._before[metric], out=self._window[metric])
+        self._before[metric] = counts
 
     def note_missed(self, own: int, host: int, streak: int) -> None:
         """Totals of slots lost to ourselves and to the host, and the longest run of them."""
@@ -171,20 +152,6 @@ class TimingRecorder:
         counters["voluntary_switches"] = usage.ru_nvcsw
         counters["involuntary_switches"] = usage.ru_nivcsw
         counters["collector_runs"] = collector_runs
-
-    def finish(self) -> None:
-        """After the last tick: fold what is left, so that short runs have figures too."""
-        while self._to_fold < len(METRICS):
-            self._fold(self._to_fold, CHUNK)
-            self._to_fold += 1
-        rows = self._row
-        if rows:
-            self._buffers.reverse()
-            self._ticks += rows
-            for metric in range(len(METRICS)):
-                self._fold(metric, rows)
-            self._row = 0
-        self._map.flush()
 
 
 def _create(path: Path) -> mmap.mmap:
@@ -238,7 +205,7 @@ def read_timing(path: Path) -> TimingSnapshot:
         period_ns=int(data["period_ns"]),
         realtime_ok=bool(data["realtime_ok"]),
         verdict=bytes(data["text"][: int(data["text_length"])]).decode(errors="replace"),
-        counters={name: int(data["counters"][name]) for name in COUNTERS},
+        counters={"ticks": int(data["lifetime"][0].sum())} | {name: int(data["counters"][name]) for name in COUNTERS},
         maximum={name: int(value) for name, value in zip(METRICS, data["maximum"], strict=True)},
         lifetime=data["lifetime"].copy(),
         window=data["window"].copy(),

@@ -172,6 +172,8 @@ def main() -> None:
         sys.exit(f"compiled: needs {lacking}")
     if sys.argv[1:] == ["--check"]:
         return
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     directory = ROOT / sys.argv[1]
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()

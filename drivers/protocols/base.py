@@ -38,7 +38,7 @@ class Reject(IntEnum):
     DUPLICATE = 9  # answers a command already answered (the cycle's judgement)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, init=False)  # the one it would write stays interpreted where the rest is compiled
 class Sample:
     """One axis' encoder sample.
 
@@ -53,6 +53,9 @@ class Sample:
     status: int
     sequence: int
     stamp_ns: int
+
+    def __init__(self, axis: int, position: int, status: int, sequence: int, stamp_ns: int) -> None:
+        self.axis, self.position, self.status, self.sequence, self.stamp_ns = axis, position, status, sequence, stamp_ns
 
 
 class Command(NamedTuple):
