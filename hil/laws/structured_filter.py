@@ -60,7 +60,9 @@ def mean_sign_over(
     v0: Number, v1: Number, time: Number, mass: Number, coulomb: Number
 ) -> tuple[Number, Number, Number]:
     """sign_float or sign_array, whichever fits."""
-    return (sign_float if isinstance(coulomb, float) else sign_array)(v0, v1, time, mass, coulomb)
+    if isinstance(coulomb, float):
+        return sign_float(v0, v1, time, mass, coulomb)
+    return sign_array(v0, v1, time, mass, coulomb)
 
 
 def sign_float(v0: float, v1: float, time: float, mass: float, coulomb: float) -> tuple[float, float, float]:
@@ -138,7 +140,12 @@ def keep_disturbance(p: Covariance, before: Covariance, kept: Any) -> Covariance
 
     The same as noise on them of just what was learnt: P stays positive semidefinite.
     """
-    return choose(kept, p[:11] + before[11:], p)
+    b = before
+    both = (
+        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10],
+        b[11], b[12], b[13], b[14], b[15], b[16], b[17], b[18], b[19], b[20],
+    )  # fmt: skip  # element by element: compiled code would make objects of slices
+    return choose(kept, both, p)
 
 
 def standing(before: Covariance, measurement: Number) -> Covariance:
@@ -146,7 +153,11 @@ def standing(before: Covariance, measurement: Number) -> Covariance:
     neither a word about the disturbance, of which nothing new is known.
     """
     o = before[0] - before[0]
-    return (measurement + o, o, o, o, o, o, o, o, o, o, o, *before[11:])
+    b = before
+    return (
+        measurement + o, o, o, o, o, o, o, o, o, o, o,
+        b[11], b[12], b[13], b[14], b[15], b[16], b[17], b[18], b[19], b[20],
+    )  # fmt: skip
 
 
 def choose(condition: Any, p: Covariance, otherwise: Covariance) -> Covariance:
