@@ -24,7 +24,7 @@ from drivers.local_medium import LocalMedium
 from drivers.receive_block import ReceiveBlock
 from drivers.recvmmsg import SLOTS, STAMPED
 from drivers.runtime import RuntimeDirectoryError
-from drivers.socketcan import Filters, SocketCanMedium, is_can_interface
+from drivers.socketcan import SocketCanMedium, is_can_interface
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
 
@@ -314,12 +314,10 @@ def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:
     return bus.interface
 
 
-def open_port(
-    bus: BusConfig, *, role: Role, fd: bool, filters: Filters | None = None, echo_id: int | None = None
-) -> Port:
+def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = None) -> Port:
     """Open the bus of a rig for its host or for its devices.
 
-    fd: the layout uses CAN FD. filters: (id, mask) pairs; SocketCAN then keeps everything else from the socket.
+    fd: the layout uses CAN FD.
     echo_id: of own frames that are to be given back, marked ECHO and stamped with when they were out.
     Raises PortError. "auto" falls back to the local bus only where no CAN interface of that name exists: one that
     exists and cannot be opened is an error, as a rig must not talk to an empty local bus by mistake.
@@ -331,7 +329,7 @@ def open_port(
 
     def socketcan() -> Medium:
         echo = echo_id is not None
-        return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, filters=filters, echo=echo)
+        return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, echo=echo)
 
     kind = resolve_interface(bus)
     try:

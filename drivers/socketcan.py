@@ -4,10 +4,8 @@ import contextlib
 import fcntl
 import socket
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 
-import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.counters import BusState
@@ -21,8 +19,6 @@ _IFF_RUNNING = 0x40
 _IFREQ = struct.Struct("=16sH22x")  # name, flags
 _FRAME_MEMORY = 768  # bytes of socket memory that one queued frame takes on 64-bit kernels
 
-Filters = Sequence[tuple[int, int]]  # (can_id, can_mask), as in `struct can_filter`
-
 
 def is_can_interface(name: str) -> bool:
     """Whether the kernel has a CAN network interface of this name."""
@@ -35,9 +31,7 @@ def is_can_interface(name: str) -> bool:
 class SocketCanMedium:
     """One raw CAN socket, with the options a control loop needs."""
 
-    def __init__(
-        self, channel: str, *, fd: bool, transmit_queue: int, filters: Filters | None = None, echo: bool = False
-    ) -> None:
+    def __init__(self, channel: str, *, fd: bool, transmit_queue: int, echo: bool = False) -> None:
         """Open `channel`; raises OSError.
 
         transmit_queue: frames that may wait for the wire; more are refused (EAGAIN). It is enforced through SO_SNDBUF,
@@ -46,8 +40,7 @@ class SocketCanMedium:
         it saves a frame per tick; should an echo arrive all the same, the Port tells it apart.
         """
         self._channel = channel
-        wanted = _python_can_filters(filters)
-        self._bus = SocketcanBus(channel=channel, fd=fd, can_filters=wanted, receive_own_messages=echo)
+        self._bus = SocketcanBus(channel=channel, fd=fd, receive_own_messages=echo)
         self._socket = self._bus.socket
         try:
             self._socket.setblocking(False)
@@ -123,7 +116,3 @@ class SocketCanMedium:
         """Close the socket."""
         with contextlib.suppress(OSError):
             self._bus.shutdown()
-
-
-def _python_can_filters(filters: Filters | None) -> list[can.typechecking.CanFilter] | None:
-    return [{"can_id": can_id, "can_mask": mask} for can_id, mask in filters] if filters else None

@@ -34,8 +34,7 @@ class Pacer:
 
     index: slot number, 0-based. scheduled_ns: its deadline. now_ns: when the wait ended. skipped: slots lost just
     before this one. overrun: those of them lost while the tick before was still running; the others are late wakes.
-    total_skipped, sleeps: slots lost and sleeps made since start. ahead_ns: how long before its deadline the
-    next slot's sleep is to end.
+    sleeps: made since start. ahead_ns: how long before its deadline the next slot's sleep is to end.
     now, sleep_until: the clock and the sleep, ns; tests put their own.
     """
 
@@ -55,7 +54,6 @@ class Pacer:
         self.now_ns = 0
         self.skipped = 0
         self.overrun = 0
-        self.total_skipped = 0
         self.sleeps = 0
         self.ahead_ns = 0
         self._most_ahead_ns = min(most_ahead_ns, int(period_ns * AHEAD_WITHIN))
@@ -68,7 +66,7 @@ class Pacer:
         self.index = -1
         now = self._now()
         self.scheduled_ns = now - (now - self.period_ns // 2) % self.period_ns
-        self.skipped = self.total_skipped = self.sleeps = 0
+        self.skipped = self.sleeps = 0
 
     def wait(self) -> None:
         """Sleep to the start of the next slot that can still be kept; sets all attributes."""
@@ -95,7 +93,6 @@ class Pacer:
         self.scheduled_ns = deadline + skipped * period
         self.now_ns = now
         self.skipped = skipped
-        self.total_skipped += skipped
         self._waking_ns = woken - slot + ahead
 
     def _look_ahead(self) -> None:

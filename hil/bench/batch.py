@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from hil.batch import BatchRun
-from hil.bench.harness import Case, Figures, as_json, block_table, interleave, publish, spread, values_of
+from hil.bench.harness import Case, Figures, JsonTarget, as_json, block_table, interleave, publish, spread, values_of
 from hil.config import load_rig
 from sim_plant.stage import Truth
 
@@ -26,7 +26,7 @@ def batch(
     plants: Annotated[int, typer.Option(min=1, help="plants per core")] = 2500,
     ticks: Annotated[int, typer.Option(min=1, help="ticks per block")] = 300,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """Plants times ticks per second of the batch engine."""
     sets = [f"law.name={law}", *(overrides or [])]

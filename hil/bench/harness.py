@@ -5,24 +5,25 @@ subject and its reference in turns (A B, B A, A B, ...), reports min, median and
 ran on. Ratios are formed inside a block pair before the median is taken: both halves saw the same weather.
 """
 
-import json
 import os
 import platform
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from hil.control_path import control_path
+from hil.output import writable, write_json
 
 Figures = dict[str, float]
+JsonTarget = Annotated[str | None, typer.Option("--json", callback=writable, help="file, or - for stdout")]
 
 
 class Case(NamedTuple):
@@ -152,13 +153,8 @@ def publish(
         console.print(line, highlight=False, soft_wrap=True)
     shown = ", ".join(f"{key} {value}" for key, value in facts.items() if value not in ("", None))
     console.print(f"machine: {shown}", highlight=False, soft_wrap=True)
-    if json_path is None:
-        return
-    text = json.dumps({**result, "machine": facts}, indent=1)
-    if json_path == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(json_path).write_text(text + "\n", encoding="utf-8")
+    if json_path is not None:
+        write_json({**result, "machine": facts}, json_path)
 
 
 def as_json(blocks: Sequence[Block]) -> list[dict[str, Any]]:

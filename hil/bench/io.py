@@ -21,7 +21,19 @@ import hil
 from drivers.bus import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame
-from hil.bench.harness import Block, Case, Figures, as_json, block_table, interleave, publish, ratios, spread, values_of
+from hil.bench.harness import (
+    Block,
+    Case,
+    Figures,
+    JsonTarget,
+    as_json,
+    block_table,
+    interleave,
+    publish,
+    ratios,
+    spread,
+    values_of,
+)
 from hil.bench.live import BenchError, build_reference, private_bus
 
 C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "io.c"
@@ -35,7 +47,7 @@ LEAST_GAIN = 3.0  # times less than python-can
 def io(
     blocks: Annotated[int, typer.Option(min=1)] = 15,
     ticks: Annotated[int, typer.Option(min=100, help="per block and subject")] = 2000,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """One tick's I/O through the bus layer: against python-can and against C, in one run."""
     try:

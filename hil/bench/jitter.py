@@ -28,6 +28,7 @@ from hil.bench.harness import (
     Block,
     Case,
     Figures,
+    JsonTarget,
     as_json,
     block_table,
     interleave,
@@ -52,7 +53,7 @@ def jitter(
     blocks: Annotated[int, typer.Option(min=1, help="of each; 20 make a good median")] = 20,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
     telemetry: Annotated[bool, typer.Option(help="also with the sidecar publishing and recording")] = True,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """Wake lateness of the full loop, in turns with cyclictest on the same core."""
     program = shutil.which("cyclictest")

@@ -9,11 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from drivers.frame import Frame
-from hil.bench.harness import Case, Figures, as_json, block_table, interleave, publish, spread, values_of
+from hil.bench.harness import Case, Figures, JsonTarget, as_json, block_table, interleave, publish, spread, values_of
 from hil.config import RigConfig, load_rig
 from hil.cycle import ControlCycle
 from hil.lockstep import LockstepRun
 from hil.tick import CycleResult, Tick
+from hil.usable import usable
 
 WARM_UP_TICKS = 500
 
@@ -25,12 +26,12 @@ def lockstep(
         str, typer.Option(help="laws to measure, separated by commas")
     ] = "pd-feedforward,structured-kalman",
     blocks: Annotated[int, typer.Option(min=1)] = 5,
-    seconds: Annotated[float, typer.Option(min=0.1, help="virtual seconds per block")] = 5.0,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual seconds per block")] = 5.0,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """How much faster than real time a whole rig runs in lockstep, on one core."""
     names = laws.split(",")
-    rigs = {name: load_rig(rig, [f"law.name={name}", *(overrides or [])]) for name in names}
+    rigs = {name: usable(load_rig(rig, [f"law.name={name}", *(overrides or [])]), rig) for name in names}
     cases = [Case(name, partial(measure, config, rig.parent, seconds)) for name, config in rigs.items()]
     measured = interleave(cases, blocks)
     factors = {name: spread(values_of(measured, name, "realtime_factor")) for name in names}

@@ -31,7 +31,18 @@ import typer
 from drivers.bus import open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
-from hil.bench.harness import Case, Figures, as_json, block_table, interleave, percentiles, publish, ratios, spread
+from hil.bench.harness import (
+    Case,
+    Figures,
+    JsonTarget,
+    as_json,
+    block_table,
+    interleave,
+    percentiles,
+    publish,
+    ratios,
+    spread,
+)
 from hil.bench.live import TO_THE_DEADLINE, BenchError, cores, emulator, private_bus, run_control
 from hil.clock import Pacer
 from hil.config import TimingConfig
@@ -58,7 +69,7 @@ def peers(
     ] = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """The whole tick against python-can + cantools, canopen and moteus."""
     if importlib.util.find_spec("moteus") is None:

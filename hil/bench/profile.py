@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from hil.bench.harness import publish
+from hil.bench.harness import JsonTarget, publish
 from hil.config import load_rig
 from hil.lockstep import LockstepRun
 
@@ -21,7 +21,7 @@ def profile(
     ticks: Annotated[int, typer.Option(min=100)] = 4000,
     rows: Annotated[int, typer.Option(min=1)] = 30,
     save: Annotated[Path | None, typer.Option(help="keep the raw profile, for pstats or snakeviz")] = None,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """Where a tick's time goes. The profiler makes everything about three times slower: read shares, not times."""
     config = load_rig(rig, overrides or [])

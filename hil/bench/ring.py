@@ -10,7 +10,18 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.bench.harness import Case, Figures, as_json, block_table, interleave, percentiles, publish, spread, values_of
+from hil.bench.harness import (
+    Case,
+    Figures,
+    JsonTarget,
+    as_json,
+    block_table,
+    interleave,
+    percentiles,
+    publish,
+    spread,
+    values_of,
+)
 from hil.clock import Pacer
 from hil.telemetry.record import RECORD_SIZE, RecordBuilder
 from hil.telemetry.ring import RingReader, RingWriter
@@ -24,7 +35,7 @@ def ring(
     ticks: Annotated[int, typer.Option(min=100, help="per block")] = 3000,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     poll_ms: Annotated[float, typer.Option(min=0.1, help="how often the reader looks")] = 20.0,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """Cost of an append at 1 kHz (cold caches), with and without a reader, and the reader's lag."""
     with tempfile.TemporaryDirectory(prefix="hil-bench-", dir=_memory()) as directory:

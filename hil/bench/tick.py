@@ -20,6 +20,7 @@ from hil.bench.harness import (
     Block,
     Case,
     Figures,
+    JsonTarget,
     as_json,
     block_table,
     interleave,
@@ -53,7 +54,7 @@ def tick(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 5000,
-    as_json_to: Annotated[str | None, typer.Option("--json", help="file, or - for stdout")] = None,
+    as_json_to: JsonTarget = None,
 ) -> None:
     """CPU per tick by stage, system calls, allocations, against a C program doing the same work."""
     sets = overrides or []

@@ -213,12 +213,12 @@ def _died(fd: int) -> bool:
 
 
 class RingReader(Closing):
-    """A reader's end of the ring; starts at the oldest record that is still there, or behind the newest one.
+    """A reader's end of the ring; starts at the oldest record that is still there.
 
     Raises RingError when the file is missing or is no ring of this version.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, newest: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
             self._fd = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)  # asking for the write lock needs it
@@ -231,7 +231,7 @@ class RingReader(Closing):
             raise RingError(f"{self.path}: {error}") from None
         self._words = np.frombuffer(self._map, np.uint64, PAGE // 8)
         self._slots = np.frombuffer(self._map, RECORD, self.slots, self._header.data_offset)
-        self.next = self.written if newest else 0
+        self.next = 0
 
     def _map_whole(self) -> mmap.mmap:
         raw = os.pread(self._fd, _HEADER.size, 0)
