@@ -7,6 +7,7 @@ import math
 import sys
 import tomllib
 from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 from random import Random
 from zlib import crc32
@@ -44,7 +45,7 @@ class CheckedHost:
         if isinstance(outcome, Reject):
             self.rejects[outcome] += 1
             return outcome
-        axis, position, status, sequence, stamp = outcome
+        axis, position, status, sequence, stamp = astuple(outcome)
         assert type(axis) is type(position) is type(status) is type(sequence) is type(stamp) is int, (frame, outcome)
         assert 0 <= axis < self.n_axes, (frame, outcome)
         assert -(2**53) <= position <= 2**53, (frame, outcome)

@@ -89,7 +89,9 @@ class Control:
 
     def __init__(self, *arguments: str, rig: Path = PAPER, wrap: str = "", environment: dict[str, str] | None = None):
         sets = [part for override in CALM for part in ("--set", override)]
-        code = f"import sys\n{wrap}\nfrom hil.cli import main\nmain()"
+        # Whoever runs the tests with nohup has us inherit that SIGHUP is ignored.
+        heard = "import signal, sys\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)"
+        code = f"{heard}\n{wrap}\nfrom hil.cli import main\nmain()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, "run", str(rig), *sets, *arguments],
             stdout=subprocess.PIPE,

@@ -79,7 +79,6 @@ def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.Monk
             loop._tick()
             loop.ticks += 1
         loop.parts.ring.close()
-        loop.parts.timing.finish()
     return loop
 
 

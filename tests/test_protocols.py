@@ -4,6 +4,7 @@ import math
 import struct
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -177,7 +178,7 @@ def test_a_sample_arrives_whole_and_its_stamp_is_unwrapped(protocol: str, sample
     frame = device.encode_feedback(sample)._replace(timestamp_ns=sample.stamp_ns + delay)
     heard = host.decode(frame)
     assert isinstance(heard, Sample)
-    assert heard[:4] == sample[:4]
+    assert replace(heard, stamp_ns=0) == replace(sample, stamp_ns=0)
     assert abs(heard.stamp_ns - sample.stamp_ns) <= (0 if protocol == "stage_fd" else 500)
 
 
@@ -328,7 +329,7 @@ def test_a_bound_dbc_carries_a_rig(fractions: list[float], enable: int, sequence
     answer = device.encode_feedback(Sample(1, counts, 0b10001, sequence, 0))
     heard = host.decode(answer)
     assert isinstance(heard, Sample)
-    assert heard[:4] == (1, counts, 0b10001, sequence % 16)
+    assert replace(heard, stamp_ns=0) == Sample(1, counts, 0b10001, sequence % 16, 0)
 
 
 def test_the_example_dbc_means_what_cantools_reads() -> None:
