@@ -127,7 +127,7 @@ def _linked_rows() -> list[list[_Row]]:
     rows: list[list[_Row]] = [[[None] * _COUNT + [count] for _ in range(_STATES)] for count in range(most + 3)]
     for count in range(most):
         for state in range(_STATES):
-            steps = (_BYTE_STEP[state << 8 | byte] + (state << 8) for byte in range(_COUNT))
+            steps = [_BYTE_STEP[state << 8 | byte] + (state << 8) for byte in range(_COUNT)]
             rows[count][state][:_COUNT] = [rows[count + (v >> _COUNT_SHIFT)][v >> 8 & 0xF] for v in steps]
     return rows
 
