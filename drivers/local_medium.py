@@ -223,16 +223,17 @@ class LocalMedium:
     def _admit(self) -> None:
         """Take in whoever waits at the door."""
         with self._change:
-            self._seen = self._joined[0]
+            joined = self._joined[0]
             while True:
                 try:
                     sock, _ = self._door.accept()
                 except OSError:  # nobody (left); or no descriptors left, then they keep waiting
-                    return
+                    break
                 link = Link(sock)
                 if link.look_for_greeting():
                     sock.recv(CANFD_MTU)  # nobody else reads here yet
                 self._add(link)
+            self._seen = joined  # not before they are in: another thread, about to send, would leave them out
 
     @property
     def others(self) -> int:
