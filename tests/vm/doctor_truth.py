@@ -13,8 +13,12 @@ from typing import Any
 
 
 def kernel_has_can() -> bool:
-    """Whether the kernel lists the CAN family among its protocols (after loading it, where there is a module)."""
-    subprocess.run(["modprobe", "can-raw"], capture_output=True, check=False)
+    """Whether the kernel lists the CAN family among its protocols (after loading it, where there is a module).
+
+    A machine without modprobe (a container, a minimal Debian) has no modules to load either.
+    """
+    if shutil.which("modprobe"):
+        subprocess.run(["modprobe", "can-raw"], capture_output=True, check=False)
     return any(line.startswith("CAN") for line in Path("/proc/net/protocols").read_text().splitlines())
 
 
