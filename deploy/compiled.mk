@@ -1,4 +1,5 @@
-# The compiled build of the hot path: included by the Makefile. Optional; the interpreted source stays the reference.
+# The compiled build of the hot path: included by the Makefile. It is what the Debian package holds; the interpreted source
+# is the reference, and what `make run` and `make test` run.
 COMPILED := .venv-compiled
 
 .PHONY: compiled test-compiled

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Builds dist/hil_VERSION_ARCH.deb with dpkg-deb. The package carries its Python packages, taken by hash from
 # requirements.lock, so that installing it reaches for no registry. It fits the Debian whose python3 is of the same minor
-# version as the project's .venv (3.11: Debian 12).
+# version as the project's .venv (3.11: Debian 12). Its control path is compiled, as that halves what a tick costs; where
+# this machine cannot compile, it is the source as it is. Either way `hil --version` says which.
 # usage: build.sh [OUTPUT DIRECTORY]
 set -euo pipefail
 
@@ -16,6 +17,12 @@ minor=$($PYTHON -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 architecture=$(dpkg --print-architecture)
 SOURCE_DATE_EPOCH=$(git log -1 --format=%ct 2>/dev/null || echo 0)
 export SOURCE_DATE_EPOCH
+
+control_path=interpreted
+if $PYTHON deploy/compiled/build.py --check; then
+    make --no-print-directory compiled
+    control_path=compiled
+fi
 
 stage=$(mktemp -d)
 trap 'rm -rf "$stage"' EXIT
@@ -33,6 +40,12 @@ pip install --no-compile --no-deps --require-hashes --only-binary :all: --target
 pip wheel --no-deps --no-build-isolation --wheel-dir "$stage" .
 pip install --no-compile --no-deps --target "$root/$packages" "$stage"/hil-*.whl
 rm -rf "$root/$packages/bin"
+if [ $control_path = compiled ]; then  # the same packages with the extension modules beside their sources
+    built=.venv-compiled/lib/python$minor/site-packages
+    rm -rf "$root/$packages"/{hil,drivers,sim_plant}
+    cp -r "$built"/{hil,drivers,sim_plant,*.so} "$root/$packages/"
+    find "$root/$packages"/{hil,drivers,sim_plant} -name __pycache__ -prune -exec rm -rf {} +
+fi
 # a tenth of the package, and never imported by it
 find "$root/$packages"/{numpy,scipy,matplotlib} -type d -name tests -prune -exec rm -rf {} +
 mkdir -p "$root/$packages/hil/deploy"
@@ -74,11 +87,11 @@ Section: science
 Priority: optional
 Description: Hardware-in-the-loop control service for micro-injection stages over CAN
  Closes the position loop of a motion stage over CAN as a systemd service, with telemetry, recording and an emulated
- stage to try it on.
+ stage to try it on. The control path is $control_path.
 INNER
 find "$root" -type d -exec chmod 755 {} +
 find "$root" -newermt "@$SOURCE_DATE_EPOCH" -exec touch --no-dereference --date "@$SOURCE_DATE_EPOCH" {} +
 mkdir -p "$OUTPUT"
 package=$OUTPUT/hil_${version}_${architecture}.deb
 dpkg-deb --root-owner-group -Zzstd -z10 --build "$root" "$package" >/dev/null
-echo "deb: $package, $(du -h "$package" | cut -f1)"
+echo "deb: $package, $(du -h "$package" | cut -f1), control path $control_path"

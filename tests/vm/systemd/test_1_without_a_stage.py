@@ -24,6 +24,8 @@ def installed(output: str) -> None:
     assert MICROSCOPE.file.exists()
     assert "hil" in sh("id hil")
     assert TARGET.state == "inactive", "installing starts nothing"
+    control_path = sh("hil --version").split()[-1]
+    assert f"control path is {control_path}." in sh("dpkg-query --show --showformat '${Description}' hil")
 
 
 def test_section_1_install():
