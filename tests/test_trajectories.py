@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hil.config import InjectionConfig, TaskConfig, load_rig
 from hil.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
+from hil.trajectories.displaced import Displaced
 from hil.trajectories.segments import Segments
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
@@ -28,10 +29,14 @@ def injection_task() -> TaskConfig:
 def trajectories() -> list[Trajectory]:
     start = np.array([0.03, -0.02])
     made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in (CIRCLE, LISSAJOUS, MOVES, HOLD)]
-    return [*made, make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)]
+    injection = make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
+    return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
 
 
-@pytest.mark.parametrize("trajectory", trajectories(), ids=["circle", "lissajous", "moves", "hold", "injection"])
+NAMES = ["circle", "lissajous", "moves", "hold", "injection", "displaced"]
+
+
+@pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
 def test_one_instant_and_a_batch_agree_bit_for_bit(trajectory: Trajectory) -> None:
     n = trajectory.sample(np.zeros((1, 2), np.int64)).position.shape[-1] if trajectory._n == 2 else 4
     times = np.random.default_rng(1).integers(-MS, 20_000 * MS, size=(200, n))
@@ -42,7 +47,7 @@ def test_one_instant_and_a_batch_agree_bit_for_bit(trajectory: Trajectory) -> No
             assert np.array_equal(getattr(single, name), getattr(batch, name)[row])
 
 
-@pytest.mark.parametrize("trajectory", trajectories(), ids=["circle", "lissajous", "moves", "hold", "injection"])
+@pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
 def test_velocity_and_acceleration_are_the_derivatives_of_position(trajectory: Trajectory) -> None:
     n = trajectory._n
     h = 50_000  # ns

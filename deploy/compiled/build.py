@@ -44,7 +44,7 @@ hil: clock commands cycle faults gate inbox loop sampling stage_clock stop tick 
 
 OTHERS = """
 hil/telemetry: mailbox record ring
-hil/trajectories: base figures minimum_jerk segments
+hil/trajectories: base displaced figures minimum_jerk segments
 drivers: bus counters frame frame_bytes frame_length receive_block wire wire_node
 drivers/protocols: base checksum sampling stage stage_classic stage_fd
 sim_plant: drive emulator single_axis trigonometry

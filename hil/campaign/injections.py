@@ -12,6 +12,7 @@ from drivers.wire_faults import FaultKind, WireFault
 from hil.campaign.trial import Step, axis_name, once
 from hil.laws.base import AxisLaws, LawInputs
 from hil.lockstep import LockstepRun
+from hil.trajectories.displaced import Displaced
 from sim_plant.object_dictionary import key_of
 
 
@@ -110,22 +111,6 @@ def filter_nan(run: LockstepRun, axis: int) -> None:
     run.cycle.filters[axis].velocity = math.nan
 
 
-class _Bent:
-    """A trajectory that goes somewhere else on one axis."""
-
-    def __init__(self, honest: object, axis: int, position: float, velocity: float) -> None:
-        self._honest, self._axis, self._position, self._velocity = honest, axis, position, velocity
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._honest, name)
-
-    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
-        position, velocity, acceleration = self._honest.at(axis, t_ns)  # type: ignore[attr-defined]
-        if axis != self._axis:
-            return position, velocity, acceleration
-        return position + self._position, velocity + self._velocity, acceleration
-
-
 def bend(position_widths: float, speeds: float) -> Step:
     """Displace the setpoint by so many travel widths, its velocity by so many speed limits."""
 
@@ -134,8 +119,9 @@ def bend(position_widths: float, speeds: float) -> Step:
         width = limits.position[1] - limits.position[0]
         setpoints = run.cycle.setpoints
         if setpoints.trajectory is not None:
-            bent = _Bent(setpoints.trajectory, axis, position_widths * width, speeds * limits.speed)
-            setpoints.follow(bent, setpoints.origin)  # type: ignore[arg-type]
+            position, velocity = position_widths * width, speeds * limits.speed
+            displaced = Displaced(setpoints.trajectory, len(run.rig.axes), axis, position, velocity)
+            setpoints.follow(displaced, setpoints.origin)
 
     return once(act)
 
