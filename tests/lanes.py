@@ -7,6 +7,8 @@ from collections import Counter
 
 import pytest
 
+from hil.control_path import control_path
+
 KINDS = ("unit", "lockstep", "live-local")
 _WHOLE_LOOPS = ("hil.lockstep", "hil.campaign")  # what brings virtual time into a test's module
 
@@ -23,7 +25,10 @@ def _runs_lockstep(item: pytest.Function) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    not_compiled = pytest.mark.skip(reason="replaces methods of classes that are compiled here")
     for item in items:
+        if item.get_closest_marker("replaces_methods") and control_path() == "compiled":
+            item.add_marker(not_compiled)
         if isinstance(item, pytest.Function) and _runs_lockstep(item):
             item.add_marker("lockstep")
 

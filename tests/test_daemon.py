@@ -150,6 +150,7 @@ hil.cycle.ControlCycle.step = breaking
 """
 
 
+@pytest.mark.replaces_methods
 def test_an_exception_in_the_cycle_stops_sending_and_is_shown_never_hidden():
     with emulated() as emulator:
         with Control(wrap=BROKEN_CYCLE) as control:

@@ -284,6 +284,7 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
 ]
 
 
+@pytest.mark.replaces_methods
 @pytest.mark.parametrize(("what", "sabotage", "trial", "point", "says"), BROKEN, ids=[row[0] for row in BROKEN])
 def test_a_broken_safety_core_fails_the_campaign_and_it_says_where(
     monkeypatch: pytest.MonkeyPatch, what: str, sabotage: Break, trial: str, point: Checkpoint, says: str
@@ -305,6 +306,7 @@ def test_over_cia402_a_master_that_disables_nobody_fails_the_campaign(monkeypatc
     assert "enable 3 in READY" in outcome.why
 
 
+@pytest.mark.replaces_methods
 def test_a_drive_that_stays_enabled_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its force is zero as it is told; it holds its brake open all the same."""
 

@@ -121,6 +121,7 @@ hil.cycle.ControlCycle.step = wedging
 """
 
 
+@pytest.mark.replaces_methods
 def test_a_wedged_loop_is_a_silent_one_and_the_drives_go_to_zero() -> None:
     with emulated(PATIENT) as emulator, Control(wrap=WEDGED) as control:
         reader = control.wait_for(State.READY)
