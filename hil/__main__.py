@@ -1,5 +1,17 @@
-"""`python -m hil`, for machines where the console script is not on the path."""
+"""The console script, and `python -m hil`, for machines where that is not on the path."""
 
-from hil.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports."""
+    try:
+        from hil.cli import main as run_command
+
+        run_command()
+    except KeyboardInterrupt:
+        sys.exit(130)  # 128 + SIGINT, as where a command has begun
+
+
+if __name__ == "__main__":  # worker processes read this file too
+    main()

@@ -87,7 +87,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def main() -> None:
-    """Entry point of the console script. Exit status 78 where the rig file, or an override of it, is at fault; 74 where
+    """The whole command line. Exit status 78 where the rig file, or an override of it, is at fault; 74 where
     a file or folder that was named cannot be read or written.
     """
     wanted = next((word for word in sys.argv[1:] if not word.startswith("-")), None)

@@ -63,7 +63,7 @@ import os
 
 os.environ["PYTHONSAFEPATH"] = "1"  # for the programs this one starts
 
-from hil.cli import main
+from hil.__main__ import main
 
 if __name__ == "__main__":  # worker processes of a sweep read this file too
     main()
