@@ -52,7 +52,8 @@ mkdir -p "$root/$packages/hil/deploy"
 cp -r deploy/systemd deploy/rigs "$root/$packages/hil/deploy/"
 # byte code once, here; hash-based, so that no file time can make it stale
 $PYTHON -m compileall -q -j 0 -s "$root" -p / --invalidation-mode unchecked-hash "$root/$packages" || true
-printf '#!/opt/hil/bin/python3 -I\nfrom hil.__main__ import main\n\nmain()\n' > "$root/opt/hil/bin/hil"
+# guarded: worker processes of hil faults and hil reproduce read this file too
+printf '#!/opt/hil/bin/python3 -I\nfrom hil.__main__ import main\n\nif __name__ == "__main__":\n    main()\n' > "$root/opt/hil/bin/hil"
 chmod 755 "$root/opt/hil/bin/hil"
 
 # --- the rest of the system
