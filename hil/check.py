@@ -15,7 +15,7 @@ from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
 from hil.config import RigConfig, RigError, load_rig
 from hil.exit_status import EXIT_CONFIG
-from hil.output import writable, write_json
+from hil.output import drawable, writable, write_json
 from hil.stability import StabilityReport, check_stability
 
 
@@ -66,7 +66,7 @@ def check(
         str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="the tick's timeline as PNG [default: runs/RIG-tick.png]")
+        Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
     ] = None,
 ) -> None:
     """Worst-case response time of every frame, bus load, stability. Exit status 78 where one of them fails."""

@@ -15,7 +15,7 @@ import typer
 from hil.compare_report import comparison_table, draw, summary_table
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
-from hil.output import writable, write_json
+from hil.output import drawable, writable, write_json
 from hil.usable import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
@@ -159,7 +159,9 @@ def compare(
     seconds: Annotated[float, typer.Option(min=1.0, max=1e6, help="virtual time of each run")] = 20.0,
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    picture: Annotated[Path | None, typer.Option(help="where to draw it (PNG) [default: runs/RIG-compare.png]")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="where to draw it [default: runs/RIG-compare.png]")
+    ] = None,
     json_target: Annotated[
         str, typer.Option("--json", callback=writable, help="write the rows there; - for standard output")
     ] = "",

@@ -13,6 +13,8 @@ from rich.table import Table
 
 from hil.config import RigConfig
 
+PICTURES = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tiff", ".webp")  # by suffix, as matplotlib knows them
+
 
 def writable(target: str | None) -> str | None:
     """For options that name a file to write, as their callback: refused before a long run, not lost after it.
@@ -26,6 +28,13 @@ def writable(target: str | None) -> str | None:
         if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
             raise typer.BadParameter(f"{target}: cannot be written")
     return target
+
+
+def drawable(picture: Path | None) -> Path | None:
+    """The same for options that name a picture. Raises typer.BadParameter."""
+    if picture and picture.suffix.lower() not in PICTURES:
+        raise typer.BadParameter(f"{picture}: the name must end in one of {', '.join(PICTURES)}")
+    return picture
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.config import RigConfig, RigError, load_rig
-from hil.output import axis_table, writable, write_json
+from hil.output import axis_table, drawable, writable, write_json
 
 
 def sim(
@@ -21,7 +21,9 @@ def sim(
     ] = "",
     faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
     record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
-    picture: Annotated[Path | None, typer.Option(help="write a picture of the tracking (PNG)")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
+    ] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
     from hil.lockstep import simulate

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from hil.cli import build_app
 from hil.config import load_rig
 from hil.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
+from hil.output import PICTURES
 from hil.telemetry.places import known_sidecars
 from hil.tune import write_gains
 
@@ -41,6 +42,26 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_runs(
     assert result.exit_code == 2
     assert reason in " ".join(result.output.split())
     assert list((tmp_path / "folder").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["sim", str(PAPER), "--seconds", FOR_EVER], ["compare", str(PAPER), "--seconds", FOR_EVER], ["check", str(PAPER)]],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("name", ["x.foo", "x"])
+def test_a_picture_of_no_known_kind_is_refused_before_anything_runs(words: list[str], name: str) -> None:
+    result = CliRunner().invoke(build_app(words[0]), [*words, "--picture", name])
+    assert result.exit_code == 2
+    assert f"Invalid value for '--picture': {name}: the name must end in one of .png," in result.output
+
+
+def test_every_picture_that_is_not_refused_can_be_drawn(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    for suffix in PICTURES:
+        Figure(figsize=(1, 1)).savefig(tmp_path / f"x{suffix}")
+        Figure(figsize=(1, 1)).savefig(tmp_path / f"x{suffix.upper()}")
 
 
 def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path) -> None:
