@@ -38,9 +38,9 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_runs(
     tmp_path: Path, words: list[str], name: str, reason: str
 ) -> None:
     (tmp_path / "folder").mkdir()
-    result = CliRunner().invoke(build_app(words[0]), [*words, "--json", str(tmp_path / name)], terminal_width=300)
+    result = CliRunner().invoke(build_app(words[0]), [*words, "--json", str(tmp_path / name)])
     assert result.exit_code == 2
-    assert reason in " ".join(result.output.split())
+    assert reason in " ".join(result.output.replace("│", " ").split())  # wherever the frame breaks the line
     assert list((tmp_path / "folder").iterdir()) == []
 
 
