@@ -47,9 +47,9 @@ class Bench:
         self.environment = {**os.environ, "HIL_RUNTIME_DIR": str(self.runtime)}
         self.processes: list[subprocess.Popen[str]] = []
 
-    def start(self, *arguments: str, until: str) -> subprocess.Popen[str]:
+    def start(self, *arguments: str, until: str, cwd: Path = ROOT) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, *arguments], cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, text=True
+            [sys.executable, *arguments], cwd=cwd, env=self.environment, stdout=subprocess.PIPE, text=True
         )
         self.processes.append(process)
         assert process.stdout
@@ -187,6 +187,18 @@ def test_a_sidecar_that_dies_leaves_a_readable_recording_and_its_successor_carri
         status = eventually(client, lambda status: status.recording)
         assert status.dropped == 0  # the ring still held what the first one had not seen
         obeyed(client, CommandKind.ACTIVATE, bench.token())
+
+
+@pytest.mark.live
+def test_a_rig_that_is_not_recorded_leaves_no_folder(bench: Bench, tmp_path: Path) -> None:
+    unrecorded = ["--set", "telemetry.record=false", "--listen", bench.endpoint]
+    sidecar = bench.start("-m", "hil", "sidecar", str(RIG), *unrecorded, until="listening", cwd=tmp_path)
+    control = bench.control()
+    with RigClient(bench.endpoint) as client:
+        status = eventually(client, lambda status: status.index > 10)
+        assert not status.recording
+    assert (end(control), end(sidecar)) == (0, 0)
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.live

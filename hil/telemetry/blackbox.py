@@ -39,10 +39,11 @@ def killed_rings(rig_places: Places) -> list[Path]:
     return found
 
 
-def save_black_boxes(rig_places: Places, directory: Path) -> list[Path]:
-    """Save every killed ring once, as blackbox.mcap, blackbox-2.mcap, ... in `directory`."""
+def save_black_boxes(rig_places: Places, directory: Path | None) -> list[Path]:
+    """Save every killed ring once, as blackbox.mcap, blackbox-2.mcap, ... in `directory`, or in one made for them."""
     saved: list[Path] = []
     for ring in killed_rings(rig_places):
+        directory = directory or run_directory()
         target = directory / f"blackbox{f'-{len(saved) + 1}' if saved else ''}.mcap"
         with RingReader(ring) as reader:
             save_ring(reader, target)
@@ -67,9 +68,8 @@ def blackbox(
     out: Annotated[Path | None, typer.Option(help="directory for blackbox.mcap [runs/<time>]")] = None,
 ) -> None:
     """Save what a killed control process left behind."""
-    saved = killed_rings(rig_places := places(load_rig(rig).name))
+    saved = save_black_boxes(places(load_rig(rig).name), out)
+    for path in saved:
+        print(f"saved {path}; look into it with: hil replay {path}")
     if not saved:
         print("nothing to save: no control process of this rig was killed since the last time")
-        return
-    for path in save_black_boxes(rig_places, out or run_directory()):
-        print(f"saved {path}; look into it with: hil replay {path}")

@@ -277,7 +277,7 @@ def sidecar(
     try:
         with sole_sidecar(rig_places):
             directory = (out or run_directory()) if config.telemetry.record else None
-            for saved in save_black_boxes(rig_places, directory or run_directory()):
+            for saved in save_black_boxes(rig_places, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
             serve(config, directory, [listen] if listen else list(config.telemetry.listen), or_free_port=or_free_port)
     except (ListenError, AlreadyServedError) as error:
