@@ -338,5 +338,10 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
 
 def rig_hash(rig: RigConfig) -> str:
     """SHA-256 of the validated rig in canonical JSON; two files that mean the same rig have the same hash."""
-    canonical = json.dumps(rig.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return document_hash(rig.model_dump(mode="json"))
+
+
+def document_hash(rig: dict[str, Any]) -> str:
+    """The same of a validated rig that has become JSON, whatever keys later versions have added."""
+    canonical = json.dumps(rig, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()

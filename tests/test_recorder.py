@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
+from hil.config import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
@@ -27,7 +28,9 @@ TICKS = st.tuples(
     st.lists(COMMANDS, max_size=4),
     st.integers(0, 31),
 )
-METADATA = {"rig": {"name": "x"}, "rig_hash": "abc", "version": "0", "wall_offset_ns": 10}
+RIG = {"name": "x"}
+DIGEST = document_hash(RIG)
+METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
 
 
 def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorCommand, bool]], int]]) -> np.ndarray:
@@ -116,7 +119,7 @@ def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path)
         [(schema, channel, _, message)] = list(reader.iter_decoded_messages())
         assert (schema.name, channel.topic) == ("hil.telemetry.Telemetry", "telemetry")
         assert list(message.position) == [0.0, 1.0, 2.0]
-        assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", "abc")]
+        assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", DIGEST)]
 
 
 def test_a_recording_cut_short_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:

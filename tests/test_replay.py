@@ -100,7 +100,7 @@ def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_n
 ) -> None:
     whole = recording.read_bytes()
     path = tmp_path / "damaged.mcap"
-    described = whole.index(b'"rig_hash"')  # what comes before is the rig itself, and may say something else
+    described = whole.index(b'"rig"')
     outcomes = set()
     for place in range(described, len(whole), len(whole) // 20):
         damaged = bytearray(whole)
@@ -115,6 +115,17 @@ def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_n
             assert report.different == 0
             outcomes.add("cut short" if report.truncated else "whole")
     assert "cut short" in outcomes
+
+
+@pytest.mark.parametrize(("digit", "other"), [(b'"bandwidth": [0.2573', b"4"), (b'"rate_hz": 1000.0', b"2")])
+def test_a_rig_with_one_digit_changed_is_refused_and_not_blamed_on_the_cycle(
+    recording: Path, tmp_path: Path, digit: bytes, other: bytes
+) -> None:
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(recording.read_bytes().replace(digit, digit[:-1] + other, 1))
+    result = hil("replay", str(path))
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"hil replay: {path}: its rig does not have the hash that was recorded with it")
 
 
 @pytest.mark.parametrize("description", [b"", b"[]", b"{}", b'{"rig": 5, "rig_hash": "", "version": ""}', b"\xff"])

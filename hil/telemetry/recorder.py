@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
-from hil.config import RigConfig
+from hil.config import RigConfig, document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.provenance import describe_run
@@ -195,6 +195,12 @@ class Recording:
             known = False
         if not known:
             raise RecordingError(f"{self.path}: its description ({RUN_ATTACHMENT}) is damaged")
+        found = document_hash(metadata["rig"])
+        if found != metadata["rig_hash"]:  # a cycle of another rig would be blamed for its other torques
+            raise RecordingError(
+                f"{self.path}: its rig does not have the hash that was recorded with it ({found}, not "
+                f"{metadata['rig_hash']}): the recording is damaged, or was edited"
+            )
         return dict(metadata)
 
     def _items(self) -> Iterator[Any]:
