@@ -1,5 +1,6 @@
 """What commands say alike: JSON to a file or standard output, lengths for people, the table of axes."""
 
+import contextlib
 import json
 import math
 import os
@@ -38,11 +39,16 @@ def drawable(picture: Path | None) -> Path | None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a file anew, with its old mode; where there is no room it stays what it was. Raises OSError."""
+    """Write a file anew, with its old owner, group and mode; where there is no room it stays what it was. Raises
+    OSError.
+    """
     place = path.resolve()  # a symbolic link stays one
     draft = place.with_name(f"{place.name}.{os.getpid()}.new")
     try:
         draft.write_text(text, encoding="utf-8")
+        old = place.stat()
+        with contextlib.suppress(OSError):  # root alone gives files away; where that is refused, this user has it
+            os.chown(draft, old.st_uid, old.st_gid)
         shutil.copymode(place, draft)
         draft.replace(place)
     except OSError:

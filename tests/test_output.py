@@ -126,3 +126,28 @@ def test_gains_found_on_a_full_disk_do_not_cost_the_rig_file(tmp_path: Path) -> 
     assert link.is_symlink()
     assert rig.stat().st_mode & 0o777 == 0o640
     assert {path.name for path in tmp_path.glob("*.*")} == {"rig.toml", "link.toml"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_gains_that_root_finds_leave_the_rig_file_to_its_owner(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(PAPER.read_text())
+    rig.chmod(0o640)
+    os.chown(rig, 1234, 5678)
+    write_gains(rig, "pid", {"kp": [1.0, 2.0]}, [])
+    found = rig.stat()
+    assert (found.st_uid, found.st_gid, found.st_mode & 0o777) == (1234, 5678, 0o640)
+
+
+def test_gains_found_by_who_may_write_the_rig_file_but_not_give_it_away_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(PAPER.read_text())
+
+    def refused(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "chown", refused)
+    write_gains(rig, "pid", {"kp": [1.0, 2.0]}, [])
+    assert load_rig(rig).law.tuned["pid"] == {"kp": [1.0, 2.0]}
