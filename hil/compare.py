@@ -6,7 +6,6 @@ Every run is the full path (protocol, wire, drives, plant, cycle) of `hil sim`.
 import math
 import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -16,6 +15,7 @@ from hil.compare_report import comparison_table, draw, summary_table
 from hil.config import RigConfig, RigError, load_rig
 from hil.laws import LAWS
 from hil.output import drawable, writable, write_json
+from hil.processes import worker_pool
 from hil.usable import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
@@ -199,5 +199,5 @@ def run_all(work: Sequence[Case], workers: int, console: Any) -> list[dict[str, 
     note = f"{len(work)} runs"
     if workers == 1 or len(work) == 1:
         return [run_case(case) for case in track(work, note, console=console, transient=True)]
-    with ProcessPoolExecutor(workers) as pool:
+    with worker_pool(workers) as pool:
         return list(track(pool.map(run_case, work), note, total=len(work), console=console, transient=True))

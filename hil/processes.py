@@ -1,23 +1,31 @@
-"""Child processes of `hil demo`: started together, watched, and ended whatever happens to their parent."""
+"""Child processes, ended whatever happens to their parent: workers, and those of `hil demo`, started and watched."""
 
 import ctypes
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
 
-def _die_with_parent(parent: int) -> None:
-    """In the child, before exec: SIGTERM when the parent dies, so that no process is left running."""
+def die_with_parent(parent: int) -> None:
+    """In a child: SIGTERM when the parent dies, or died before this was said, so that no process is left running."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(1)
+
+
+def worker_pool(workers: int, method: Literal["fork", "spawn"] = "fork") -> ProcessPoolExecutor:
+    """A pool of so many processes that end with this one, and not of a fork server, which would be their parent."""
+    return ProcessPoolExecutor(workers, multiprocessing.get_context(method), die_with_parent, (os.getpid(),))
 
 
 class Child:
@@ -35,7 +43,7 @@ class Child:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is the parent's business: it ends its children in the right order
-                preexec_fn=lambda: _die_with_parent(parent),
+                preexec_fn=lambda: die_with_parent(parent),
             )
         self.pid = self._process.pid
 

@@ -9,7 +9,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from random import Random
@@ -25,6 +24,7 @@ from hil.laws import LAWS
 from hil.laws.base import Array
 from hil.lockstep import LockstepRun, simulate
 from hil.output import writable, write_json
+from hil.processes import worker_pool
 from hil.trajectories import make_trajectory
 from hil.usable import usable
 from sim_plant.stage import Truth
@@ -150,7 +150,7 @@ class Crew(NamedTuple):
 @contextmanager
 def processes(workers: int) -> Iterator[Crew]:
     """A crew of so many processes of this machine."""
-    with ProcessPoolExecutor(workers) as pool:
+    with worker_pool(workers) as pool:
         yield Crew(lambda work: pool.map(run_chunk, work), workers)
 
 

@@ -1,11 +1,9 @@
 """`hil faults`: the whole campaign, over all cores."""
 
-import multiprocessing
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +15,7 @@ from hil.campaign.report import blind_lines, document, terminal_table, write_htm
 from hil.campaign.voyage import Cell, Leg, displaced, legs, sail
 from hil.config import RigConfig, RigError, load_rig
 from hil.output import writable, write_json
+from hil.processes import worker_pool
 from hil.usable import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
@@ -39,7 +38,7 @@ def campaign(
     total = sum(len(leg.cells) for leg in work)
     cells: list[Cell] = []
     # Spawned, not forked: a worker must be single-threaded to fork its cells.
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with worker_pool(jobs, "spawn") as pool:
         for leg_cells in pool.map(sail, work):
             cells += leg_cells
             done(len(cells), total)
