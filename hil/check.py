@@ -13,7 +13,7 @@ from drivers.frame import EXTENDED
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Message
 from drivers.schedulability import Analysis, Response, analyse, faults_tolerated
-from hil.config import RigConfig, RigError, load_rig
+from hil.config import LEAST_RATE_HZ, RigConfig, RigError, load_rig
 from hil.exit_status import EXIT_CONFIG
 from hil.output import drawable, writable, write_json
 from hil.stability import StabilityReport, check_stability
@@ -37,11 +37,23 @@ def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:
     """The analysis of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late."""
     analysis = analyse_rig(rig, base_dir)
     if not analysis.schedulable:
-        raise RigError(problems(rig, analysis))
+        raise RigError(problems(rig, base_dir, analysis))
     return analysis
 
 
-def problems(rig: RigConfig, analysis: Analysis) -> list[str]:
+def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
+    """The most whole Hz, below its own rate, at which the rig's traffic fits; None where it does not at the least."""
+    fits, too_much = LEAST_RATE_HZ - 1, math.ceil(rig.rate_hz)
+    while too_much - fits > 1:
+        middle = (fits + too_much) // 2
+        if analyse_rig(rig.model_copy(update={"rate_hz": middle}), base_dir).schedulable:
+            fits = middle
+        else:
+            too_much = middle
+    return fits if fits >= LEAST_RATE_HZ else None
+
+
+def problems(rig: RigConfig, base_dir: Path, analysis: Analysis) -> list[str]:
     """One line for the bus, one for the frame that is worst off."""
     if analysis.schedulable:
         return []
@@ -51,11 +63,13 @@ def problems(rig: RigConfig, analysis: Analysis) -> list[str]:
     else:
         verdict = f"ends up to {_us(response.message.deadline_ns - response.margin_ns)} after the tick's start, "
         verdict += f"{_us(-response.margin_ns)} past its deadline of {_us(response.message.deadline_ns)}"
+    highest = highest_rate(rig, base_dir)
+    slower = f"rate_hz = {highest} or less, " if highest else ""
     return [
-        f"bus.protocol = {rig.bus.protocol!r} at {rig.bus.bitrate} bit/s does not fit {rig.rate_hz:g} Hz with "
-        f"{len(rig.axes)} axes: worst-case load {analysis.bus_load:.1%}, cyclic part {_us(analysis.tick_ns)} of "
+        f"bus.protocol = {rig.bus.protocol!r} at {rig.bus.bitrate} bit/s does not fit rate_hz = {rig.rate_hz:g} "
+        f"with {len(rig.axes)} axes: worst-case load {analysis.bus_load:.1%}, cyclic part {_us(analysis.tick_ns)} of "
         f"{_us(rig.period_ns)} per tick",
-        f"frame '{response.frame}' {verdict}; a lower rate_hz, a higher bit rate or a leaner layout would do",
+        f"frame '{response.frame}' {verdict}; {slower}a higher bit rate or a leaner layout would do",
     ]
 
 
@@ -81,7 +95,7 @@ def check(
     target = picture or Path("runs") / f"{rig.name}-tick.png"
     draw_tick(rig, analysis, target)
     console.print(f"One worst-case tick: {target}")
-    found = problems(rig, analysis)
+    found = problems(rig, rig_file.parent, analysis)
     try:
         stability = check_stability(rig, lowest_rate=True)
     except ValueError as error:

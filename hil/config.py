@@ -13,6 +13,7 @@ from drivers.toml_file import TomlError, parse_toml, read_toml, shown
 from sim_plant.config import PlantConfig, Resolution
 
 MAX_AXES = 4
+LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite, and a tick would divide by it.
@@ -201,7 +202,7 @@ class RigConfig(BaseModel):
     model_config = STRICT
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
     description: str = ""
-    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
+    rate_hz: Annotated[float, Field(ge=LEAST_RATE_HZ, le=10_000)] = 1000.0
     axes: Annotated[
         dict[Annotated[str, Field(pattern=AXIS_NAME)], AxisConfig], Field(min_length=1, max_length=MAX_AXES)
     ]

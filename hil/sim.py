@@ -26,10 +26,12 @@ def sim(
     ] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    from hil.check import refuse_unschedulable
     from hil.lockstep import simulate
     from hil.scenario import load_scenario
 
     config = load_rig(rig, overrides)
+    refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
 

@@ -221,3 +221,21 @@ def test_hil_run_refuses_what_does_not_fit() -> None:
     rig = load_rig(path, ["bus.bitrate=125000", "bus.data_bitrate=125000"])
     with pytest.raises(RigError, match=r"past its deadline|no bound"):
         refuse_unschedulable(rig, path.parent)
+
+
+def test_hil_sim_refuses_what_does_not_fit_and_names_the_rate_that_would() -> None:
+    path = RIGS / "microscope.toml"
+    outcome = CliRunner().invoke(build_app("sim"), ["sim", str(path), "--seconds", "1e6", "--set", "rate_hz=10000"])
+    assert isinstance(outcome.exception, RigError)
+    assert "bus.protocol = 'stage_fd' at 1000000 bit/s does not fit rate_hz = 10000" in str(outcome.exception)
+    assert "; rate_hz = 2631 or less, a higher bit rate or a leaner layout would do" in str(outcome.exception)
+    assert refuse_unschedulable(load_rig(path, ["rate_hz=2631"]), path.parent).schedulable
+    with pytest.raises(RigError):
+        refuse_unschedulable(load_rig(path, ["rate_hz=2632"]), path.parent)
+
+
+def test_a_bus_that_carries_no_rate_at_all_is_told_to_be_faster() -> None:
+    path = RIGS / "microscope.toml"
+    slow = ["bus.protocol=cia402", "bus.bitrate=10000", "bus.data_bitrate=10000"]
+    with pytest.raises(RigError, match="; a higher bit rate or a leaner layout would do"):
+        refuse_unschedulable(load_rig(path, slow), path.parent)
