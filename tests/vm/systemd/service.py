@@ -12,7 +12,7 @@ from typing import NamedTuple, TextIO
 
 import pytest
 
-PATIENCE_S = 900.0  # software emulation on a busy machine (installing took 300 there); only ever waited out by a failure
+PATIENCE_S = 900.0  # software emulation on a busy machine, where installing took 300; only a failure waits it out
 PACKAGES = Path("/share/packages")
 RIGS = Path("/etc/hil/rigs")
 
