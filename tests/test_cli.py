@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+# A shell's background jobs start with SIGINT ignored, and their children with them.
+AT_A_TERMINAL = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 BUILD = Path(__file__).parent.parent / "deploy" / "debian" / "build.sh"
 
 
@@ -15,7 +17,7 @@ BUILD = Path(__file__).parent.parent / "deploy" / "debian" / "build.sh"
 def test_a_ctrl_c_during_the_imports_ends_quietly(tmp_path: Path, module: str) -> None:
     (tmp_path / f"{module}.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     result = subprocess.run(
-        [sys.executable, "-c", "from hil.__main__ import main; main()", "run", "rig.toml"],
+        [sys.executable, "-c", f"{AT_A_TERMINAL}; from hil.__main__ import main; main()", "run", "rig.toml"],
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
