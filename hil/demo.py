@@ -13,9 +13,10 @@ import typer
 from rich.console import Console
 from rich.live import Live
 
+from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, runtime_dir
 from hil.config import RigConfig, load_rig
-from hil.monitor.terminal import line, view
+from hil.monitor.terminal import drive_words, line, view
 from hil.output import write_json
 from hil.processes import Family
 from hil.telemetry import telemetry_pb2 as pb
@@ -25,7 +26,7 @@ from hil.telemetry.places import DEMO_PREFIX, Places, places_in
 from hil.telemetry.recorder import RecordingError
 from hil.tick import CommandKind
 
-START_S = 30.0  # for three Python processes to be up on a busy machine
+START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
 POLL_S = 0.02
 LINE_INTERVAL_S = 1.0
@@ -43,7 +44,7 @@ STALL_FAULTS = (
     "TRANSMIT_BLOCKED",
     "ENABLE_TIMEOUT",
 )  # what a host that holds up the emulator or the loop for milliseconds looks like
-MAX_STALLS = 20
+SHOWN_STALLS = 20  # one by one; the summary says how many there were
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
@@ -173,23 +174,31 @@ class Demo:
 
     def _where(self) -> str:
         status = self.status
-        return f"state {status.state or 'unknown'}, fault {status.fault or 'unknown'}{self._refusal}"
+        words = zip(status.axes, status.drive_status, strict=False)
+        drives = "".join(f"; {axis}: {drive_words(bits).plain.strip()}" for axis, bits in words)
+        return f"state {status.state or 'unknown'}, fault {status.fault or 'unknown'}{drives}{self._refusal}"
 
     def _operate(self, client: RigClient) -> None:
         """What an operator does: activate what is READY; reset what stopped because this machine held a process up."""
         status = self.status
         if status.state in ("FAULT", "ESTOP"):
-            if status.fault not in STALL_FAULTS or self.stalls >= MAX_STALLS:
+            if status.fault not in STALL_FAULTS:
                 raise DemoError(f"the rig stopped: {self._where()}")
+            self._command(client, CommandKind.RESET)
+        elif tripped(status):
             self._command(client, CommandKind.RESET)
         elif status.state == "READY" and status.recording:
             self._command(client, CommandKind.ACTIVATE)
 
-    def _note_stall(self, before: str) -> None:
+    def _note_stall(self, before: pb.Status) -> None:
         status = self.status
-        if status.state == "FAULT" != before and status.fault in STALL_FAULTS:
+        stopped = status.state == "FAULT" != before.state and status.fault in STALL_FAULTS
+        if stopped or (tripped(status) and not tripped(before)):
             self.stalls += 1
-            self.console.print(f"{status.fault} at tick {status.index}: this machine held a process up; resetting")
+            if self.stalls > SHOWN_STALLS:
+                return
+            what = status.fault if stopped else "a drive's watchdog tripped"
+            self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
 
     def _command(self, client: RigClient, kind: CommandKind) -> None:
         reply = client.command(kind, self.scene.places.token.read_text(encoding="utf-8"))
@@ -201,7 +210,7 @@ class Demo:
         status = client.status()
         if status is None:
             return False
-        before, self.status = self.status.state, status
+        before, self.status = self.status, status
         self._note_stall(before)
         self._operate(client)
         return True
@@ -246,6 +255,13 @@ class Demo:
             self.troubles.append("the emulator left no word of its drives")
             return
         self.troubles.extend(drive_report(state))
+
+
+def tripped(status: pb.Status) -> bool:
+    """Whether a drive's watchdog keeps the rig from READY. Nothing moves in CONNECTED, so that is no fault of the rig's
+    and stops nothing; but it stays until an operator's RESET.
+    """
+    return status.state == "CONNECTED" and any(bits & DriveStatus.WATCHDOG for bits in status.drive_status)
 
 
 def drive_report(state: dict[str, Any]) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 from drivers.bus import open_port
 from drivers.protocols.base import DriveStatus
 from hil.config import RigConfig, load_rig
+from hil.demo import STALL_FAULTS
 from hil.faults import Fault
 from hil.state_machine import State
 from hil.telemetry.mailbox import Mailbox
@@ -24,7 +25,7 @@ from hil.tick import CommandKind
 from sim_plant.emulator import EmulatedStage
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0  # only a failing test waits this long
 # Soft gains at 250 Hz and patient drives: what is tested here is processes, not punctuality.
 CALM = (
     "rate_hz=250",
@@ -34,6 +35,10 @@ CALM = (
     "plant.watchdog_s=0.5",
     "safety.overrun_zero_s=1.0",
     "safety.overrun_streak=1000",
+    "safety.silent_stop_ticks=250",
+    "safety.silent_zero_ticks=250",
+    "safety.flood_frames=1000",
+    "safety.transmit_refused_limit=250",
     "timing.realtime=false",
 )
 
@@ -81,9 +86,6 @@ def emulated(overrides: Sequence[str] = ()) -> Iterator[Emulator]:
         emulator.stop()
 
 
-STALLED = (Fault.ENCODER_LOST, Fault.ENCODER_DEAD, Fault.OVERRUN_LONG, Fault.DRIVE_WATCHDOG)
-
-
 class Control:
     """A `hil run` process. `wrap`: Python to run before it, in the same process."""
 
@@ -116,7 +118,7 @@ class Control:
     def wait_for(self, state: State, reader: RingReader | None = None) -> RingReader:
         """Until the newest record shows `state`; fails with the process' words if it ends before.
 
-        On the way to READY, silence of a stage that this machine did not let run is reset, as an operator would.
+        On the way to READY, what comes of this machine not letting a process run is reset, as an operator would.
         """
         limit = time.monotonic() + PATIENCE_S
         newest = fault = counted = None
@@ -135,7 +137,7 @@ class Control:
                 if newest is state:
                     return reader
                 tripped = int(np.bitwise_or.reduce(last["drive_status"])) & DriveStatus.WATCHDOG
-                if state is State.READY and (fault in STALLED or tripped):
+                if state is State.READY and (fault.name in STALL_FAULTS or tripped):
                     order(CommandKind.RESET)
             time.sleep(0.005)
         raise AssertionError(f"no {state.name} within {PATIENCE_S} s; last seen {newest!r}, {fault!r}, {counted}")

@@ -18,7 +18,7 @@ from drivers.frame import BRS, EXTENDED, FD, Frame
 from hil import bus_tool
 from hil.bus_statistics import BusStatistics, identifier, kind
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0  # only a failing test waits this long
 TRAFFIC = [
     Frame(0x080, bytes(range(24)), FD | BRS),
     Frame(0x100, bytes(range(16)), FD),

@@ -1,6 +1,7 @@
 """`hil demo` as people meet it: real processes, a run that ends well, and every way in which it can be cut short."""
 
 import contextlib
+import io
 import json
 import os
 import re
@@ -9,13 +10,20 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from hil.demo import drive_report
+from drivers.protocols.base import DriveStatus
+from hil.config import load_rig
+from hil.demo import Demo, Scene, Signals, drive_report
 from hil.state_machine import TORQUE_STATES, State
 from hil.summary import RunData, load_run
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.client import RigClient
+from hil.tick import CommandKind
 
 ROOT = Path(__file__).parent.parent
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
@@ -47,7 +55,7 @@ class Show:
         raise AssertionError(f"{wanted!r} was never said, but:\n{self.text}")
 
     def end(self) -> int:
-        output, _ = self.process.communicate(timeout=60)
+        output, _ = self.process.communicate(timeout=120)
         self.text += output
         return self.process.returncode
 
@@ -94,7 +102,7 @@ def assert_ended_with_zero_torque(run: RunData) -> None:
 
 def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "hil", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "hil", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=120
     )
 
 
@@ -131,7 +139,7 @@ def test_a_demo_runs_is_seen_from_elsewhere_and_sums_up(show: Show) -> None:
 
 
 def test_ctrl_c_ends_everything_with_zero_torque_last_and_a_whole_recording(show: Show) -> None:
-    show.read_until("ACTIVE")
+    show.read_until("to go")
     show.process.send_signal(signal.SIGINT)
     assert show.end() == 130, show.text
     assert "tick lateness" in show.text
@@ -149,7 +157,7 @@ def test_ctrl_c_during_the_start_leaves_nothing_running(show: Show) -> None:
 
 
 def test_a_killed_control_process_leaves_the_drives_at_zero_within_10_ms_and_the_demo_says_so(show: Show) -> None:
-    show.read_until("ACTIVE")
+    show.read_until("to go")
     os.kill(show.pid("control process"), signal.SIGKILL)
     assert show.end() == 1
     assert "the control process was ended by SIGKILL" in show.text
@@ -165,7 +173,7 @@ def test_a_killed_control_process_leaves_the_drives_at_zero_within_10_ms_and_the
 
 
 def test_a_killed_sidecar_is_reported_and_the_stage_is_stopped(show: Show) -> None:
-    show.read_until("ACTIVE")
+    show.read_until("to go")
     os.kill(show.pid("sidecar"), signal.SIGKILL)
     assert show.end() == 1
     assert "the sidecar was ended by SIGKILL" in show.text
@@ -175,7 +183,7 @@ def test_a_killed_sidecar_is_reported_and_the_stage_is_stopped(show: Show) -> No
 
 
 def test_a_killed_demo_takes_its_processes_along(show: Show) -> None:
-    show.read_until("ACTIVE")
+    show.read_until("to go")
     show.process.kill()
     show.end()
     for pid in show.children():
@@ -183,6 +191,48 @@ def test_a_killed_demo_takes_its_processes_along(show: Show) -> None:
             subprocess.run(["tail", f"--pid={pid}", "-f", "/dev/null"], timeout=20, check=False)
     assert show.left_running() == []
     assert_ended_with_zero_torque(show.recording())
+
+
+class Conversation:
+    """A sidecar that shows the given statuses one by one and takes every command, of which it remembers."""
+
+    def __init__(self, *statuses: pb.Status) -> None:
+        self.statuses = list(statuses)
+        self.heard: list[CommandKind] = []
+
+    def status(self) -> pb.Status:
+        return self.statuses.pop(0)
+
+    def command(self, kind: CommandKind, token: str) -> pb.CommandReply:
+        assert token == "secret"
+        self.heard.append(kind)
+        return pb.CommandReply(accepted=True)
+
+
+def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive that this machine left without commands in CONNECTED holds the rig there, with no fault to be seen."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of this process are pytest's
+    rig = load_rig(RIG)
+    said = Console(record=True, width=120, file=io.StringIO())
+    scene = Scene(rig, RIG, (), tmp_path, tmp_path)
+    scene.places.token.parent.mkdir(parents=True)
+    scene.places.token.write_text("secret")
+    axes = list(rig.axes)
+    healthy = [int(DriveStatus.HOMED)] * len(axes)
+    tripped = [*healthy[:-1], int(DriveStatus.HOMED | DriveStatus.WATCHDOG)]
+    waits = pb.Status(state="CONNECTED", fault="NONE", axes=axes, drive_status=healthy)
+    held = pb.Status(state="CONNECTED", fault="NONE", axes=axes, drive_status=tripped, index=70)
+    ready = pb.Status(state="READY", fault="NONE", axes=axes, drive_status=healthy, recording=True)
+    conversation = Conversation(waits, held, held, waits, ready)
+    client = cast(RigClient, conversation)
+    demo = Demo(scene, said, Signals())
+    while conversation.statuses:
+        demo._look(client)
+    assert conversation.heard == [CommandKind.RESET, CommandKind.RESET, CommandKind.ACTIVATE]
+    assert demo.stalls == 1
+    assert "a drive's watchdog tripped at tick 70" in said.export_text()
 
 
 def test_a_drive_whose_watchdog_did_not_trip_is_named_too() -> None:

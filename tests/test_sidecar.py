@@ -86,7 +86,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def end(process: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
     process.send_signal(number)
-    return process.wait(timeout=10)
+    return process.wait(timeout=60)
 
 
 @contextlib.contextmanager
@@ -99,7 +99,7 @@ def ignored(number: int) -> Iterator[None]:
         signal.signal(number, previous)
 
 
-def eventually(client: RigClient, wanted: Callable[[pb.Status], bool], seconds: float = 10) -> pb.Status:
+def eventually(client: RigClient, wanted: Callable[[pb.Status], bool], seconds: float = 60) -> pb.Status:
     until = time.monotonic() + seconds
     while not wanted(status := client.wait_status(seconds)):
         assert time.monotonic() < until, status
@@ -128,7 +128,7 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
     sidecar = bench.sidecar()
     control = bench.control()
     with RigClient(bench.endpoint) as client:
-        status = eventually(client, lambda status: status.recording and status.index > 100)
+        status = eventually(client, lambda status: status.recording and status.produced > 100)
         assert (status.rig, status.state, list(status.axes)) == ("microscope", "READY", ["x", "y", "z", "theta"])
         assert status.realtime == "none: a test"
         assert status.control_alive
@@ -154,7 +154,7 @@ def test_a_killed_control_process_is_reported_and_its_last_tick_is_recorded(benc
     bench.sidecar()
     control = bench.control()
     with RigClient(bench.endpoint) as client:
-        eventually(client, lambda status: status.index > 100)
+        eventually(client, lambda status: status.produced > 100)
         end(control, signal.SIGKILL)
         status = eventually(client, lambda status: not status.control_alive and not status.recording)
         assert not status.control_ended
@@ -177,12 +177,11 @@ def test_a_sidecar_that_dies_leaves_a_readable_recording_and_its_successor_carri
     first = bench.sidecar()
     bench.control()
     with RigClient(bench.endpoint) as client:
-        eventually(client, lambda status: status.index > 600)
+        eventually(client, lambda status: status.recording and len(recorded(bench.out / "run.mcap")[0]) > 100)
         end(first, signal.SIGKILL)
         ticks, recording = recorded(bench.out / "run.mcap")
         assert recording.truncated
         assert [tick.ring for tick in ticks] == list(range(len(ticks)))
-        assert len(ticks) > 100
         bench.sidecar(tmp_path / "second")
         status = eventually(client, lambda status: status.recording)
         assert status.dropped == 0  # the ring still held what the first one had not seen
@@ -204,7 +203,7 @@ def test_a_rig_that_is_not_recorded_leaves_no_folder(bench: Bench, tmp_path: Pat
 @pytest.mark.live
 def test_without_a_sidecar_the_black_box_holds_the_last_ticks(bench: Bench) -> None:
     control = bench.control("1000")
-    control.wait(timeout=10)
+    control.wait(timeout=60)
     control = bench.control()
     with RingReader(bench.runtime / "microscope" / "ring") as reader:
         while reader.written < 100:
