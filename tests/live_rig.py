@@ -60,14 +60,20 @@ class Emulator(threading.Thread):
         poll.register(self._port.fileno(), select.POLLIN)
         while not self._ended.is_set():
             poll.poll(2)
-            for frame in self._port.drain(time.monotonic_ns()):
+            self._turn()
+        self._turn()
+        self._port.close()
+
+    def _turn(self) -> None:
+        while frames := self._port.drain(time.monotonic_ns()):
+            for frame in frames:
                 self.commands.append((frame.timestamp_ns, frame.data))
                 for answer in self.stage.on_frame(frame):
                     self._port.send(answer)
-            self.stage.advance(time.monotonic_ns())
-        self._port.close()
+        self.stage.advance(time.monotonic_ns())
 
     def stop(self) -> None:
+        """Hear what was sent until now to its end, then fall silent."""
         self._ended.set()
         self.join()
 
