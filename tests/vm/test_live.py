@@ -60,9 +60,7 @@ def test_foreign_traffic_on_the_drives_identifiers_leads_to_zero_torque(vcan: st
 
 def test_foreign_tools_watching_change_nothing(vcan: str, tmp_path: Path) -> None:
     with live_rig(vcan) as rig, links.candump(vcan) as dump:
-        rig.activate()
-        records = rig.wait_ticks(50)
-        assert set(records["state"]) == {State.ACTIVE}
+        rig.active_for(50)
         dump.terminate()
         frames, _ = dump.communicate(timeout=links.PATIENCE_S)
     seen = {line.split()[2].partition("#")[0] for line in frames.splitlines() if line.count(" ") == 2}
