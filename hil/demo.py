@@ -195,10 +195,9 @@ class Demo:
         stopped = status.state == "FAULT" != before.state and status.fault in STALL_FAULTS
         if stopped or (tripped(status) and not tripped(before)):
             self.stalls += 1
-            if self.stalls > SHOWN_STALLS:
-                return
             what = status.fault if stopped else "a drive's watchdog tripped"
-            self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
+            if self.stalls <= SHOWN_STALLS:
+                self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
 
     def _command(self, client: RigClient, kind: CommandKind) -> None:
         reply = client.command(kind, self.scene.places.token.read_text(encoding="utf-8"))

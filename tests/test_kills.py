@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.demo import STALL_FAULTS
+from hil.faults import Fault
 from hil.state_machine import State
 from hil.telemetry.mailbox import MailboxError
 from hil.telemetry.places import places
@@ -104,9 +106,10 @@ def test_a_restart_after_a_kill_waits_for_the_operator_with_the_drives_latched()
         with Control() as second:
             reader = second.wait_for(State.CONNECTED)
             time.sleep(0.3)
-            states = {State(int(value)) for value in reader.read(100_000).records["state"]}
+            records = reader.read(100_000).records
             # The drives' latched watchdogs keep it from READY; FAULT is a machine that held the stage up meanwhile.
-            assert states <= {State.CONNECTED, State.FAULT}
+            assert {State(int(value)) for value in records["state"]} <= {State.CONNECTED, State.FAULT}
+            assert {Fault(int(value)).name for value in records["fault"]} <= {Fault.NONE.name, *STALL_FAULTS}
             order(CommandKind.RESET)
             second.wait_for(State.READY, reader)
 

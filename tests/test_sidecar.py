@@ -182,6 +182,7 @@ def test_a_sidecar_that_dies_leaves_a_readable_recording_and_its_successor_carri
         ticks, recording = recorded(bench.out / "run.mcap")
         assert recording.truncated
         assert [tick.ring for tick in ticks] == list(range(len(ticks)))
+        assert len(ticks) > 100
         bench.sidecar(tmp_path / "second")
         status = eventually(client, lambda status: status.recording)
         assert status.dropped == 0  # the ring still held what the first one had not seen

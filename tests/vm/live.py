@@ -140,7 +140,8 @@ class LiveRig:
             self.order(CommandKind.ACTIVATE)
             if self.wait_for(State.ACTIVE, State.FAULT) is State.ACTIVE:
                 return
-        raise AssertionError(f"never ACTIVE, at last {Fault(int(self.newest()['fault'])).name}")
+            fault = held_up(self.newest())
+        raise AssertionError(f"never ACTIVE, at last {fault}")
 
     def active_for(self, count: int) -> npt.NDArray[Any]:
         """`count` (or more) records in ACTIVE, in a row; where a guest that was held up ends them, once more."""
@@ -151,8 +152,7 @@ class LiveRig:
             stopped = records[records["state"] != State.ACTIVE]
             if not len(stopped):
                 return records
-            fault = Fault(int(stopped["fault"][-1])).name
-            assert fault in HELD_UP, fault
+            fault = held_up(stopped[-1])
             assert time.monotonic() < deadline, f"never ACTIVE for {count} ticks; at last {fault}"
 
     def stage(self) -> dict[str, Any]:
@@ -209,6 +209,13 @@ def live_rig(
             for process in (control, emulator):
                 if process.poll() is None:
                     process.kill()
+
+
+def held_up(record: Any) -> str:
+    """The fault of a record, which must be one that a guest's host can cause."""
+    fault = Fault(int(record["fault"])).name
+    assert fault in HELD_UP, fault
+    return fault
 
 
 def assert_closed_loop(rig: LiveRig) -> None:
