@@ -21,7 +21,7 @@ cd "$1" || exit 70
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 MODPROBE_OPTIONS="-d $1/.vm/kernel" HOME=/tmp PYTHONDONTWRITEBYTECODE=1 HIL_VM=1 LANG=C.UTF-8 PATH=$PATH:/usr/sbin:/sbin
 results=$2
 shift 2
-.venv/bin/python -m pytest -p no:cacheprovider --junitxml="$results/junit.xml" "$@" >"$results/pytest.log" 2>&1
+.venv/bin/python -m pytest -o cache_dir="$results/cache" --junitxml="$results/junit.xml" "$@" >"$results/pytest.log" 2>&1
 INNER
 chroot $host /bin/bash /run/inside.sh "$project" "$results" "$@"
 status=$?

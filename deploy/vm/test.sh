@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Boots a PREEMPT_RT kernel under QEMU (software emulation, no KVM), on this machine's own file system read-only, runs
 # tests/vm in it and brings the results out to .vm/results. Exit status 0 only if the guest ran tests and all passed.
-# usage: test.sh [PYTEST ARGUMENTS]
+# usage: test.sh [PYTEST ARGUMENTS]     --last-failed alone: what failed the last time, or all if it did not get that far
 set -euo pipefail
 
 PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
@@ -10,13 +10,20 @@ RESULTS=$VM/results
 LIMIT=${HIL_VM_LIMIT:-4500}  # s, whole guest; it takes 10 to 30 minutes, by the host and its load
 
 "$PROJECT/deploy/vm/prepare.sh" "$VM"
-rm -rf "$RESULTS" && mkdir -p "$RESULTS"
+LANE=(tests/vm -m "(vcan or controller) and not systemd" -vv --durations=15)
+case "$*" in
+"") arguments=("${LANE[@]}") ;;
+--last-failed) arguments=("${LANE[@]}" --last-failed) ;;
+*) arguments=("$@") ;;
+esac
+mkdir -p "$RESULTS"
+kept=none  # pytest's list of what failed
+[ "$*" != --last-failed ] || kept=cache
+find "$RESULTS" -mindepth 1 -maxdepth 1 ! -name "$kept" -exec rm -rf {} +
 # the guest cannot write byte code, and compiles slowly
 "$PROJECT/.venv/bin/python" -m compileall -q "$PROJECT"/{hil,drivers,sim_plant,tests} || true
 
 kernel=$(cat "$VM/kernel/ready")
-arguments=("$@")
-[ ${#arguments[@]} -gt 0 ] || arguments=(tests/vm -m "(vcan or controller) and not systemd" -vv --durations=15)
 printf -v command '%q ' /bin/bash "$PROJECT/deploy/vm/guest_host_root.sh" "$PROJECT" "$RESULTS" "${arguments[@]}"
 devices="-virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap"
 # two SJA1000 controllers behind their real driver, on one emulated bus: can0 and can1 in the guest

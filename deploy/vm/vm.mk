@@ -1,8 +1,11 @@
 # The VM lane: included by the Makefile. Everything it needs is kept in .vm/.
-.PHONY: test-vm test-systemd test-vcan vm-lock vm-mutants
+.PHONY: test-vm test-vm-again test-systemd test-vcan vm-lock vm-mutants
 
 test-vm: setup  ## tests that need a real CAN stack, in a virtual machine with one (no KVM needed)
 	@deploy/vm/test.sh
+
+test-vm-again: setup  ## of test-vm, what failed the last time
+	@deploy/vm/test.sh --last-failed
 
 test-systemd: setup  ## the Debian package installed and run on a fresh guest with systemd as init
 	@deploy/vm/test_systemd.sh

@@ -1,5 +1,6 @@
 """The sidecar's side of Zenoh: what is published under which key."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import zenoh
@@ -46,11 +47,11 @@ class Publisher(Closing):
             return False
         return True
 
-    def answer_rig_queries(self, description: bytes) -> None:
-        """Reply to everybody who asked which rig this is."""
+    def answer_rig_queries(self, description: Callable[[], bytes]) -> None:
+        """Reply to everybody who asked which rig this is. description: called for each, as hardly anybody asks."""
         while query := self.rig_queries.try_recv():
             with query:
-                query.reply(f"{self.key}/rig", description, encoding=zenoh.Encoding.APPLICATION_JSON)
+                query.reply(f"{self.key}/rig", description(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def close(self) -> None:
         """Undeclare everything and leave."""

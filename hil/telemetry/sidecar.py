@@ -175,8 +175,12 @@ class Sidecar:
         while query := self._publisher.commands.try_recv():
             self._gateway.take(query, run.mailbox if run and alive else None, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        description = json.dumps(run.metadata if run else {"rig": self.rig.model_dump(mode="json")}).encode()
-        self._publisher.answer_rig_queries(description)
+        self._publisher.answer_rig_queries(self._description)
+
+    def _description(self) -> bytes:
+        """Which rig this is: the whole of it, as JSON."""
+        run = self.attached
+        return json.dumps(run.metadata if run else {"rig": self.rig.model_dump(mode="json")}).encode()
 
     def publish_status(self, now_ns: int) -> None:
         """Ten times a second, and once more at every end."""

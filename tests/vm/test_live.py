@@ -45,7 +45,7 @@ def test_an_interface_that_goes_down_stops_the_rig_and_only_a_reset_brings_it_ba
 def test_foreign_traffic_on_the_drives_identifiers_leads_to_zero_torque(vcan: str) -> None:
     with live_rig(vcan) as rig:
         rig.activate()
-        # random bytes under the first drive's identifier, ten to a tick, until the rig has had enough of it
+        # random bytes under the first drive's identifier, fifty to a tick, until the rig has had enough of it
         generator = ["cangen", vcan, "-g", "1", "-f", "-b", "-I", "100", "-L", "16", "-p", "100"]
         with subprocess.Popen(generator) as process:
             try:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.vm.slcan import SerialAdapter
 from tests.vm.systemd.page import CtrlC, follow, says, whatever
-from tests.vm.systemd.service import EDIT, RIGS, edited, eventually, sh
+from tests.vm.systemd.service import EDIT, RIGS, console, edited, eventually, sh
 from tests.vm.systemd.stage import CHANNEL, NAMESPACE, STAGE, its_controller, remember_controller
 
 pytestmark = [pytest.mark.vcan, pytest.mark.systemd]
@@ -199,7 +199,7 @@ def test_bus_off_stays_until_an_operators_reset_which_needs_no_root_in_the_servi
     STAGE.reset_to("CONNECTED")
     adapter.state("b", 0, 256)
     STAGE.wait_for("FAULT")
-    eventually(lambda: "BUS_OFF" in sh(f"hil monitor {STAGE.name} --once"), "the monitor names it")
+    eventually(lambda: "BUS_OFF" in console(f"monitor {STAGE.name} --once")[1], "the monitor names it")
     assert link(adapter.name)["linkinfo"]["info_data"]["state"] == "BUS-OFF", "nobody has restarted it"
     assert not STAGE.order("activate")
     STAGE.reset_to("CONNECTED")
