@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-slow lint lock proto docs mutants hashes profile
+.PHONY: help setup run test lint lock proto docs mutants hashes profile
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -43,9 +43,6 @@ include deploy/compiled.mk
 
 proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
-
-test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills
-	@$(BIN)/python -m pytest -n 2 -m "slow and not vcan and not controller"
 
 docs: setup  ## renew the pages that are made from tables in code
 	@$(BIN)/python -m hil.docs

@@ -2,7 +2,7 @@
 # is the reference, and what `make run` and `make test` run.
 COMPILED := .venv-compiled
 
-.PHONY: compiled test-compiled
+.PHONY: compiled test-compiled test-slow
 
 compiled: $(COMPILED)/.built  ## .venv-compiled/bin/hil: the same program, its hot path compiled (needs a C compiler)
 
@@ -15,3 +15,8 @@ test-compiled: setup  ## the compiled build computes the same bytes and passes t
 	@$(BIN)/python deploy/compiled/build.py --check || { echo "test-compiled: skipped"; exit 0; }; \
 	$(MAKE) --no-print-directory compiled && \
 	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 -m "not slow and not vcan and not controller"
+
+test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills; on the compiled build where there can be one
+	@if $(BIN)/python deploy/compiled/build.py --check; then \
+	    $(MAKE) --no-print-directory compiled && python=$(COMPILED)/bin/python; else python=$(BIN)/python; fi && \
+	PYTHONSAFEPATH=1 $$python -m pytest -n 2 -m "slow and not vcan and not controller"
