@@ -211,12 +211,12 @@ class ControlCycle:
         before = self.machine.state
         taken = self.machine.handle(event)
         if taken and (self.machine.state is not before or event is Event.RESET):
-            self._enter(self.machine.state, tick)
+            self._enter(self.machine.state, event, tick)
         return taken
 
-    def _enter(self, state: State, tick: Tick) -> None:
+    def _enter(self, state: State, event: Event, tick: Tick) -> None:
         if state is State.CONNECTED:
-            self._reconnect(reset=tick.index > 0)
+            self._reconnect(reset=event is Event.RESET)  # what drives have latched, only the operator unlatches
         elif state is State.READY:
             self.fault = Fault.NONE
         elif state in (State.ACTIVE, State.HOMING):
