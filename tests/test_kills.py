@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.protocols.base import DriveStatus
 from hil.demo import STALL_FAULTS
 from hil.faults import Fault
 from hil.state_machine import State
@@ -51,7 +52,7 @@ def wait_for_zero(emulator: Emulator) -> None:
 
 def wait_for_trips(emulator: Emulator) -> None:
     limit = time.monotonic() + PATIENCE_S
-    while not all(drive.trips for drive in emulator.stage.drives):
+    while not all(drive.status & DriveStatus.WATCHDOG for drive in emulator.stage.drives):
         assert time.monotonic() < limit, "a drive's watchdog did not trip"
         time.sleep(0.005)
 
