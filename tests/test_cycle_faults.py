@@ -207,16 +207,14 @@ def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> 
 @pytest.mark.parametrize("first_slot", [0, 7])
 def test_a_restarted_process_leaves_to_the_operator_what_the_drives_latched(protocol: str, first_slot: int) -> None:
     """Also one whose first tick is late: its number is not 0, as slots are numbered from the start on."""
-    rig = paper(f"bus.protocol={protocol}")
-    run = LockstepRun(rig, RIGS, operator=lambda _, index: (CommandKind.RESET,) if index == 1500 else ())
+
+    def mail(run: Posted, now: int) -> list[OperatorCommand]:
+        return [OperatorCommand(CommandKind.RESET, run.index, LATER_NS)] if run.index == 1500 else []
+
+    run = Posted(paper(f"bus.protocol={protocol}"), mail)
     for drive in run.stage.drives:
         drive.trip(0)
     run.skip(first_slot)
-    states = set()
     while run.index < 1500:
-        run.tick()
-        states.add(run.cycle.state)
-    assert states == {State.CONNECTED}
-    while run.index < 3000:
-        run.tick()
-    assert run.cycle.state is State.READY
+        assert run.go(1).cycle.state is State.CONNECTED
+    assert run.go(1500).cycle.state is State.READY

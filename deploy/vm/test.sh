@@ -7,18 +7,17 @@ set -euo pipefail
 PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
 VM=$PROJECT/.vm
 RESULTS=$VM/results
-LIMIT=${HIL_VM_LIMIT:-4500}  # s, whole guest; it takes 10 to 30 minutes, by the host and its load
+LIMIT=${HIL_VM_LIMIT:-4500}  # s, whole guest; it takes 11 to 16 minutes, by the host and its load
 
 "$PROJECT/deploy/vm/prepare.sh" "$VM"
 LANE=(tests/vm -m "(vcan or controller) and not systemd" -vv --durations=15)
+kept=none  # of the last results
 case "$*" in
 "") arguments=("${LANE[@]}") ;;
---last-failed) arguments=("${LANE[@]}" --last-failed) ;;
+--last-failed) arguments=("${LANE[@]}" --last-failed) kept=cache ;;  # pytest's list of what failed
 *) arguments=("$@") ;;
 esac
 mkdir -p "$RESULTS"
-kept=none  # pytest's list of what failed
-[ "$*" != --last-failed ] || kept=cache
 find "$RESULTS" -mindepth 1 -maxdepth 1 ! -name "$kept" -exec rm -rf {} +
 # the guest cannot write byte code, and compiles slowly
 "$PROJECT/.venv/bin/python" -m compileall -q "$PROJECT"/{hil,drivers,sim_plant,tests} || true

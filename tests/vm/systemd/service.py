@@ -93,12 +93,11 @@ def eventually(holds: Callable[[], object], what: str) -> None:
 
 _CONSOLE = """
 import sys
-from hil.cli import build_app
-apps = {name: build_app(name) for name in ("command", "monitor")}
+from hil.cli import main
 for line in sys.stdin:
-    words = line.split()
+    sys.argv = ["hil", *line.split()]
     try:
-        apps[words[0]](words)
+        main()
     except SystemExit as end:
         print(f"exit status {end.code or 0}", flush=True)
 """
