@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic_ns, time_ns
-from typing import Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import can
 
@@ -31,7 +31,7 @@ __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "o
 Role = Literal["host", "device"]
 
 _READS_PER_DRAIN = 16  # of up to SLOTS frames each: all that a babbling sender may cost one tick
-_CLOCKS_READ_NS = 20_000  # reading three clocks takes less than this unless something came between
+_CLOCKS_READ_NS: Final = 20_000  # reading three clocks takes less than this unless something came between
 _UNSIGNED_32 = 0xFFFFFFFF
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _OWN_ECHO = int(socket.MSG_CONFIRM)  # a plain int: & with an enum takes a microsecond

@@ -1,6 +1,7 @@
 """A frame as the bytes of Linux's `struct can_frame` (16 B) or `struct canfd_frame` (72 B), in both directions."""
 
 import struct
+from typing import Final
 
 from drivers.frame import FD, FD_LENGTHS, Frame
 
@@ -9,9 +10,9 @@ CANFD_MTU = 72  # sizeof(struct canfd_frame)
 
 _CLASSIC = struct.Struct("=IB3x8s")  # can_id, len, padding and len8_dlc, data
 _FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
-_pack_classic = _CLASSIC.pack
-_pack_fd = _FD.pack
-_FD_LENGTHS = frozenset(FD_LENGTHS)
+_pack_classic: Final = _CLASSIC.pack
+_pack_fd: Final = _FD.pack
+_FD_LENGTHS: Final = frozenset(FD_LENGTHS)
 
 
 def to_bytes(frame: Frame) -> bytes:

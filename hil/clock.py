@@ -17,14 +17,15 @@ Rules:
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 from hil.sleep import sleeper
 
 KEEP_WITHIN = 0.5  # of a period: a slot is kept when its tick starts this soon after its deadline
-WOKEN_IN_TIME = 9  # wakes for each one that comes later than it was allowed for
-AHEAD_STEP_NS = 20  # 10 us more are followed within sixty late wakes, 10 us less within five hundred timely ones
+WOKEN_IN_TIME: Final = 9  # wakes for each one that comes later than it was allowed for
+AHEAD_STEP_NS: Final = 20  # 10 us more are followed within sixty late wakes, 10 us less within five hundred timely ones
 AHEAD_WITHIN = 0.125  # of a period: a tick that leaves this much of it still ends in a sleep
-MAX_RESLEEPS = 3  # then the tick runs, however late: the stop flag and the watchdog live on ticks
+MAX_RESLEEPS: Final = 3  # then the tick runs, however late: the stop flag and the watchdog live on ticks
 
 
 class Pacer:

@@ -48,7 +48,6 @@ _ACTIVE: Final = State.ACTIVE
 _STOPPING: Final = State.STOPPING
 _SHUTDOWN: Final = State.SHUTDOWN
 _STOP: Final = Reaction.STOP
-_OF_THE_SHELL: Final = (0, 0, 0)  # slots missed: the record's fields that the shell fills in
 
 
 class ControlCycle:
@@ -87,7 +86,7 @@ class ControlCycle:
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         speed = [axis.limits.speed for axis in axes]
         self._stop = DampedStop(self.models, speed, period, rig.safety.stop_s)
-        self._records = RecordBuilder(n)
+        self.records = RecordBuilder(n)
 
         self.fault = Fault.NONE  # the one that latched
         self.sent_sequence = -1
@@ -348,29 +347,22 @@ class ControlCycle:
     # record -----------------------------------------------------------------------------------------------------------
 
     def _record(self, tick: Tick, received: Sequence[Frame], sent: list[Frame]) -> np.void:
-        records, inbox, inputs, filters = self._records, self.inbox, self.inputs, self.filters
-        index, scheduled_ns, now_ns, port, _, stop, recorder_ok, realtime_ok, rig_ok = tick[:]
-        flags = stop | recorder_ok << 1 | realtime_ok << 2 | rig_ok << 3 | bool(sent) << 4
-        measured, position, velocity, disturbance, innovation = self._measured, [], [], [], []
-        for motion in filters:
-            position.append(motion.position)
-            velocity.append(motion.velocity)
-            disturbance.append(motion.disturbance)
-            innovation.append(motion.innovation)
-        setpoint, setpoint_velocity, error = [], [], []
-        for axis, x in enumerate(inputs):
-            reference = x.sample
-            setpoint.append(reference.position)
-            setpoint_velocity.append(reference.velocity)
-            error.append(measured[axis] - reference.position)
-        records.state(
-            index, scheduled_ns, now_ns, self.machine.state, self.fault, self.monitor.active, flags,
+        records, inbox, let_out, filters = self.records, self.inbox, self.gate.force, self.filters
+        flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | bool(sent) << 4
+        records.tick(
+            tick.index, tick.scheduled_ns, tick.now_ns, self.machine.state, self.fault, self.monitor.active, flags,
             max(self.sent_sequence, 0), self.setpoints.task_ns,
-            *measured, *position, *velocity, *disturbance, *innovation, *setpoint, *setpoint_velocity, *error,
-            *self._requested, *self.gate.force,
-            *self.sampling.instants, *inbox.age, *[0 if s is None else s.status for s in inbox.samples], *port[:],
-            *inbox.rejects, inbox.lost, *_OF_THE_SHELL, self.machine.refused, self.commands.refused,
-            self.law.denominator_floors, *self.gate.saturations,
         )  # fmt: skip
-        records.traffic(self.commands.handled, sent, received)
-        return records.record
+        measured, requested, instants = self._measured, self._requested, self.sampling.instants
+        saturations = self.gate.saturations
+        for axis, x in enumerate(self.inputs):
+            motion, reference = filters[axis], x.sample
+            records.axis(
+                axis, measured[axis], motion.position, motion.velocity, motion.disturbance, motion.innovation,
+                reference.position, reference.velocity, requested[axis], let_out[axis], instants[axis],
+                saturations[axis],
+            )  # fmt: skip
+        records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])
+        refused, floors = self.commands.refused, self.law.denominator_floors
+        records.counters(tick.port, inbox.rejects, inbox.lost, self.machine.refused, refused, floors)
+        return records.traffic(self.commands.handled, sent, received)

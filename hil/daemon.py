@@ -134,6 +134,7 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
         traceback.print_exc()
         return EXIT_SOFTWARE  # without an end mark in the ring: it is kept as the black box
     loop.parts.ring.close()
+    loop.parts.timing.show()
     _say_farewell(loop)
     if loop.overstayed:
         print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)

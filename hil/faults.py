@@ -150,6 +150,8 @@ RULES: dict[Fault, Rule] = {
     ),
 }
 
+_NONE: Final = Fault.NONE
+_COUNT: Final = Reaction.COUNT
 _FAULTS: Final = list(Fault)  # by number: an enum's own lookup is slow
 REACTIONS = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
 _BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
@@ -183,9 +185,9 @@ class FaultMonitor:
     ) -> None:
         n = len(axes)
         self._safety = safety
-        self._axes = axes
+        self._axes = list(axes)
         self._period_ns = period_ns
-        self._innovation_limit = innovation_limit  # m
+        self._innovation_limit = list(innovation_limit)  # m
         self._port = PortCounters()
         self._no_ack_ticks = 0
         self._refused_ticks = 0
@@ -221,7 +223,9 @@ class FaultMonitor:
         (answers that pile up behind a stall are late, not a flood).
         """
         port, before = tick.port, self._port
-        slots = max(1, tick.index - self._previous_index)
+        slots = tick.index - self._previous_index
+        if slots < 1:
+            slots = 1
         if useless_now >= self._safety.flood_frames * slots:
             self.see(Fault.RECEIVE_FLOOD)
         if port == before:
@@ -280,7 +284,7 @@ class FaultMonitor:
 
     def check_samples(self, inbox: Inbox, enabled_seen: bool) -> None:
         """Silence, bad frames and what the drives say of themselves."""
-        oldest = max(inbox.age)
+        oldest = inbox.oldest()
         if oldest:
             self.see(Fault.ENCODER_GAP)
             if oldest >= self._safety.silent_stop_ticks:
@@ -369,13 +373,13 @@ class FaultMonitor:
         """
         armed = self.active & _ARMED[state]
         self.active = armed
-        worst, reaction = Fault.NONE, Reaction.COUNT
+        worst, reaction = _NONE, _COUNT
         while armed:
             low = armed & -armed
             fault = _FAULTS[low.bit_length() - 1]
             armed ^= low
             self.counts[fault] += 1
-            if worst is Fault.NONE or REACTIONS[fault] > reaction:
+            if worst is _NONE or REACTIONS[fault] > reaction:
                 worst, reaction = fault, REACTIONS[fault]
         return worst, reaction
 

@@ -76,6 +76,14 @@ class Inbox:
         if sent_sequence >= 0:
             self._grow_older()
 
+    def oldest(self) -> int:
+        """Ticks since the sample of the axis that has waited longest."""
+        oldest = 0
+        for age in self.age:
+            if age > oldest:
+                oldest = age
+        return oldest
+
     def _accept(self, sample: Sample, sent_sequence: int) -> None:
         axis = sample.axis
         if self._modulus:

@@ -8,11 +8,10 @@ Rules:
 
 import os
 import resource
-import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
@@ -25,7 +24,6 @@ from hil.sleep import sleeper
 from hil.stage_clock import TimedCycle
 from hil.state_machine import TORQUE_STATES, State
 from hil.telemetry.mailbox import Mailbox
-from hil.telemetry.record import RECORD as RECORD_DTYPE
 from hil.telemetry.ring import RingWriter
 from hil.tick import CommandKind, OperatorCommand, Tick
 from hil.timing import TimingRecorder
@@ -33,14 +31,8 @@ from hil.watched_file import WatchedFile
 
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
-_UNSIGNED_32: Final = 0xFFFFFFFF
 _NO_AGE: Final = -1
-
-_FIELDS: dict[str, Any] = dict(RECORD_DTYPE.fields or {})
-_pack_missed: Final = struct.Struct("<3Q").pack_into  # missed_own, missed_host, longest_streak
-_MISSED_AT: Final = int(_FIELDS["missed_own"][1])
-_pack_stages: Final = struct.Struct("<6I").pack_into  # cpu_ns, run_delay_ns
-_STAGES_AT: Final = int(_FIELDS["cpu_ns"][1])
+_SHUTDOWN: Final = State.SHUTDOWN
 
 
 class MissLedger:
@@ -118,8 +110,7 @@ class ControlLoop:
         self.ledger = MissLedger(rig.period_ns)
         self._rig_ok = True
         self._realtime_ok = parts.claim.verdict.ok
-        self._record_bytes = parts.cycle.record_bytes
-        self._stages = (0, 0, 0, 0, 0)
+        self._records = parts.cycle.records
         self._cpu_mark_ns = self._cpu_ns = 0
         self._told: State | None = None
         self._silent = self._recall_due = False
@@ -144,7 +135,7 @@ class ControlLoop:
         while True:
             self._tick()
             self.ticks += 1
-            if self._cycle.state is State.SHUTDOWN:
+            if self._cycle.state is _SHUTDOWN:
                 return
             if self.ticks == max_ticks:
                 self.stop = True
@@ -180,7 +171,6 @@ class ControlLoop:
         for frame in result.frames:
             port.send(frame)
         sent_ns = time.monotonic_ns()
-        self._complete()
         self._ring.append(result.record)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:
@@ -190,21 +180,19 @@ class ControlLoop:
         if chore is not None:
             chore()
 
-    def _complete(self) -> None:
-        """The record's fields that only the shell knows."""
-        ledger = self.ledger
-        _pack_missed(self._record_bytes, _MISSED_AT, ledger.own, ledger.host, ledger.longest)
-        delay = min(ledger.run_delay_ns, _UNSIGNED_32) if self.pacer.skipped else 0
-        _pack_stages(self._record_bytes, _STAGES_AT, *self._stages, delay)
-
     def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:
         """Time per stage, for the timing file and the next record."""
         cycle, pacer = self._cycle, self.pacer
         estimate, control, gate, _ = cycle.stamps
         read, estimated, controlled, gated = estimate - began, control - estimate, gate - control, sending - gate
         sent = ended - sending
-        self._stages = (read, estimated, controlled, gated, sent)
-        age = sent_ns - min(cycle.sampling.instants) if all(cycle.inbox.fresh) else _NO_AGE
+        self._records.spent(read, estimated, controlled, gated, sent)
+        age, fresh = _NO_AGE, cycle.inbox.fresh
+        for axis, instant in enumerate(cycle.sampling.instants):
+            if not fresh[axis]:
+                age = _NO_AGE
+                break
+            age = max(age, sent_ns - instant)
         lateness = pacer.now_ns - pacer.scheduled_ns
         self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
 
@@ -212,6 +200,7 @@ class ControlLoop:
         ledger = self.ledger
         ledger.book(self.pacer.skipped, self.pacer.overrun, self._cpu_ns, self.pacer.sleeps)
         self._timing.note_missed(ledger.own, ledger.host, ledger.longest)
+        self._records.missed(ledger.own, ledger.host, ledger.longest, ledger.run_delay_ns)
 
     # chores -----------------------------------------------------------------------------------------------------------
 

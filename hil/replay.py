@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import struct
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -106,7 +105,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
                 break
             try:
                 result = cycle.step(step.tick, step.received)
-            except struct.error as error:  # a number of a tick or frame that no record has room for
+            except OverflowError as error:  # a number that no record has room for
                 raise RecordingError(f"{path}: tick {step.tick.index} makes no sense: {error}") from None
             report.ticks += 1
             report.frames += len(step.sent)

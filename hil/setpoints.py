@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
+from librt.vecs import vec
+from mypy_extensions import i64
+
 from hil.laws.base import LawInputs, Model
 from hil.number import Number
 from hil.trajectories import Trajectory
@@ -32,8 +35,8 @@ class Setpoints:
         n = len(self._inputs)
         self.trajectory: Trajectory | None = None
         self.origin = [0] * n  # ns on the samples' clock at which the task's time is 0
-        self._starts = [_NEVER] * n  # task times that `start` and `end` are filled for
-        self._ends = [_NEVER] * n
+        self._starts: vec[i64] = vec[i64]([_NEVER] * n)  # task times that `start` and `end` are filled for
+        self._ends: vec[i64] = vec[i64]([_NEVER] * n)
         self.task_ns = -1  # first axis' sample instant on the task's clock; -1 where no task runs
 
     def hold(self, position: Sequence[float]) -> None:
@@ -50,8 +53,8 @@ class Setpoints:
         """From now on: `trajectory`, whose time 0 is at `origin_ns`."""
         self.trajectory = trajectory
         self.origin = list(origin_ns)
-        self._starts = [_NEVER] * len(self._inputs)
-        self._ends = [_NEVER] * len(self._inputs)
+        for axis in range(len(self._inputs)):
+            self._starts[axis] = self._ends[axis] = _NEVER
 
     def update(self, sample_ns: Sequence[int], start_ns: Sequence[int]) -> None:
         """Setpoints for samples taken at sample_ns and a force that acts from start_ns on."""

@@ -12,15 +12,11 @@ from hil.cycle import ControlCycle
 
 
 class TimedCycle(ControlCycle):
-    """stamps: when the tick's estimate, control, gate and record began, on `clock` (ns); see hil.cycle.ESTIMATE ...
-
-    record_bytes: the record of every tick's result, for the fields that only the shell knows.
-    """
+    """stamps: when the tick's estimate, control, gate and record began, on `clock` (ns); see hil.cycle.ESTIMATE ..."""
 
     def __init__(self, rig: RigConfig, base_dir: Path, clock: Callable[[], int]) -> None:
         super().__init__(rig, base_dir)
         self.stamps = [0, 0, 0, 0]
-        self.record_bytes = memoryview(self._records.buffer)
         self._clock = clock
 
     def _mark(self, stage: int) -> None:

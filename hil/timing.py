@@ -1,9 +1,10 @@
 """The timing record: how punctual the loop is and what its ticks cost, without costing it anything to speak of.
 
 Each tick counts up one bin in each of eight log-spaced histograms: every tick the same work, as one that folds what
-others have left is what a loop's slowest ticks are made of. Everything lives in one small memory-mapped file that
-anybody may read while the loop runs; it is written in place and counts only grow, so a reader may see a tick half
-counted but never nonsense. Nothing is kept per tick and no memory grows.
+others have left is what a loop's slowest ticks are made of. The counts are in the loop's own memory; a few times a
+second each histogram is copied, one per tick, into one small memory-mapped file that anybody may read while the loop
+runs. It is written in place and counts only grow, so a reader may see histograms of different ticks but never nonsense.
+Nothing is kept per tick and no memory grows.
 """
 
 import mmap
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from librt.vecs import vec
+from mypy_extensions import i64
 from numpy.typing import NDArray
 
 from hil.telemetry.mapped_file import lay_out
@@ -21,13 +24,14 @@ from hil.telemetry.mapped_file import lay_out
 STAGES = ("read", "estimate", "control", "gate", "send")
 # lateness: wake against deadline. stages: time spent in each. cpu: CPU time from wake to wake.
 # age: from the oldest of the newest samples to the sending of the torque computed from it. All ns.
-METRICS = ("lateness", *STAGES, "cpu", "age")
+METRICS: Final = ("lateness", *STAGES, "cpu", "age")
 
 _SUB_BITS: Final = 4
 SUB_BINS: Final = 1 << _SUB_BITS  # per octave: a quantile is known to 1/16
 OCTAVES: Final = 36  # up to 2^36 ns = 69 s
 BINS: Final = SUB_BINS * OCTAVES
 WINDOW: Final = 4096  # ticks of the last complete window
+SHOWN_NS: Final = 250_000_000  # readers see each histogram no older than this
 
 MAGIC = b"HILTIME2"
 TEXT_BYTES = 2048
@@ -59,6 +63,7 @@ _LAYOUT = np.dtype(
 )
 _FIELDS: dict[str, Any] = dict(_LAYOUT.fields or {})
 _LIFETIME_AT = int(_FIELDS["lifetime"][1])
+_MAXIMUM_AT = int(_FIELDS["maximum"][1])
 
 
 def bin_of(value: int) -> int:
@@ -108,10 +113,16 @@ class TimingRecorder:
         self._lifetime = self._file["lifetime"]
         self._window = self._file["window"]
         self._before = np.zeros_like(self._lifetime)  # the lifetime's counts where the window began
-        size = self._lifetime.nbytes
-        self._bins = memoryview(self._map)[_LIFETIME_AT : _LIFETIME_AT + size].cast("Q")
-        self._maximum = self._file["maximum"]
-        self._longest = [0] * len(METRICS)  # the same, where it is quick to read
+        self._bins: vec[i64] = vec[i64]([0] * (len(METRICS) * BINS))
+        size = 8 * BINS
+        counted, shown = memoryview(self._bins).cast("B"), memoryview(self._map)[_LIFETIME_AT:]
+        self._counted = [counted[size * metric : size * (metric + 1)] for metric in range(len(METRICS))]
+        self._shown = [shown[size * metric : size * (metric + 1)] for metric in range(len(METRICS))]
+        self._show_every = max(1, SHOWN_NS // period_ns // len(METRICS))  # ticks
+        self._next_shown = 0
+        self._longest: vec[i64] = vec[i64]([0] * len(METRICS))
+        begin, end = _MAXIMUM_AT, _MAXIMUM_AT + 8 * len(METRICS)
+        self._maximum, self._shown_maximum = memoryview(self._longest).cast("B"), memoryview(self._map)[begin:end]
         self._ticks = 0
         self._file["magic"] = MAGIC  # last: a reader that sees it sees a whole header
 
@@ -119,20 +130,40 @@ class TimingRecorder:
         self, lateness: int, read: int, estimate: int, control: int, gate: int, send: int, cpu: int, age: int
     ) -> None:
         """One tick: its METRICS, ns."""
-        bins, longest, first = self._bins, self._longest, 0
-        for metric, value in enumerate((lateness, read, estimate, control, gate, send, cpu, age)):
-            bins[first + bin_of(value)] += 1
-            first += BINS
-            if value > longest[metric]:
-                longest[metric] = value
-                self._maximum[metric] = value
+        self._count(0, lateness)
+        self._count(1, read)
+        self._count(2, estimate)
+        self._count(3, control)
+        self._count(4, gate)
+        self._count(5, send)
+        self._count(6, cpu)
+        self._count(7, age)
         self._ticks += 1
         metric = self._ticks % WINDOW
         if metric < len(METRICS) and self._ticks >= WINDOW:
             self._end_window(metric)
+        elif self._ticks % self._show_every == 0:
+            self._show(self._next_shown)
+            self._next_shown = (self._next_shown + 1) % len(METRICS)
+
+    def _count(self, metric: i64, value: int) -> None:
+        self._bins[metric * BINS + bin_of(value)] += 1
+        if value > self._longest[metric]:
+            self._longest[metric] = value
+
+    def _show(self, metric: int) -> None:
+        """Let readers see a histogram as it is now."""
+        self._shown[metric][:] = self._counted[metric]
+        self._shown_maximum[:] = self._maximum
+
+    def show(self) -> None:
+        """Let readers see all there is; for the loop's end."""
+        for metric in range(len(METRICS)):
+            self._show(metric)
 
     def _end_window(self, metric: int) -> None:
         """One metric a tick: what has come since the last window ended."""
+        self._show(metric)
         counts = self._lifetime[metric]
         np.subtract(counts, self._before[metric], out=self._window[metric])
         self._before[metric] = counts

@@ -16,7 +16,7 @@ from hil.state_machine import Event, State
 from hil.telemetry.mailbox import Mailbox
 from hil.telemetry.places import places
 from hil.telemetry.provenance import describe_run
-from hil.telemetry.record import MOTION_FIELDS, REJECT_REASONS, RecordBuilder
+from hil.telemetry.record import REJECT_REASONS, RecordBuilder
 from hil.telemetry.ring import RingWriter
 from hil.tick import PortCounters
 
@@ -54,12 +54,13 @@ def main(rig_file: str, ticks: int) -> None:
             pacer.wait()
             desk.handle(mailbox.poll(), pacer.now_ns, act)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
-            head = (pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
-            motion = [math.sin(pacer.index * 1e-3)] * n * len(MOTION_FIELDS)
-            per_axis = [0] * 2 * n + [1] * n  # stamp_ns, age_ticks, drive_status
-            builder.state(*head, *motion, *per_axis, *PortCounters(), *[0] * REJECT_REASONS, *[0] * 7, *[0] * n)
-            builder.traffic(desk.handled, [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4)
-            ring.append(builder.record)
+            builder.tick(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
+            for axis in range(n):
+                builder.axis(axis, *[math.sin(pacer.index * 1e-3)] * 9, 0, 0)
+            builder.drives([0] * n, [1] * n)
+            builder.counters(PortCounters(), [0] * REJECT_REASONS, 0, 0, 0, 0)
+            sent, received = [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4
+            ring.append(builder.traffic(desk.handled, sent, received))
 
 
 if __name__ == "__main__":

@@ -37,14 +37,59 @@ def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorComm
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
-        head = (index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
-        motion = (np.arange(len(MOTION_FIELDS) * 3) + index).tolist()
+        builder.tick(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
+        for axis, stamp_ns in enumerate((index, -5, 2**60)):
+            builder.axis(axis, *(index + 10.0 * axis + place for place in range(9)), stamp_ns, axis)
+        builder.drives([0, 1, 2], [1, 2, 4])
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
-        per_axis = (index, -5, 2**60, 0, 1, 2, 1, 2, 4)  # stamp_ns, age_ticks, drive_status
-        builder.state(*head, *motion, *per_axis, *port, *[0] * REJECT_REASONS, *[0] * 7, 0, 0, 0)
-        builder.traffic(commands, sent, received)
-        records[index] = builder.record
+        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7, 8)
+        builder.missed(9, 10, 11, 12)
+        records[index] = builder.traffic(commands, sent, received)
     return records
+
+
+def test_every_number_of_a_record_is_in_its_own_field() -> None:
+    record = _records([([], [], [], 21)])[0]
+    values = iter([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -5.0, 7.0, 8.0])  # the following error is worked out
+    for field in MOTION_FIELDS:
+        value = next(values)
+        offsets = [0.0, 0.0, 0.0] if field == "following_error" else [0.0, 10.0, 20.0]
+        assert record[field].tolist() == [value + offset for offset in offsets] + [0.0], field
+    assert (record["state"], record["fault"], record["flags"], record["sequence"]) == (4, 0, 21, 0)
+    assert (record["faults_active"], record["task_ns"]) == (1 << 40, -1)
+    assert record["age_ticks"].tolist() == [0, 1, 2, 0]
+    assert record["drive_status"].tolist() == [1, 2, 4, 0]
+    assert record["rejects"].tolist() == list(range(REJECT_REASONS))
+    counters = ("samples_lost", "missed_own", "missed_host", "longest_streak")
+    assert [record[name] for name in counters] == [5, 9, 10, 11]
+    assert [record[name] for name in ("illegal_events", "commands_refused", "law_floors")] == [6, 7, 8]
+    assert record["saturations"].tolist() == [0, 1, 2, 0]
+    assert record["run_delay_ns"] == 12
+
+
+def test_a_number_too_large_for_its_field_does_not_end_the_loop() -> None:
+    """After 50 days at 1 kHz the sequence has more than 32 bits; a process that was stopped has stages of seconds."""
+    builder = RecordBuilder(1)
+    builder.tick(2**33, 0, 0, 4, 34, 0, 31, 2**32 + 5, 0)
+    builder.drives([2**32 + 1], [2**31])
+    builder.spent(2**31, 2**40, 7, 2**33, 2**32 - 1)
+    builder.missed(0, 0, 0, 2**35)
+    record = builder.traffic([(OperatorCommand(CommandKind.STOP, 2**64 - 1, 2**70), True)], [], [])
+    assert (record["index"], record["sequence"], record["fault"], record["flags"]) == (2**33, 5, 34, 31)
+    assert (record["age_ticks"][0], record["drive_status"][0]) == (1, 2**31)
+    assert record["cpu_ns"].tolist() == [2**31, 2**32 - 1, 7, 2**32 - 1, 2**32 - 1]
+    assert record["run_delay_ns"] == 2**32 - 1
+    assert record["commands"][0]["sequence"] == 2**64 - 1
+    assert record["commands"][0]["expires_ns"] == 2**63 - 1
+
+
+def test_a_frame_leaves_nothing_of_a_longer_one_that_had_its_place() -> None:
+    builder = RecordBuilder(1)
+    builder.traffic([], [Frame(1, b"\xff" * 64)], [Frame(2, b"\xff" * 64)] * 2)
+    record = builder.traffic([], [Frame(1, b"\x01" * 5)], [Frame(2, b"\x02" * 16), Frame(3, b"")])
+    for name, place, data in (("sent", 0, b"\x01" * 5), ("received", 0, b"\x02" * 16), ("received", 1, b"")):
+        assert record[name][place]["data"].tobytes() == data.ljust(64, b"\0")
+        assert record[name][place]["length"] == len(data)
 
 
 @settings(max_examples=40, deadline=None)
@@ -118,7 +163,7 @@ def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path)
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         [(schema, channel, _, message)] = list(reader.iter_decoded_messages())
         assert (schema.name, channel.topic) == ("hil.telemetry.Telemetry", "telemetry")
-        assert list(message.position) == [0.0, 1.0, 2.0]
+        assert list(message.position) == [0.0, 10.0, 20.0]
         assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", DIGEST)]
 
 

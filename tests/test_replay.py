@@ -150,7 +150,15 @@ def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: P
         message.received.flags[0] = 2**32 - 1
         return message
 
-    for change in (nonsense, oversized):
+    def crowded(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received_count[0] = 33
+        return message
+
+    def endless(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.port[0] = 2**64 - 1
+        return message
+
+    for change in (nonsense, oversized, crowded, endless):
         with pytest.raises(RecordingError, match="makes no sense"):
             replay_run(rewritten(recording, tmp_path / "x.mcap", change))
 

@@ -24,6 +24,7 @@ def note_all(record, lateness):
         row = [100] * len(METRICS)
         row[LATENESS] = int(value)
         record.note(*row)
+    record.show()
 
 
 @given(st.integers(1, 2**36 - 1))

@@ -62,7 +62,6 @@ class StageFdHost(_Layout):
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         super().__init__(bus, n_axes, rated_force)
-        self._axis = {bus.feedback_id + axis: axis for axis in range(n_axes)}
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
         self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = self._feedback.unpack
         self._pack_command = self._command.pack
@@ -71,9 +70,10 @@ class StageFdHost(_Layout):
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
         data, can_id, received = frame.data, frame.can_id, frame.timestamp_ns
-        axis = self._axis.get(can_id)
-        if axis is None:
-            return reject_id(can_id, self._axis, self._command_id)
+        axis = can_id - self._feedback_id
+        if not 0 <= axis < self.n_axes:
+            known = range(self._feedback_id, self._feedback_id + self.n_axes)
+            return reject_id(can_id, known, self._command_id)
         if not frame.flags & FD:
             return Reject.WRONG_FORMAT
         if len(data) != FEEDBACK_LENGTH:
@@ -88,13 +88,12 @@ class StageFdHost(_Layout):
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
-        sequence, force, enable, reset = command[:]  # a true tuple is unpacked quicker
-        a, b, c, d = (*force, *self._padding)
+        a, b, c, d = (*command.force, *self._padding)
         la, lb, lc, ld = self._rated
         if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
             check_force((a, b, c, d), self._rated)  # says which
-        flags = enable & self._enable_mask | (RESET if reset else 0)
-        data = self._pack_command(a, b, c, d, sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
+        flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
+        data = self._pack_command(a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
         return [new_tuple(Frame, (self._command_id, data, FD | BRS, 0))]
 

@@ -12,6 +12,7 @@ import os
 import struct
 import zlib
 from pathlib import Path
+from typing import Final
 
 from hil.telemetry.mapped_file import Closing, lay_out
 from hil.telemetry.record import MAX_COMMANDS
@@ -22,15 +23,19 @@ SLOTS = 64
 SLOT_SIZE = 64
 FIRST_SLOT = 256
 SIZE = FIRST_SLOT + SLOTS * SLOT_SIZE
-RECORDER_TIMEOUT_NS = 1_000_000_000  # the sidecar gives a sign of life 50 times a second
+RECORDER_TIMEOUT_NS: Final = 1_000_000_000  # the sidecar gives a sign of life 50 times a second
 
 # u64 words; what senders write and what the control process writes lie on separate cache lines
-_MAGIC, _POSTED, _RECORDER_NS, _TAKEN, _DAMAGED = 0, 8, 9, 16, 17
+_MAGIC: Final = 0
+_POSTED: Final = 8
+_RECORDER_NS: Final = 9
+_TAKEN: Final = 16
+_DAMAGED: Final = 17
 
 _COMMAND = struct.Struct("<QIIqI")  # sequence, kind, 0, expires_ns, CRC-32 of what precedes it
 _BODY = _COMMAND.size - 4
 _KINDS = {int(kind): kind for kind in CommandKind}
-_NO_MAIL: tuple[OperatorCommand, ...] = ()
+_NO_MAIL: Final[tuple[OperatorCommand, ...]] = ()
 
 
 class MailboxError(Exception):

@@ -113,7 +113,7 @@ class RingWriter(Closing):
         self._offset = 0
         self.written = 0
         self._record: np.void | None = None
-        self._source = memoryview(b"")
+        self._sources: list[memoryview] = []  # the bytes in use, by the number of frames received
         self._counts = memoryview(b"")
 
     def append(self, record: np.void) -> None:
@@ -121,17 +121,18 @@ class RingWriter(Closing):
         if record is not self._record:
             self._bind(record)
         # Slots beyond the frames received keep what they held; readers go by n_received.
-        used = _USED[self._counts[_N_RECEIVED]]
+        used = self._sources[self._counts[_N_RECEIVED]]
         start = self._offset
-        self._slots[start : start + used] = self._source[:used]
+        self._slots[start : start + len(used)] = used
         start += RECORD_SIZE
         self._offset = start if start < self._size else 0
         self.written += 1
         self._words[_WRITE_INDEX] = self.written
 
     def _bind(self, record: np.void) -> None:
-        self._source = np.frombuffer(record, np.uint8).data
-        self._counts = self._source.cast("H")
+        source = np.frombuffer(record, np.uint8).data
+        self._sources = [source[:used] for used in _USED]
+        self._counts = source.cast("H")
         self._record = record
 
     def close(self) -> None:
