@@ -10,7 +10,17 @@ from typing import Final
 
 from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
 from drivers.frame_bytes import CANFD_MTU
-from drivers.recvmmsg import CONTROL_BYTES, CONTROL_LENGTH_AT, FLAGS_GAP, HEADER_BYTES, SLOTS, MessageMemory
+from drivers.recvmmsg import (
+    CONTROL_BYTES,
+    CONTROL_LENGTH_AT,
+    DONT_WAIT,
+    FLAGS_GAP,
+    HEADER_BYTES,
+    SLOTS,
+    MessageMemory,
+    failed,
+    recvmmsg,
+)
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]
@@ -53,8 +63,8 @@ class ReceiveBlock:
         """size: of the messages that the short way is for, CAN_MTU or CANFD_MTU."""
         self._mark = FD if size == CANFD_MTU else 0
         self.count = 0  # messages received last
-        memory = MessageMemory(CANFD_MTU, size)
-        self._receive: Callable[[int], int] = memory.receive
+        self._memory = memory = MessageMemory(CANFD_MTU, size)  # kept: `address` leads to all of it
+        self._recvmmsg, self._address = recvmmsg, memory.address
         # Everything by the number of messages, so that a tick cuts nothing out of anything.
         self._parts: list[Parts] = []
         for count in range(SLOTS + 1):
@@ -75,8 +85,9 @@ class ReceiveBlock:
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
         self.count = 0
-        self.count = self._receive(fd)
-        return self.count
+        count = self._recvmmsg(fd, self._address, SLOTS, DONT_WAIT, None)
+        self.count = count = count if count >= 0 else failed()
+        return count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
@@ -87,8 +98,7 @@ class ReceiveBlock:
         and `contents`.
         Raises OSError as `receive` does.
         """
-        self.count = 0
-        self.count = count = self._receive(fd)
+        count = self.receive(fd)
         if not 0 < count < SLOTS:
             return None if count else []
         used, plain, fresh, slots = self._parts[count]

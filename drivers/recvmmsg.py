@@ -9,7 +9,8 @@ import errno
 import os
 import socket
 import struct
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 SLOTS: Final = 32  # messages per system call
 
@@ -44,18 +45,28 @@ HEADER_BYTES: Final = ctypes.sizeof(_MMsgHdr)
 CONTROL_LENGTH_AT: Final = _MsgHdr.control_length.offset
 FLAGS_GAP: Final = _MMsgHdr.received.offset - _MsgHdr.flags.offset - ctypes.sizeof(ctypes.c_int)
 
-_DONT_WAIT: Final = int(socket.MSG_DONTWAIT)
+DONT_WAIT: Final = int(socket.MSG_DONTWAIT)
+# Called as recvmmsg(fd, memory.address, SLOTS, DONT_WAIT, None): how many messages came; below 0: see `failed`.
 # PyDLL keeps the GIL: the call never waits, and handing the GIL over costs more than it takes.
-_recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
-_recvmmsg.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
+recvmmsg: Final[Callable[[int, Any, int, int, None], int]] = ctypes.PyDLL(None, use_errno=True).recvmmsg
+recvmmsg.restype = ctypes.c_int  # type: ignore[attr-defined]  # no argtypes: plain ints pass quicker than converted ones
+
+
+def failed() -> int:
+    """After a recvmmsg that returned less than 0: 0 where nothing was queued. Raises OSError as recvmsg(2) does."""
+    number = ctypes.get_errno()
+    if number != errno.EAGAIN:
+        raise OSError(number, os.strerror(number))
+    return 0
 
 
 class MessageMemory:
     """Room for SLOTS messages of at most `frame_bytes`, each with CONTROL_BYTES for control messages behind it.
 
-    headers, slots: the bytes of all headers (HEADER_BYTES each) and of all messages. fresh: what the headers must be
-    before each call, as the kernel overwrites control_length and flags. plain: what they are after a call that filled
-    every slot with a message of `size` bytes and a time stamp, and had nothing else to tell.
+    address: to give to recvmmsg, as long as this object lives. headers, slots: the bytes of all headers (HEADER_BYTES
+    each) and of all messages. fresh: what the headers must be before each call, as the kernel overwrites control_length
+    and flags. plain: what they are after a call that filled every slot with a message of `size` bytes and a time stamp,
+    and had nothing else to tell.
     """
 
     def __init__(self, frame_bytes: int, size: int) -> None:
@@ -72,7 +83,7 @@ class MessageMemory:
             header.iov_length = 1
             header.control = frame + frame_bytes
             header.control_length = CONTROL_BYTES
-        self._address = ctypes.byref(self._headers)  # quicker to pass than a c_void_p
+        self.address = ctypes.byref(self._headers)  # quicker to pass than a c_void_p
         self.headers = memoryview(self._headers).cast("B")
         self.slots = memoryview(self._memory).cast("B")
         self.fresh = bytes(self.headers)
@@ -81,13 +92,3 @@ class MessageMemory:
             self._headers[index].received = size
         self.plain = bytes(self.headers)
         self.headers[:] = self.fresh
-
-    def receive(self, fd: int) -> int:
-        """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
-        count: int = _recvmmsg(fd, self._address, SLOTS, _DONT_WAIT, None)
-        if count >= 0:
-            return count
-        number = ctypes.get_errno()
-        if number != errno.EAGAIN:
-            raise OSError(number, os.strerror(number))
-        return 0

@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import bus as bus_module
-from drivers import receive_block, recvmmsg
+from drivers import receive_block
 from drivers.bus import BusState, EchoingPort, Port, PortCounters, PortError, open_port, resolve_interface
 from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
@@ -120,7 +120,7 @@ def feed(monkeypatch: pytest.MonkeyPatch, port: Port, packets: list[Any]) -> Non
             receive_block._CONTENTS.pack_into(slots, number * (CANFD_MTU + CONTROL_BYTES), *contents)
         return len(packets)
 
-    monkeypatch.setattr(recvmmsg, "_recvmmsg", bring)
+    monkeypatch.setattr(port._block, "_recvmmsg", bring)
 
 
 def test_a_drain_empties_the_socket_oldest_first(port: Port, cable: Cable) -> None:
@@ -165,7 +165,7 @@ def test_the_short_way_of_reading_never_mistakes_the_second(stamp: int, age: int
     used[:] = plain
     latest = stamp + age - offset
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recvmmsg, "_recvmmsg", lambda *_: 1)
+        patch.setattr(block, "_recvmmsg", lambda *_: 1)
         frames = block.frames(0, offset, latest - window, latest)
     if 0 <= age <= window < 10**9 and stamp // 10**9 == (stamp + age) // 10**9:
         assert frames == [FEEDBACK._replace(timestamp_ns=stamp - offset)]
@@ -275,7 +275,7 @@ def test_going_down_shows_in_a_read_as_well(port: Port, cable: Cable, monkeypatc
     def read(*_: int) -> None:
         raise OSError(errno.ENETDOWN, "Network is down")
 
-    monkeypatch.setattr(recvmmsg, "_recvmmsg", read)
+    monkeypatch.setattr(port._block, "_recvmmsg", read)
     assert drain(port) == []
     assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
 
