@@ -151,8 +151,8 @@ class RecordBuilder:
     """One record, written over and over: its parts in any order, and `traffic` last, which puts it together.
 
     The parts are kept in arrays of machine words and of doubles. Compiled, a number written there takes a few
-    instructions, where struct takes a hundred and more; interpreted, both cost the same. What is too large for its
-    field is cut: no number, however absurd, may raise in the control process.
+    instructions, where struct takes a hundred and more; interpreted, both cost about the same. What is too large for
+    its field is cut: no number, however absurd, may raise in the control process.
     """
 
     def __init__(self, n_axes: int) -> None:
@@ -162,9 +162,9 @@ class RecordBuilder:
         self._age_ticks = self._status = [0] * n_axes
         self._rejects = [0] * REJECT_REASONS
         self._lengths = [0] * (MAX_SENT + MAX_RECEIVED)  # of the data in each frame's place
-        self.buffer = bytearray(RECORD_SIZE)
-        self.record: np.void = np.frombuffer(self.buffer, dtype=RECORD)[0]
-        record, words = memoryview(self.buffer), memoryview(self._words).cast("B")
+        buffer = bytearray(RECORD_SIZE)
+        self.record: np.void = np.frombuffer(buffer, dtype=RECORD)[0]
+        record, words = memoryview(buffer), memoryview(self._words).cast("B")
         begin, end = 8 * _MOTION, 8 * _STAMP
         # The record's parts, each with what it is a copy of; the last one by the number of frames received.
         self._to_head, self._head = record[:begin], words[:begin]
