@@ -13,7 +13,7 @@ import pytest
 from hil.bench import harness
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
 from hil.bench.jitter import lateness_in_histogram, stalls
-from hil.bench.live import build_reference, calls_per_tick
+from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, undisturbed
 from hil.bench.lockstep import measure
 from hil.bench.tick import C_SOURCE, allocations_per_tick
 from hil.config import load_rig
@@ -69,6 +69,23 @@ STRACE = """\
 ------ ----------- ----------- --------- --------- ----------------
 100.00    0.200000          30      6500         3 total
 """
+
+
+def test_a_block_that_the_host_spoils_is_measured_again_and_anything_else_is_not():
+    def measure():
+        outcome = outcomes.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    outcomes = [DisturbedError("stalled"), DisturbedError("stalled"), 7]
+    assert undisturbed(measure) == (7, 2)
+    outcomes = [DisturbedError(f"stall {attempt}") for attempt in range(ATTEMPTS + 1)]
+    with pytest.raises(BenchError, match=f"{ATTEMPTS} attempts failed; the last one: stall {ATTEMPTS - 1}"):
+        undisturbed(measure)
+    outcomes = [BenchError("no compiler"), 7]
+    with pytest.raises(BenchError, match=r"^no compiler$"):
+        undisturbed(measure)
 
 
 def test_system_calls_are_counted_per_pacing_sleep():

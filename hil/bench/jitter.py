@@ -16,7 +16,6 @@ import subprocess
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,7 +37,7 @@ from hil.bench.harness import (
     spread,
     values_of,
 )
-from hil.bench.live import TO_THE_DEADLINE, BenchError, Run, cores, emulator, local, private_bus, run_control, sidecar
+from hil.bench.live import TO_THE_DEADLINE, BenchError, Run, cores, local, private_bus, run_control
 from hil.config import RigConfig, load_rig
 from hil.doctor import RT_TESTS
 
@@ -80,11 +79,7 @@ def jitter(
 
 
 def _control(rig: Path, sets: Sequence[str], ticks: int, runs: list[Run], *, telemetry: bool = False) -> Figures:
-    with ExitStack() as stack:
-        stack.enter_context(emulator(rig, sets))
-        if telemetry:
-            stack.enter_context(sidecar(rig, sets))
-        run = run_control(rig, sets, ticks)
+    run = run_control(rig, sets, ticks, telemetry=telemetry)
     runs.append(run)
     return {**percentiles(run.lateness / 1e3), "own_misses": run.lost[0], "host_misses": run.lost[1]}
 

@@ -8,10 +8,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from hil.telemetry.places import places
 from hil.telemetry.ring import RingError, RingReader
 from hil.tick import CommandKind
 from hil.timing import TimingSnapshot, read_timing
+
+T = TypeVar("T")
 
 PATIENCE_S = 30.0
 WARM_UP_TICKS = 500
@@ -166,19 +168,40 @@ def sidecar(rig: Path, overrides: Sequence[str]) -> Iterator[None]:
             _end(process)
 
 
-def run_control(
-    rig_path: Path, overrides: Sequence[str], ticks: int, *, cpu_clock: bool = False, strace: str | None = None
-) -> Run:
-    """Run the control process beside a running emulator, activate it, measure `ticks` of it, and stop it.
-
-    cpu_clock: stages in CPU time instead of monotonic time. strace: program to count system calls with meanwhile.
+def undisturbed(measure: Callable[[], T]) -> tuple[T, int]:
+    """What `measure` gives, tried again where the host spoils it (DisturbedError); and how often it did. Raises
+    BenchError where it always does.
     """
     for attempt in range(ATTEMPTS):
         try:
-            return _attempt(rig_path, overrides, ticks, cpu_clock, strace)._replace(repeated=attempt)
+            return measure(), attempt
         except DisturbedError as error:
             reason = str(error)
     raise BenchError(f"{ATTEMPTS} attempts failed; the last one: {reason}")
+
+
+def run_control(
+    rig_path: Path,
+    overrides: Sequence[str],
+    ticks: int,
+    *,
+    cpu_clock: bool = False,
+    strace: str | None = None,
+    telemetry: bool = False,
+) -> Run:
+    """Run the control process beside an emulated stage, activate it, measure `ticks` of it, and stop both.
+
+    cpu_clock: stages in CPU time instead of monotonic time. strace: program to count system calls with meanwhile.
+    telemetry: with a sidecar beside them. Every attempt has a stage of its own: where the host stalls a running one, it
+    may come to rest outside its travel, and no later attempt could move it.
+    """
+
+    def attempt() -> Run:
+        with emulator(rig_path, overrides), sidecar(rig_path, overrides) if telemetry else contextlib.nullcontext():
+            return _attempt(rig_path, overrides, ticks, cpu_clock, strace)
+
+    run, repeated = undisturbed(attempt)
+    return run._replace(repeated=repeated)
 
 
 def _attempt(rig_path: Path, overrides: Sequence[str], ticks: int, cpu_clock: bool, strace: str | None) -> Run:
@@ -202,9 +225,7 @@ def _attempt(rig_path: Path, overrides: Sequence[str], ticks: int, cpu_clock: bo
 
 
 def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
-    """Wait for the ring and for READY, activate, wait for ACTIVE. Reset where the host spoilt the start, and where a
-    drive's watchdog has tripped since the control process of the attempt before was gone.
-    """
+    """Wait for the ring and for READY, activate, wait for ACTIVE. Reset where the host spoilt the start."""
     limit = time.monotonic() + PATIENCE_S
     reader = _open_ring(process, rig, limit)
     asked, state, fault = time.monotonic(), State.BOOT, 0
