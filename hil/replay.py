@@ -103,10 +103,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
-            try:
-                result = cycle.step(step.tick, step.received)
-            except OverflowError as error:  # a number that no record has room for
-                raise RecordingError(f"{path}: tick {step.tick.index} makes no sense: {error}") from None
+            result = cycle.step(step.tick, step.received)
             report.ticks += 1
             report.frames += len(step.sent)
             if bytes_of(result.frames) != bytes_of(step.sent):

@@ -107,6 +107,8 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
     received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
     for place in range(len(message.index)):
         *counts, bus_state = message.port[place * _N_PORT : (place + 1) * _N_PORT]
+        if max(counts) >= 2**63:
+            raise ValueError(f"a port that has counted to {max(counts)}")
         flags = message.flags[place]
         tick = Tick(
             index=message.index[place],
