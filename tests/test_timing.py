@@ -20,11 +20,16 @@ def recorder(path):
 
 
 def note_all(record, lateness):
+    """Ticks of a loop that has ended then."""
+    note(record, lateness)
+    record.show()
+
+
+def note(record, lateness):
     for value in lateness:
         row = [100] * len(METRICS)
         row[LATENESS] = int(value)
         record.note(*row)
-    record.show()
 
 
 @given(st.integers(1, 2**36 - 1))
@@ -63,12 +68,18 @@ def test_no_tick_is_lost_or_counted_twice_whatever_the_length_of_the_run(tmp_pat
     assert snapshot.counters["ticks"] == ticks
 
 
-def test_the_file_can_be_read_while_the_loop_runs(path):
-    record = recorder(path)
-    note_all(record, [50_000])
-    snapshot = read_timing(path)
-    assert snapshot.counters["ticks"] == 1
-    assert snapshot.quantile("lateness", 0.5) == pytest.approx(50_000, rel=1 / SUB_BINS)
+@pytest.mark.parametrize(("period_ns", "behind"), [(1_000_000, 250), (500_000, 500), (50_000_000, 8)])
+def test_who_reads_the_file_while_the_loop_runs_is_a_quarter_of_a_second_behind(path, period_ns, behind):
+    """Or eight ticks, where that is longer: each tick shows one histogram at the most."""
+    record = TimingRecorder(path, period_ns, realtime_ok=True, verdict="")
+    for ticks in range(1, 1500, 37):
+        note(record, [50_000 + ticks] * 37)
+        snapshot = read_timing(path)
+        counted = snapshot.lifetime.sum(axis=1)
+        assert (counted <= ticks + 36).all()
+        assert (counted > ticks + 36 - behind).all()
+    assert snapshot.quantile("lateness", 0.5) == pytest.approx(50_700, rel=1 / SUB_BINS)
+    assert 50_000 < snapshot.maximum["lateness"] <= 50_000 + ticks
 
 
 def test_the_window_forgets_what_the_lifetime_remembers(path):
