@@ -86,8 +86,8 @@ class ReceiveBlock:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
         self.count = 0
         count = self._recvmmsg(fd, self._address, SLOTS, DONT_WAIT, None)
-        self.count = count = count if count >= 0 else failed()
-        return count
+        self.count = count if count >= 0 else failed()
+        return self.count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.

@@ -20,7 +20,10 @@ from hil.output import writable, write_json
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.provenance import rig_of_run
+from hil.telemetry.record import MAX_RECEIVED
 from hil.telemetry.recorder import Recording, RecordingError
+
+_LARGEST = 2**60  # ns: 36 years of a monotonic clock
 
 
 @dataclasses.dataclass
@@ -74,12 +77,24 @@ class _Comparison:
         }
 
 
+def _check(step: codec.RecordedTick) -> None:
+    """Raise ValueError where a number is larger than a control process can have met: its cycle need not bear that."""
+    tick, frames = step.tick, step.received
+    if len(frames) > MAX_RECEIVED or any(len(frame.data) > 64 or frame.flags > 0xFF for frame in frames):
+        raise ValueError(f"the frames received in tick {tick.index}")
+    numbers = (tick.index, tick.scheduled_ns, tick.now_ns, *tick.port, *(frame.timestamp_ns for frame in frames))
+    if max(map(abs, numbers)) > _LARGEST:
+        raise ValueError(f"the times or counters of tick {tick.index}")
+
+
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
     """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
     for item in recording:
         if item.topic == "traffic":
             try:
                 ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+                for step in ticks:
+                    _check(step)
             except (DecodeError, ValueError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
             yield from ticks

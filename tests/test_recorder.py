@@ -50,9 +50,8 @@ def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorComm
 
 def test_every_number_of_a_record_is_in_its_own_field() -> None:
     record = _records([([], [], [], 21)])[0]
-    values = iter([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -5.0, 7.0, 8.0])  # the following error is worked out
-    for field in MOTION_FIELDS:
-        value = next(values)
+    values = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -5.0, 7.0, 8.0)  # the following error is worked out
+    for field, value in zip(MOTION_FIELDS, values, strict=True):
         offsets = [0.0, 0.0, 0.0] if field == "following_error" else [0.0, 10.0, 20.0]
         assert record[field].tolist() == [value + offset for offset in offsets] + [0.0], field
     assert (record["state"], record["fault"], record["flags"], record["sequence"]) == (4, 0, 21, 0)

@@ -158,7 +158,15 @@ def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: P
         message.port[0] = 2**64 - 1
         return message
 
-    for change in (nonsense, oversized, crowded, endless):
+    def ancient(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received.timestamp_ns[0] = -(2**63)
+        return message
+
+    def futuristic(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.now_ns[0] = 2**63 - 1
+        return message
+
+    for change in (nonsense, oversized, crowded, endless, ancient, futuristic):
         with pytest.raises(RecordingError, match="makes no sense"):
             replay_run(rewritten(recording, tmp_path / "x.mcap", change))
 
