@@ -59,6 +59,7 @@ class LockstepRun:
         scenario: Scenario | None = None,
     ) -> None:
         self.rig = rig
+        self.base_dir = base_dir
         self.cycle = ControlCycle(rig, base_dir)
         self._operator = operator
         self._observer = observer
@@ -98,6 +99,11 @@ class LockstepRun:
         self.wire.advance(self.index * self.rig.period_ns)
         for unasked in self.stage.advance(self.index * self.rig.period_ns):
             self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
+
+    def restart(self) -> None:
+        """The control process has ended and another one begins: it has heard nothing and remembers nothing."""
+        self.cycle = ControlCycle(self.rig, self.base_dir)
+        self.received.clear()
 
     def tick(self) -> CycleResult:
         """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""

@@ -188,6 +188,11 @@ def believed(*arguments: object) -> bool:
     return False
 
 
+def reset_unasked(self: ControlCycle, *, reset: bool) -> None:
+    RECONNECT(self, reset=True)
+
+
+RECONNECT = ControlCycle._reconnect
 NOT_SILENT = property(believed, never)
 BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     (
@@ -280,6 +285,13 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
         "bus-off",
         ON_THE_WAY,
         "silence",
+    ),
+    (
+        "a process that starts again resets the drives unasked",
+        lambda m: m.setattr(ControlCycle, "_reconnect", reset_unasked),
+        "started again, the drives have tripped",
+        ON_THE_WAY,
+        "ended READY, expected CONNECTED",
     ),
 ]
 

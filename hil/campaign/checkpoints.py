@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.config import RigConfig, RigError
+from hil.cycle import UNWELL
 from hil.estimation import per_axis
 from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
@@ -90,12 +91,21 @@ def checkpoints(rig: RigConfig) -> list[Checkpoint]:
 
 
 class Voyage(LockstepRun):
-    """A run whose every tick is checked by the invariants. asks: what the operator says in the next tick."""
+    """A run whose every tick is checked by the invariants. asks: what the operator says in the next tick.
+    latched: whether the control process found a drive that was not well when it began.
+    """
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.asks: CommandKind | None = None
+        self.latched = False
         observer = Invariants(rig, base_dir).observe
         super().__init__(rig, base_dir, operator=lambda run, index: self._say(), observer=observer)
+
+    def restart(self) -> None:
+        """See LockstepRun; the invariants are those of one process."""
+        super().restart()
+        self.latched = any(drive.status & UNWELL for drive in self.stage.drives)
+        self._observer = Invariants(self.rig, self.base_dir).observe
 
     def _say(self) -> tuple[CommandKind, ...]:
         said, self.asks = self.asks, None

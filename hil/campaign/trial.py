@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from drivers.wire_faults import FOREVER_NS, FaultKind, WireFault
+from hil.campaign.checkpoints import Voyage
 from hil.campaign.means import NONE, Means
 from hil.config import RigConfig
 from hil.faults import Fault, Reaction
@@ -17,7 +18,7 @@ ALWAYS = WATCHING | {State.CONNECTED}
 
 GONE = (Fault.ENCODER_LOST, Fault.ENCODER_DEAD)
 
-Step = Callable[[LockstepRun, int, int], None]  # run, axis, ticks since the injection
+Step = Callable[[Voyage, int, int], None]  # run, axis, ticks since the injection
 Limit = int | Callable[[RigConfig], int]
 
 
@@ -31,8 +32,10 @@ class Trial:
     following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. benign: must
     not change the state at all. certain: False where feedback may well master it. command: an operator's command the
     trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. slack: ticks
-    more than usual until the drives have let go, where they do not hear the host. unready: whether, as the run stands
-    at the injection, the rig must not become READY any more.
+    more than usual until the drives have let go, where they do not hear the host. watch: ticks more than usual in which
+    the run has to end where it must. unready: whether, as the run stands
+    at the injection, the rig must not become READY any more. ends: states one of which the run has to end in where no
+    fault latched; without it they follow from the state it began in and the command.
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -52,7 +55,9 @@ class Trial:
     demand: Reaction = Reaction.STOP
     command: CommandKind | None = None
     slack: Limit = 0
+    watch: Limit = 0
     unready: Callable[[LockstepRun, int], bool] | None = None
+    ends: Callable[[Voyage], set[State]] | None = None
     only: Means = NONE
     needs: Means = NONE
     instead: tuple[Fault, ...] = ()
@@ -81,7 +86,7 @@ def ticks(limit: Limit, rig: RigConfig) -> int:
 def once(act: Callable[[LockstepRun, int], None]) -> Step:
     """A step that acts at the injection only."""
 
-    def step(run: LockstepRun, axis: int, k: int) -> None:
+    def step(run: Voyage, axis: int, k: int) -> None:
         if k == 0:
             act(run, axis)
 

@@ -33,6 +33,7 @@ from hil.campaign.injections import (
     withdrawn,
 )
 from hil.campaign.means import BABBLE, Means
+from hil.campaign.restarts import RESTARTS
 from hil.campaign.trial import ALWAYS, GONE, WATCHING, Trial, disable_timeout, host_frames, nothing, once, watchdog
 from hil.faults import Fault, Reaction
 from hil.state_machine import State
@@ -328,5 +329,6 @@ TRIALS: tuple[Trial, ...] = (
     Trial("activate in the wrong state", nothing, per_axis=False, command=CommandKind.ACTIVATE),
     Trial("reset in the wrong state", nothing, per_axis=False, command=CommandKind.RESET),
     Trial("operator stops", nothing, per_axis=False, command=CommandKind.STOP),
+    *RESTARTS,
     *CANOPEN_TRIALS,
 )

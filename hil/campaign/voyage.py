@@ -105,7 +105,7 @@ class Watch:
         run = self._run
         applied = max(map(abs, run.stage.applied_force))
         enabled = any(drive.status & ENABLED for drive in run.stage.drives)
-        if self.detected < 0 and run.cycle.fault is not self._before:
+        if self.detected < 0 and run.cycle.fault not in (Fault.NONE, self._before):
             self.detected = k
         if self.detected >= 0:
             self.peak = max(self.peak, applied)
@@ -128,7 +128,7 @@ def judge(trial: Trial, began: State, due: tuple[Fault, ...], run: Voyage, seen:
     if seen.detected < 0:
         if due and began is not State.STOPPING:
             return f"none of {', '.join(f.name for f in due)} detected"
-        ends = expected_end(trial, began, unready=unready)
+        ends = trial.ends(run) if trial.ends else expected_end(trial, began, unready=unready)
         if state not in ends:
             return f"ended {state.name}, expected {' or '.join(sorted(s.name for s in ends))}"
         return _judge_release(trial, run, seen)
@@ -175,7 +175,12 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: Voyage) -> Cell:
     seen, why, began = Watch(run), "", run.cycle.state
     due = due_faults(trial, run, axis)
     unready = began is State.CONNECTED and trial.unready is not None and trial.unready(run, axis)
-    last = (ticks(trial.within, run.rig) if due else 0) + ticks(trial.slack, run.rig) + HORIZON
+    last = (
+        (ticks(trial.within, run.rig) if due else 0)
+        + ticks(trial.slack, run.rig)
+        + ticks(trial.watch, run.rig)
+        + HORIZON
+    )
     run.asks = trial.command
     try:
         k = -1
