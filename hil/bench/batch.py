@@ -1,10 +1,10 @@
 """`hil bench batch`: plants times ticks per second of the batch engine, on one core and on all of them."""
 
 import dataclasses
-import multiprocessing
 import os
 import time
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +14,7 @@ import typer
 from hil.batch import BatchRun
 from hil.bench.harness import Case, Figures, JsonTarget, as_json, block_table, interleave, publish, spread, values_of
 from hil.config import load_rig
+from hil.processes import worker_pool
 from sim_plant.stage import Truth
 
 SPREAD = 0.2  # of mass and friction, so that no two plants are alike
@@ -32,12 +33,12 @@ def batch(
     sets = [f"law.name={law}", *(overrides or [])]
     load_rig(rig, sets)
     cores = len(os.sched_getaffinity(0))
-    with multiprocessing.get_context("spawn").Pool(cores) as pool:
+    with worker_pool(cores, "spawn") as pool:
 
         def block(workers: int) -> Figures:
             began = time.perf_counter()
-            jobs = [(rig, sets, plants, ticks, seed) for seed in range(workers)]
-            walls, cpus = zip(*pool.starmap(measure, jobs), strict=True)
+            work = pool.map(measure, repeat(rig), repeat(sets), repeat(plants), repeat(ticks), range(workers))
+            walls, cpus = zip(*work, strict=True)
             wall = time.perf_counter() - began
             done = workers * plants * ticks
             return {
