@@ -34,6 +34,7 @@ import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 from drivers.counters import BusState
 from drivers.error_frames import overflow_notice
@@ -49,15 +50,15 @@ _COUNT_BYTES = 8
 _EVENTS = 64  # of one epoll_wait; the rest comes with the next
 _FEW = 4  # links: no more are quicker tried one by one than asked about
 _DEEPEST = 1 << 16
-_LOOK_ONLY = int(socket.MSG_PEEK)
-_NO_SIGNAL = int(socket.MSG_NOSIGNAL)  # a plain int is quicker to pass than an enum
+_LOOK_ONLY: Final = int(socket.MSG_PEEK)
+_NO_SIGNAL: Final = int(socket.MSG_NOSIGNAL)  # a plain int is quicker to pass than an enum
 _LOCK_POLL_S = 0.002
 _SIOCOUTQ = 0x5411  # bytes sent and not yet read by the other side, with the kernel's overhead
 _SIOCINQ = 0x541B  # bytes received and not yet read
 _PATH_LIMIT = 107  # sun_path without its terminator, <sys/un.h>
 _GREETING = struct.Struct("=4sI")  # first packet on a link; its size tells it from a frame
 _GREETING_MARK = b"hil1"
-_TOLD_AT_ONCE = 255  # lost frames that one overflow notice can count
+_TOLD_AT_ONCE: Final = 255  # lost frames that one overflow notice can count
 _DOORS = "*-*-*.sock"  # process, number within it, depth of its queues
 _door_numbers = itertools.count()
 

@@ -20,7 +20,7 @@ from hil.clock import Pacer, own_share
 from hil.cycle import RECORD
 from hil.notify import Notifier
 from hil.realtime import Claim
-from hil.sleep import sleeper
+from hil.sleep import run_signal_handlers, sleeper
 from hil.stage_clock import TimedCycle
 from hil.state_machine import TORQUE_STATES, State
 from hil.telemetry.mailbox import Mailbox
@@ -178,6 +178,7 @@ class ControlLoop:
             self._recall()
         chore = self._chores.get(self.ticks % self._chore_ticks)
         if chore is not None:
+            run_signal_handlers()  # of one that came while a tick ran; those that end a sleep have been
             chore()
 
     def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:

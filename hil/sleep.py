@@ -9,10 +9,20 @@ import ctypes
 import errno
 import os
 from collections.abc import Callable
+from typing import Final
 
-_CLOCK_MONOTONIC = 1
-_TIMER_ABSTIME = 1
-_SECOND_NS = 1_000_000_000
+_CLOCK_MONOTONIC: Final = 1
+_TIMER_ABSTIME: Final = 1
+_SECOND_NS: Final = 1_000_000_000
+_INTERRUPTED: Final = errno.EINTR
+
+
+def run_signal_handlers() -> None:
+    """Run the handlers of the signals that have come; raises what they raise.
+
+    The interpreter does so between its own steps, of which the loop takes none where it is compiled.
+    """
+    ctypes.pythonapi.PyErr_CheckSignals()
 
 
 def sleeper(*, alone: bool = False) -> Callable[[int], None]:
@@ -25,12 +35,12 @@ def sleeper(*, alone: bool = False) -> Callable[[int], None]:
     call.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
     until = (ctypes.c_long * 2)()  # struct timespec
     address = ctypes.byref(until)
-    interrupted = errno.EINTR
 
     def sleep_until(deadline_ns: int) -> None:
         until[0], until[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
         while result := call(_CLOCK_MONOTONIC, _TIMER_ABSTIME, address, None):
-            if result != interrupted:  # a signal's Python handler has run by now; sleep on
+            if result != _INTERRUPTED:
                 raise OSError(result, f"clock_nanosleep: {os.strerror(result)}")
+            run_signal_handlers()
 
     return sleep_until

@@ -12,6 +12,7 @@ import struct
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -423,7 +424,11 @@ def test_auto_means_the_local_bus_where_no_can_interface_has_that_name() -> None
 
 
 def test_auto_means_socketcan_where_the_interface_exists(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_module, "is_can_interface", lambda name: name == "can7")
+    def read_text(path: Path, **how: Any) -> str:
+        return "280\n" if path == Path("/sys/class/net/can7/type") else honest(path, **how)
+
+    honest = Path.read_text
+    monkeypatch.setattr(Path, "read_text", read_text)
     assert resolve_interface(BusConfig(channel="can7")) == "socketcan"
     with pytest.raises(PortError, match=r"'can7' \(socketcan\): "):  # never the local bus instead
         open_port(BusConfig(channel="can7"), role="host", fd=True)
@@ -448,6 +453,6 @@ def test_a_bus_that_cannot_be_opened_says_why(monkeypatch: pytest.MonkeyPatch, e
     def fail(*args: object, **keywords: object) -> None:
         raise error
 
-    monkeypatch.setattr(bus_module, "LocalMedium", fail)
+    monkeypatch.setattr(socket, "socket", fail)
     with pytest.raises(PortError, match=text):
         open_port(BusConfig(interface="local"), role="host", fd=True)

@@ -24,10 +24,9 @@ PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through, in three tables. Not among them:
-# what sleeps (hil/sleep.py): handlers of signals run between the interpreter's own steps only, so a tick compiled whole
-# might not see SIGTERM; what defines ctypes structures (drivers/recvmmsg.py), which mypyc cannot compile; what
-# users, tests and the fault campaign replace or inherit from (hil/lockstep.py, hil/state_machine.py,
-# drivers/wire_faults.py), which compiled classes do not allow; what runs once a run.
+# what defines ctypes structures (drivers/recvmmsg.py), which mypyc cannot compile; what users, tests and the fault
+# campaign replace or inherit from (hil/lockstep.py, hil/state_machine.py, drivers/wire_faults.py), which compiled
+# classes do not allow; what runs once a run.
 
 # Written once for floats and arrays (hil/number.py). The build has them twice: compiled for a rig as hil/floats, where
 # `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for batches as they
@@ -39,13 +38,13 @@ hil/laws: *
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil: clock commands cycle faults gate inbox loop sampling stage_clock stop tick timing
+hil: clock commands cycle faults gate inbox loop sampling sleep stage_clock stop tick timing
 """
 
 OTHERS = """
 hil/telemetry: mailbox record ring
 hil/trajectories: base displaced figures minimum_jerk segments
-drivers: bus counters frame frame_bytes frame_length receive_block wire wire_node
+drivers: bus counters frame frame_bytes frame_length local_medium receive_block socketcan wire wire_node
 drivers/protocols: base checksum sampling stage stage_classic stage_fd
 sim_plant: drive emulator single_axis trigonometry
 """
