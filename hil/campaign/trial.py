@@ -33,9 +33,9 @@ class Trial:
     not change the state at all. certain: False where feedback may well master it. command: an operator's command the
     trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. slack: ticks
     more than usual until the drives have let go, where they do not hear the host. watch: ticks more than usual in which
-    the run has to end where it must. unready: whether, as the run stands
-    at the injection, the rig must not become READY any more. ends: states one of which the run has to end in where no
-    fault latched; without it they follow from the state it began in and the command.
+    the run has to end where it must. unready: whether, as the run stands at the injection, the rig must not become
+    READY any more. ends: states one of which the run has to end in where no fault latched; without it they follow from
+    the state it began in and the command.
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
