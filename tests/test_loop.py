@@ -3,6 +3,7 @@ told.
 """
 
 import os
+import resource
 import socket
 import time
 from collections.abc import Callable
@@ -184,11 +185,19 @@ def test_a_late_wake_is_the_hosts_even_when_the_thread_waited_for_something_befo
     assert (ledger.own, ledger.host) == (0, 4)
 
 
-def test_pacing_sleeps_are_not_taken_for_blocking(ledger):
+def test_pacing_sleeps_are_not_taken_for_blocking(ledger, monkeypatch):
+    """The kernel's counters are played: this thread, unlike the loop's, has others to wait for."""
+    major_faults, voluntary_switches = 7, 14  # their places in the structure
+    usage = [0] * 16
+    monkeypatch.setattr(resource, "getrusage", lambda who: resource.struct_rusage(usage))
     ledger.take_stock(100)
-    for _ in range(3):
-        time.sleep(0.001)
+    usage[voluntary_switches] += 3
     assert not ledger.take_stock(103)
+    usage[voluntary_switches] += 4
+    assert ledger.take_stock(106)
+    usage[major_faults] += 1
+    assert ledger.take_stock(106)
+    assert not ledger.take_stock(106)
 
 
 def test_totals_add_up_and_the_longest_loss_is_kept(ledger):
