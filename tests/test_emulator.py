@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.bus import open_port
 from drivers.config import BusConfig
@@ -18,7 +20,7 @@ from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, S
 from sim_plant.config import PlantConfig
 from sim_plant.drive import NEVER_NS
 from sim_plant.emulator import EmulatedStage
-from sim_plant.live import Emulator
+from sim_plant.live import Emulator, Rhythm, StopSignals
 
 MS = 1_000_000
 AXES = ["x", "y", "z"]
@@ -170,6 +172,60 @@ def test_on_a_live_bus_a_stall_of_the_emulator_expires_no_watchdog_that_was_fed(
         assert trip["last_command_ns"] == last_ns
     control.close()
     emulator.port.close()
+
+
+def test_commands_at_a_steady_rate_are_fetched_a_little_after_each_is_due() -> None:
+    """So that no command has to wake the stage, at the control loop's expense."""
+    rhythm = Rhythm()
+    assert rhythm.fetch_ns() <= 0  # nobody has spoken: wait for whoever does
+    for number in range(4):
+        rhythm.heard(10 * MS + number * MS)
+    rhythm.heard(13 * MS)  # looked again, nothing new
+    assert rhythm.fetch_ns() == 13 * MS + MS + MS // 10
+    rhythm.heard(15 * MS)  # one was left out: its successor is due as ever
+    assert rhythm.fetch_ns() == 15 * MS + MS + MS // 10
+
+
+def test_a_command_before_its_time_waits_for_the_stage_not_the_stage_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator, host, bus = live_pair(tmp_path, monkeypatch)
+    control = open_port(bus, role="host", fd=True)
+    emulator.step(time.monotonic_ns())  # takes the newcomer in
+    now_ns = time.monotonic_ns()
+    for number in (3, 2, 1):
+        emulator.rhythm.heard(now_ns - number * 4 * MS)
+    emulator.rhythm.heard(now_ns)
+    control.send(frame(host, 0, 1, [0.5, 0.0, 2.5]))
+    with StopSignals() as stop:
+        emulator.wait(stop)
+        assert time.monotonic_ns() >= emulator.rhythm.fetch_ns()
+        emulator.step(time.monotonic_ns())
+    assert len(control.drain(time.monotonic_ns())) == len(AXES)
+    control.close()
+    emulator.port.close()
+
+
+def test_who_speaks_seldom_or_falls_silent_is_waited_for_not_looked_for() -> None:
+    rhythm = Rhythm()
+    for number in range(4):
+        rhythm.heard(number * 50 * MS)
+    assert rhythm.fetch_ns() <= 150 * MS
+    for number in range(3):
+        rhythm.heard((200 + number) * MS)
+    assert rhythm.fetch_ns() < 204 * MS  # then, with nothing there, it is past: wait
+
+
+@given(gap=st.integers(200_000, 4 * MS), jitter=st.lists(st.integers(-20_000, 20_000), min_size=4, max_size=40))
+def test_a_rhythm_that_trembles_is_fetched_after_each_command_and_before_the_one_after(
+    gap: int, jitter: list[int]
+) -> None:
+    stamps = [MS + number * gap + shake for number, shake in enumerate(jitter)]
+    rhythm = Rhythm()
+    for number, stamp in enumerate(stamps[:-1]):
+        rhythm.heard(stamp)
+        if number >= 2:
+            assert stamp < rhythm.fetch_ns() < stamps[number + 1] + gap
 
 
 def test_a_status_file_that_cannot_be_written_does_not_end_the_stage(
