@@ -17,6 +17,7 @@ import zenoh
 
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.places import places
@@ -199,6 +200,21 @@ def test_a_rig_that_is_not_recorded_leaves_no_folder(bench: Bench, tmp_path: Pat
         assert not status.recording
     assert (end(control), end(sidecar)) == (0, 0)
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.live
+def test_a_sidecar_that_met_no_control_process_leaves_no_folder(bench: Bench, tmp_path: Path) -> None:
+    arguments = ["-m", "hil", "sidecar", str(RIG), "--listen", bench.endpoint]
+    sidecar = bench.start(*arguments, until="listening", cwd=tmp_path)
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+    assert end(sidecar) == 0
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+def test_runs_that_begin_in_one_second_have_a_folder_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("time.strftime", lambda _: "20260101-120000")
+    assert [run_directory().name for _ in range(3)] == ["20260101-120000", "20260101-120000-2", "20260101-120000-3"]
 
 
 @pytest.mark.live

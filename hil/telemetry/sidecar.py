@@ -9,6 +9,8 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -268,6 +270,18 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: 
             rig_places.endpoint.unlink(missing_ok=True)
 
 
+@contextmanager
+def _recordings(out: Path | None) -> Iterator[Path]:
+    """Where recordings go: `out`, or a new directory, which is gone again if none was made."""
+    directory = out or run_directory()
+    try:
+        yield directory
+    finally:
+        if out is None:
+            with suppress(OSError):  # it holds something
+                directory.rmdir()
+
+
 def sidecar(
     rig: Annotated[Path, typer.Argument(help="rig file")],
     out: Annotated[Path | None, typer.Option(help="directory for recordings [runs/<time>]")] = None,
@@ -279,11 +293,12 @@ def sidecar(
     config = load_rig(rig, set_ or ())
     rig_places = places(config.name)
     try:
-        with sole_sidecar(rig_places):
-            directory = (out or run_directory()) if config.telemetry.record else None
+        recordings = _recordings(out) if config.telemetry.record else nullcontext()
+        with sole_sidecar(rig_places), recordings as directory:
             for saved in save_black_boxes(rig_places, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
-            serve(config, directory, [listen] if listen else list(config.telemetry.listen), or_free_port=or_free_port)
+            endpoints = [listen] if listen else list(config.telemetry.listen)
+            serve(config, directory, endpoints, or_free_port=or_free_port)
     except (ListenError, AlreadyServedError) as error:
         print(f"hil sidecar: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
