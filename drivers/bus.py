@@ -37,9 +37,13 @@ _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _OWN_ECHO = int(socket.MSG_CONFIRM)  # a plain int: & with an enum takes a microsecond
 _HEADER = 8  # bytes of a can_frame or canfd_frame before its data
 _PACKET = struct.Struct("=IBBH64s")
-_RECEIVED, _SENT, _REFUSED, _OVERFLOW, _DISCARDED, _ERRORS, _NO_ACK, _BUS_OFF, _RESTARTED, _DOWN, _ECHO, _STATE = range(
+_, _, _REFUSED, _OVERFLOW, _DISCARDED, _ERRORS, _NO_ACK, _BUS_OFF, _RESTARTED, _DOWN, _ECHO, _STATE = range(
     len(PortCounters._fields)
 )
+# Used in every tick: compiled code looks a name up at every use, unless it is Final.
+_RECEIVED: Final[int] = PortCounters._fields.index("received")
+_SENT: Final[int] = PortCounters._fields.index("sent")
+_COUNTERS: Final = PortCounters
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
 
@@ -238,7 +242,7 @@ class Port:
 
     def counters(self) -> PortCounters:
         """Everything counted since the port was opened, and the bus' state."""
-        return new_tuple(PortCounters, self._counts)  # once a tick: half a microsecond less than naming them all
+        return new_tuple(_COUNTERS, self._counts)  # once a tick: half a microsecond less than naming them all
 
     def rebind(self) -> bool:
         """Open the bus anew, after it went down or its adapter was unplugged; True when it can be used again.

@@ -50,6 +50,7 @@ _ORDINARY = {
 }
 
 _SECOND: Final = 1_000_000_000
+_FRAME: Final = Frame  # compiled code looks a class up by its name at every use, unless the name is Final
 
 
 class ReceiveBlock:
@@ -110,7 +111,7 @@ class ReceiveBlock:
         base_ns = latest_ns - last
         frames: list[Frame] = []
         # Local names, as this is the innermost loop.
-        expected, flags, kind = self._head, self._flags, Frame
+        expected, flags, kind = self._head, self._flags, _FRAME
         for can_id, head, data, ns in self._unpack(slots):
             if head == expected and first <= ns <= last and (can_id < ERROR or not can_id & ERROR):
                 frames.append(new_tuple(kind, (can_id, data, flags, base_ns + ns)))

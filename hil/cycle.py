@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from drivers.frame import Frame, new_tuple
+from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import UNHEALTHY, DriveStatus, HostProtocol
 from hil.belief import axis_limits, force_limits, rig_model
@@ -124,7 +124,7 @@ class ControlCycle:
         self._advance(tick)
         out = self._act(tick, before)
         self._mark(RECORD)
-        return new_tuple(CycleResult, (out, self._record(tick, frames, out)))
+        return CycleResult(out, self._record(tick, frames, out))
 
     def _mark(self, stage: int) -> None:
         """A stage begins; for who wants to know where the time goes. The cycle itself reads no clock."""

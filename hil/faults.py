@@ -153,7 +153,7 @@ RULES: dict[Fault, Rule] = {
 _NONE: Final = Fault.NONE
 _COUNT: Final = Reaction.COUNT
 _FAULTS: Final = list(Fault)  # by number: an enum's own lookup is slow
-REACTIONS = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
+REACTIONS: Final = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
 _BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
 _STATUS_FAULTS = (
     (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
@@ -162,7 +162,7 @@ _STATUS_FAULTS = (
 )
 _BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
 _ENABLED: Final = int(DriveStatus.ENABLED)
-_ARMED: Final = {state: sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State}
+_ARMED: Final = [sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State]
 
 
 class AxisLimits(NamedTuple):
@@ -185,6 +185,7 @@ class FaultMonitor:
     ) -> None:
         n = len(axes)
         self._safety = safety
+        self._flood_frames, self._bad_frame_limit = safety.flood_frames, safety.bad_frame_limit  # read in every tick
         self._axes = list(axes)
         self._period_ns = period_ns
         self._innovation_limit = list(innovation_limit)  # m
@@ -226,7 +227,7 @@ class FaultMonitor:
         slots = tick.index - self._previous_index
         if slots < 1:
             slots = 1
-        if useless_now >= self._safety.flood_frames * slots:
+        if useless_now >= self._flood_frames * slots:
             self.see(Fault.RECEIVE_FLOOD)
         if port == before:
             self._no_ack_ticks = self._refused_ticks = 0
@@ -291,7 +292,7 @@ class FaultMonitor:
                 self.see(Fault.ENCODER_LOST)
             if oldest >= self._safety.silent_zero_ticks:
                 self.see(Fault.ENCODER_DEAD)
-        if inbox.bad_frames >= self._safety.bad_frame_limit:
+        if inbox.bad_frames >= self._bad_frame_limit:
             self.see(Fault.BAD_FRAMES)
         for sample in inbox.samples:
             if sample is None:

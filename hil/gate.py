@@ -7,10 +7,12 @@ never delays zero.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.frame import Frame, new_tuple
 from drivers.protocols.base import Command, HostProtocol
+
+_COMMAND: Final = Command  # compiled code looks a class up by its name at every use, unless the name is Final
 
 
 class ForceLimits(NamedTuple):
@@ -39,7 +41,7 @@ class TorqueGate:
     """Holds the last force let out, per axis (N), and counts what it had to change."""
 
     def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits]) -> None:
-        self._protocol = protocol
+        self._encode = protocol.encode
         self._limits = list(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
@@ -74,12 +76,12 @@ class TorqueGate:
             if let_out != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._protocol.encode(new_tuple(Command, (sequence, force, self._all_axes, False)))
+        return self._encode(new_tuple(_COMMAND, (sequence, force, self._all_axes, False)))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""
         self.cut()
-        return self._protocol.encode(Command(sequence, self._zero, 0, reset))
+        return self._encode(Command(sequence, self._zero, 0, reset))
 
     def cut(self) -> None:
         """No force, and nothing said of it: the bus is to stay silent."""

@@ -31,7 +31,7 @@ class Inbox:
     def __init__(self, protocol: HostProtocol, leak_ticks: int) -> None:
         n = protocol.n_axes
         self._none_fresh = (False,) * n
-        self._protocol = protocol
+        self._decode = protocol.decode
         self._modulus = protocol.sequence_modulus
         self._leak_ticks = leak_ticks
         self._since_leak = 0
@@ -59,7 +59,7 @@ class Inbox:
         self.useless_now = 0
         fresh, samples, last = self.fresh, self.samples, self._last_sequence
         fresh[:] = self._none_fresh
-        decode, modulus = self._protocol.decode, self._modulus
+        decode, modulus = self._decode, self._modulus
         expected = sent_sequence % modulus if modulus and sent_sequence >= 0 else _NOT_EXPECTED
         for frame in frames:
             outcome = decode(frame)

@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 
 from drivers.bus import Port
 from drivers.counters import BusState
-from drivers.frame import new_tuple
 from hil.clock import Pacer, own_share
 from hil.cycle import RECORD
 from hil.notify import Notifier
@@ -32,6 +31,7 @@ from hil.watched_file import WatchedFile
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
 _NO_AGE: Final = -1
+_monotonic_ns: Final = time.monotonic_ns
 _SHUTDOWN: Final = State.SHUTDOWN
 
 
@@ -92,7 +92,7 @@ class ControlLoop:
     """The live shell around one cycle. Set `stop` (a signal handler may) and the loop stops the stage and ends.
 
     stage_clock: what the stages are measured with. CLOCK_MONOTONIC costs no system call and equals CPU time while
-    nobody interrupts; benchmarks pass the thread's CPU clock.
+    nobody interrupts; benchmarks pass the thread's CPU clock. cpu_clock: what a tick's CPU time is told by.
     """
 
     def __init__(self, parts: Parts, stage_clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -103,6 +103,7 @@ class ControlLoop:
         rig = parts.cycle.rig
         self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
         self._clock = stage_clock
+        self.cpu_clock: Callable[[], int] = time.thread_time_ns
         alone = threading.active_count() == 1
         self.pacer = Pacer(
             rig.period_ns, sleep_until=sleeper(alone=alone), most_ahead_ns=round(rig.timing.wake_ahead_s * 1e9)
@@ -130,7 +131,7 @@ class ControlLoop:
     def run(self, max_ticks: int | None = None) -> None:
         """Tick until the cycle is in SHUTDOWN and has sent its last zero. max_ticks: ask it to stop after so many."""
         self.pacer.start()
-        self._cpu_mark_ns = time.thread_time_ns()
+        self._cpu_mark_ns = self.cpu_clock()
         deadline = -1  # tick by which a stop must be over
         while True:
             self._tick()
@@ -150,7 +151,7 @@ class ControlLoop:
         pacer, port, mailbox, clock = self.pacer, self._port, self._mailbox, self._clock
         pacer.wait()
         woke = pacer.now_ns
-        mark = time.thread_time_ns()
+        mark = self.cpu_clock()
         self._cpu_ns = mark - self._cpu_mark_ns
         self._cpu_mark_ns = mark
         began = clock()
@@ -160,17 +161,17 @@ class ControlLoop:
         commands = mailbox.poll()
         if commands:
             self._before_commands(commands)
-        tick = new_tuple(Tick, (
+        tick = Tick(
             pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
             self._realtime_ok, self._rig_ok,
-        ))  # fmt: skip
+        )  # fmt: skip
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()
         sending = self._cycle.stamps[RECORD]
         for frame in result.frames:
             port.send(frame)
-        sent_ns = time.monotonic_ns()
+        sent_ns = _monotonic_ns()
         self._ring.append(result.record)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:

@@ -56,7 +56,7 @@ class Setpoints:
         for axis in range(len(self._inputs)):
             self._starts[axis] = self._ends[axis] = _NEVER
 
-    def update(self, sample_ns: Sequence[int], start_ns: Sequence[int]) -> None:
+    def update(self, sample_ns: list[int], start_ns: list[int]) -> None:
         """Setpoints for samples taken at sample_ns and a force that acts from start_ns on."""
         trajectory = self.trajectory
         if trajectory is None:

@@ -6,6 +6,9 @@ TORQUE_STATES only; in BOOT and SHUTDOWN nothing is sent at all.
 """
 
 from enum import IntEnum
+from typing import Final
+
+from mypy_extensions import mypyc_attr
 
 
 class State(IntEnum):
@@ -41,8 +44,8 @@ class Event(IntEnum):
     EXIT = 13  # SIGTERM, SIGINT
 
 
-TORQUE_STATES = frozenset({State.HOMING, State.ACTIVE, State.STOPPING})
-SILENT_STATES = frozenset({State.BOOT, State.SHUTDOWN})
+TORQUE_STATES: Final = frozenset({State.HOMING, State.ACTIVE, State.STOPPING})
+SILENT_STATES: Final = frozenset({State.BOOT, State.SHUTDOWN})
 
 _S, _E = State, Event
 TABLE: dict[tuple[State, Event], State] = {
@@ -94,6 +97,7 @@ TABLE: dict[tuple[State, Event], State] = {
 }
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class StateMachine:
     """The current state and how many illegal events it has refused."""
 

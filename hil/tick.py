@@ -33,7 +33,7 @@ class OperatorCommand(NamedTuple):
     expires_ns: int
 
 
-class Tick(NamedTuple):
+class Tick:
     """Everything but the frames that a cycle step may depend on.
 
     index: 0, 1, 2, ...; skipped slots leave gaps. scheduled_ns: the tick's deadline on the control clock.
@@ -42,21 +42,48 @@ class Tick(NamedTuple):
     rig_ok: the rig file is still the one this process was started with.
     """
 
-    index: int  # type: ignore[assignment]  # tuple has a method of that name
-    scheduled_ns: int
-    now_ns: int
-    port: PortCounters
-    commands: tuple[OperatorCommand, ...] = ()
-    stop: bool = False
-    recorder_ok: bool = True
-    realtime_ok: bool = True
-    rig_ok: bool = True
+    __slots__ = (
+        "commands",
+        "index",
+        "now_ns",
+        "port",
+        "realtime_ok",
+        "recorder_ok",
+        "rig_ok",
+        "scheduled_ns",
+        "stop",
+    )
+
+    def __init__(
+        self,
+        index: int,
+        scheduled_ns: int,
+        now_ns: int,
+        port: PortCounters,
+        commands: tuple[OperatorCommand, ...] = (),
+        stop: bool = False,
+        recorder_ok: bool = True,
+        realtime_ok: bool = True,
+        rig_ok: bool = True,
+    ) -> None:
+        self.index = index
+        self.scheduled_ns = scheduled_ns
+        self.now_ns = now_ns
+        self.port = port
+        self.commands = commands
+        self.stop = stop
+        self.recorder_ok = recorder_ok
+        self.realtime_ok = realtime_ok
+        self.rig_ok = rig_ok
 
 
-class CycleResult(NamedTuple):
+class CycleResult:
     """frames: to send now, in order; empty where nothing may be sent. record: this tick's telemetry
     (hil.telemetry.record).
     """
 
-    frames: list[Frame]
-    record: np.void
+    __slots__ = ("frames", "record")
+
+    def __init__(self, frames: list[Frame], record: np.void) -> None:
+        self.frames = frames
+        self.record = record

@@ -128,10 +128,10 @@ def slots_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: list[int],
         stall = next(wakes, 0)
         pass_time(stall, stall)
 
-    monkeypatch.setattr(time, "thread_time_ns", lambda: cpu)
     drives = UnpoweredDrives(NO_ACK, [])
     # Each tick reads the stages' clock six times.
     with loop_beside(drives, tmp_path, monkeypatch, stage_clock=lambda: pass_time(*next(works))) as loop:
+        loop.cpu_clock = lambda: cpu
         loop.pacer = Pacer(PERIOD, now=lambda: now, sleep_until=sleep_until)
         loop.pacer.start()
         for _ in range(len(ticks)):

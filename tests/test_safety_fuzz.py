@@ -16,7 +16,7 @@ from hil.config import RigConfig, RigError, build_rig, load_rig
 from hil.cycle import ControlCycle
 from hil.invariants import Invariants
 from hil.lockstep import LockstepRun
-from hil.state_machine import TABLE, Event, State
+from hil.state_machine import TABLE, Event, State, StateMachine
 from hil.tick import CommandKind, OperatorCommand
 from hil.trajectories import make_trajectory
 from sim_plant.config import PlantError
@@ -174,22 +174,28 @@ class Correspondence(LockstepRun):
         return (*self._letters.get(self.index, []), *honest)
 
 
+class Watched(StateMachine):
+    """walked: every event there was, with the states before and after it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.walked: list[tuple[State, Event, State]] = []
+
+    def handle(self, event: Event) -> bool:
+        before = self.state
+        taken = super().handle(event)
+        self.walked.append((before, event, self.state))
+        return taken
+
+
 @rare
 @given(mail)
 @example({30: [OperatorCommand(CommandKind.ESTOP, 2**64 - 1, -1)]})
 @example({30: [OperatorCommand(CommandKind.HEARTBEAT, 2**64 - 1, 2**63 - 1)], 40: [OperatorCommand(9, 1, 2**63 - 1)]})  # type: ignore[arg-type]
 def test_any_mail_is_refused_or_leads_along_the_table(letters: dict[int, list[OperatorCommand]]) -> None:
     run = Correspondence(letters)
-    machine = run.cycle.machine
-    handle, walked = machine.handle, []
-
-    def watched(event: Event) -> bool:
-        before = machine.state
-        taken = handle(event)
-        walked.append((before, event, machine.state))
-        return taken
-
-    machine.handle = watched  # type: ignore[method-assign]
+    run.cycle.machine = machine = Watched()
+    walked = machine.walked
     before = State.BOOT
     for _ in range(TICKS):
         first = len(walked)

@@ -25,7 +25,7 @@ LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through, in three tables. Not among them:
 # what defines ctypes structures (drivers/recvmmsg.py), which mypyc cannot compile; what users, tests and the fault
-# campaign replace or inherit from (hil/lockstep.py, hil/state_machine.py, drivers/wire_faults.py), which compiled
+# campaign replace or inherit from (hil/lockstep.py, drivers/wire_faults.py), which compiled
 # classes do not allow; what runs once a run.
 
 # Written once for floats and arrays (hil/number.py). The build has them twice: compiled for a rig as hil/floats, where
@@ -38,7 +38,7 @@ hil/laws: *
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil: clock commands cycle faults gate inbox loop sampling sleep stage_clock stop tick timing
+hil: clock commands cycle faults gate inbox loop sampling sleep stage_clock state_machine stop tick timing
 """
 
 OTHERS = """

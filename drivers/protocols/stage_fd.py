@@ -27,6 +27,7 @@ RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it,
 _WRAP: Final = 1 << 32  # sample_time, ns
 _HALF: Final = 1 << 31
 crc32: Final = _crc32
+_FRAME: Final = Frame  # compiled code looks a class up by its name at every use, unless the name is Final
 _SINGLE = Struct("<f")
 
 
@@ -95,7 +96,7 @@ class StageFdHost(_Layout):
         flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
         data = self._pack_command(a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
-        return [new_tuple(Frame, (self._command_id, data, FD | BRS, 0))]
+        return [new_tuple(_FRAME, (self._command_id, data, FD | BRS, 0))]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""

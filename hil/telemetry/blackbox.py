@@ -1,5 +1,7 @@
 """`hil blackbox`: the last seconds of a control process that was killed, out of its ring, as a recording."""
 
+import contextlib
+import itertools
 import time
 from pathlib import Path
 from typing import Annotated
@@ -54,12 +56,12 @@ def save_black_boxes(rig_places: Places, directory: Path | None) -> list[Path]:
 
 def run_directory() -> Path:
     """A new directory runs/<time>, in local time, for what a run leaves."""
-    name, number = time.strftime("%Y%m%d-%H%M%S"), 1
-    directory = Path("runs", name)
-    while directory.exists():
-        number += 1
-        directory = Path("runs", f"{name}-{number}")
-    directory.mkdir(parents=True)
+    name = time.strftime("%Y%m%d-%H%M%S")
+    for number in itertools.count(1):
+        directory = Path("runs", name if number == 1 else f"{name}-{number}")
+        with contextlib.suppress(FileExistsError):  # of a run that began in the same second
+            directory.mkdir(parents=True)
+            break
     return directory
 
 

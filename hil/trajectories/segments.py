@@ -65,6 +65,16 @@ def move(duration_ns: int, begin: Values, end: Values, phase: int = 0) -> Segmen
     return quintic(duration_ns, (begin, zero, zero), (end, zero, zero), phase)
 
 
+class _Held:
+    """One axis in the segment at hand: its row, as numbers of a compiled object's own, and whether it stands still."""
+
+    __slots__ = ("row", "still")
+
+    def __init__(self, row: Row, still: bool) -> None:
+        self.row = row
+        self.still = still
+
+
 class Segments(Trajectory):
     """Segments one after another; then over again, or for ever in the last one, which must be a rest of 0 ns."""
 
@@ -92,7 +102,7 @@ class Segments(Trajectory):
         segment = self.segments[index]
         self._begins = self._starts[index]
         self._ends = self._starts[index + 1] if index + 1 < len(self._starts) else _NEVER
-        self._rows, self._still = segment.rows, segment.still
+        self._held = [_Held(segment.rows[axis], still) for axis, still in enumerate(segment.still)]
 
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """See Trajectory."""
@@ -101,10 +111,10 @@ class Segments(Trajectory):
             t_ns %= self._total
         if not self._begins <= t_ns < self._ends:
             self._hold(t_ns)
-        row = self._rows[axis]
-        if self._still[axis]:
-            return row[0], 0.0, 0.0
-        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = row
+        held = self._held[axis]
+        c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = held.row
+        if held.still:
+            return c0, 0.0, 0.0
         t = (t_ns - self._begins) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
