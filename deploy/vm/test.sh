@@ -29,9 +29,7 @@ devices="-virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on
 devices+=" -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0"
 
 echo "vm: booting $kernel in software emulation; limit $LIMIT s"
-started=$SECONDS
-PATH="$VM/venv/bin:$PATH:/usr/sbin:/sbin" timeout --kill-after=10 "$LIMIT" \
+PATH="$VM/venv/bin:$PATH:/usr/sbin:/sbin" "$PROJECT/deploy/vm/watched.sh" "$LIMIT" "$RESULTS" \
     vng --verbose --run "$VM/kernel/boot/vmlinuz-$kernel" --disable-kvm --cpus 2 --memory 2G \
-    --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command" >"$RESULTS/console.log" 2>&1 </dev/null || true
-echo "vm: guest ended after $((SECONDS - started)) s"
+    --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command"
 exec "$PROJECT/deploy/vm/verdict.py" "$RESULTS"

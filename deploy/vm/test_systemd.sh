@@ -29,15 +29,13 @@ echo "${*:-tests/vm/systemd}" > "$SHARE/arguments"
 
 kernel=$(cat "$VM/kernel/ready")
 echo "vm: booting $kernel with systemd in software emulation; limit $LIMIT s"
-started=$SECONDS
-timeout --kill-after=10 "$LIMIT" qemu-system-x86_64 -machine q35,accel=tcg -cpu max -smp 2 -m 2G -nographic -no-reboot \
+"$PROJECT/deploy/vm/watched.sh" "$LIMIT" "$SHARE/results" \
+    qemu-system-x86_64 -machine q35,accel=tcg -cpu max -smp 2 -m 2G -nographic -no-reboot \
     -net none -kernel "$VM/kernel/boot/vmlinuz-$kernel" -initrd "$VM/systemd.initrd" \
     -append "console=ttyS0 panic=-1 systemd.unit=hil-test.target systemd.default_timeout_start_sec=300s" \
     -drive "file=$VM/systemd.ext4,if=virtio,format=raw,snapshot=on,cache=unsafe" \
     -virtfs "local,path=$SHARE,mount_tag=share,security_model=none" \
-    -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0 \
-    >"$SHARE/results/console.log" 2>&1 </dev/null || true
-echo "vm: guest ended after $((SECONDS - started)) s"
+    -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0
 mv "$SHARE/results" "$RESULTS"
 rm -rf "$SHARE"
 exec "$PROJECT/deploy/vm/verdict.py" "$RESULTS"
