@@ -31,5 +31,5 @@ devices+=" -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device 
 echo "vm: booting $kernel in software emulation; limit $LIMIT s"
 PATH="$VM/venv/bin:$PATH:/usr/sbin:/sbin" "$PROJECT/deploy/vm/watched.sh" "$LIMIT" "$RESULTS" \
     vng --verbose --run "$VM/kernel/boot/vmlinuz-$kernel" --disable-kvm --cpus 2 --memory 2G \
-    --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command"
+    --append "$(cat "$PROJECT/deploy/vm/kernel_options")" --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command"
 exec "$PROJECT/deploy/vm/verdict.py" "$RESULTS"

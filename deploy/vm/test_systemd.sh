@@ -32,7 +32,7 @@ echo "vm: booting $kernel with systemd in software emulation; limit $LIMIT s"
 "$PROJECT/deploy/vm/watched.sh" "$LIMIT" "$SHARE/results" \
     qemu-system-x86_64 -machine q35,accel=tcg -cpu max -smp 2 -m 2G -nographic -no-reboot \
     -net none -kernel "$VM/kernel/boot/vmlinuz-$kernel" -initrd "$VM/systemd.initrd" \
-    -append "console=ttyS0 panic=-1 systemd.unit=hil-test.target systemd.default_timeout_start_sec=300s" \
+    -append "console=ttyS0 panic=-1 systemd.unit=hil-test.target systemd.default_timeout_start_sec=300s $(cat "$PROJECT/deploy/vm/kernel_options")" \
     -drive "file=$VM/systemd.ext4,if=virtio,format=raw,snapshot=on,cache=unsafe" \
     -virtfs "local,path=$SHARE,mount_tag=share,security_model=none" \
     -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0
