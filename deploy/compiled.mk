@@ -19,4 +19,4 @@ test-compiled: setup  ## the compiled build computes the same bytes and passes t
 test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills; on the compiled build where there can be one
 	@if $(BIN)/python deploy/compiled/build.py --check; then \
 	    $(MAKE) --no-print-directory compiled && python=$(COMPILED)/bin/python; else python=$(BIN)/python; fi && \
-	PYTHONSAFEPATH=1 $$python -m pytest -n 2 -m "slow and not vcan and not controller"
+	PYTHONSAFEPATH=1 $$python -m pytest -n 2 -m "slow and not vcan and not controller" --durations=10

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.config import RigConfig
+from hil.design_store import keep, recall
 from hil.laws.base import LawInputs
 from hil.number import Number
 
@@ -57,12 +58,17 @@ def _design_in_child(parameters: str) -> list[Any]:
             return design(json.loads(parameters))
         except (ArithmeticError, ValueError) as error:
             raise ValueError(_NO_GAINS + str(error)) from None
+    kept = recall(parameters)
+    if kept is not None:
+        return list(kept)
     child = subprocess.run(
         [sys.executable, "-m", "hil.estimation_design"], input=parameters, capture_output=True, text=True, check=False
     )
     if child.returncode != 0:
         raise ValueError(_NO_GAINS + "".join(child.stderr.strip().splitlines()[-1:]))
-    return list(json.loads(child.stdout))
+    designed = list(json.loads(child.stdout))
+    keep(parameters, designed)
+    return designed
 
 
 def design_gains(rig: RigConfig) -> tuple[Array, Array]:

@@ -110,3 +110,9 @@ def test_real_time_is_granted_without_root_and_the_journal_says_so():
     assert re.search(r"hil run: microscope at 20 Hz on vcan0", journal), journal
     assert "SCHED_FIFO" in journal
     assert "refused" not in journal, "priority, memory and DMA latency are granted to the service's own user"
+
+
+def test_the_filters_design_is_kept_for_the_next_start():
+    (kept,) = Path("/var/cache/hil/designs").iterdir()
+    assert kept.owner() == "hil"
+    assert kept.stat().st_mode & 0o077 == 0
