@@ -11,11 +11,12 @@ import hashlib
 import json
 import os
 import stat
-import tempfile
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from hil.telemetry.places import write_private
 
 MOST_KEPT = 200
 _NOT_TO_BE_HAD = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata
@@ -24,26 +25,24 @@ _NOT_TO_BE_HAD = (OSError, ValueError, ImportError)  # ImportError: a package wi
 def recall(parameters: str) -> Any | None:
     """The design kept for these parameters (JSON); None where there is none that can be trusted."""
     with contextlib.suppress(*_NOT_TO_BE_HAD):
-        directory = _directory()
+        directory, asked = _directory(), _asked(parameters)
         if _is_ours(directory):
-            digest, _, text = _file(directory, parameters).read_text(encoding="ascii").partition("\n")
+            digest, _, text = _file(directory, asked).read_text(encoding="ascii").partition("\n")
             if digest == _digest(text):
                 kept = json.loads(text)
-                return kept["design"] if kept["asked"] == _asked(parameters) else None
+                return kept["design"] if kept["asked"] == asked else None
     return None
 
 
 def keep(parameters: str, design: Any) -> None:
     """Keep a design, where there is room and a directory of our own; the oldest go beyond MOST_KEPT."""
     with contextlib.suppress(*_NOT_TO_BE_HAD):
-        directory = _directory()
+        directory, asked = _directory(), _asked(parameters)
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(directory):
             return
-        text = json.dumps({"asked": _asked(parameters), "design": design})
-        with tempfile.NamedTemporaryFile("w", dir=directory, encoding="ascii", delete=False) as draft:
-            draft.write(f"{_digest(text)}\n{text}")
-        Path(draft.name).replace(_file(directory, parameters))  # a reader sees all of it or nothing
+        text = json.dumps({"asked": asked, "design": design})
+        write_private(_file(directory, asked), f"{_digest(text)}\n{text}")
         by_age = sorted(directory.iterdir(), key=lambda path: path.stat().st_mtime_ns)
         for old in by_age[:-MOST_KEPT]:
             old.unlink(missing_ok=True)
@@ -62,8 +61,8 @@ def _is_ours(directory: Path) -> bool:
     return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not others_may_write
 
 
-def _file(directory: Path, parameters: str) -> Path:
-    return directory / f"{_digest(_asked(parameters))}.json"
+def _file(directory: Path, asked: str) -> Path:
+    return directory / f"{_digest(asked)}.json"
 
 
 def _asked(parameters: str) -> str:
