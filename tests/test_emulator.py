@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bus import open_port
+from drivers.bus import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
@@ -139,20 +139,21 @@ def test_canopen_drives_start_up_by_their_own_rules_on_the_same_physics() -> Non
     assert [stage.sender_of(answer) for answer in boot] == AXES
 
 
-def live_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Emulator, HostProtocol, BusConfig]:
+def live_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Emulator, HostProtocol, Port]:
+    """A stage on a live bus, and who commands it there; the stage has taken the newcomer in."""
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
     bus = BusConfig(interface="local", channel="emu0")
     stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), time.monotonic_ns())
     emulator = Emulator(stage, open_port(bus, role="device", fd=True), tmp_path / "status.json")
-    return emulator, host_protocol(bus, len(AXES), RATED, Path()), bus
+    control = open_port(bus, role="host", fd=True)
+    emulator.step(time.monotonic_ns())
+    return emulator, host_protocol(bus, len(AXES), RATED, Path()), control
 
 
 def test_on_a_live_bus_a_stall_of_the_emulator_expires_no_watchdog_that_was_fed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    emulator, host, bus = live_pair(tmp_path, monkeypatch)
-    control = open_port(bus, role="host", fd=True)
-    emulator.step(time.monotonic_ns())  # takes the newcomer in
+    emulator, host, control = live_pair(tmp_path, monkeypatch)
     start_ns = time.monotonic_ns()
     for sequence in range(1, 9):  # the emulator does not run meanwhile; the frames wait with their stamps
         control.send(frame(host, 0, sequence, [0.5, 0.0, 2.5]))
@@ -189,9 +190,7 @@ def test_commands_at_a_steady_rate_are_fetched_a_little_after_each_is_due() -> N
 def test_a_command_before_its_time_waits_for_the_stage_not_the_stage_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    emulator, host, bus = live_pair(tmp_path, monkeypatch)
-    control = open_port(bus, role="host", fd=True)
-    emulator.step(time.monotonic_ns())  # takes the newcomer in
+    emulator, host, control = live_pair(tmp_path, monkeypatch)
     now_ns = time.monotonic_ns()
     for number in (3, 2, 1):
         emulator.rhythm.heard(now_ns - number * 4 * MS)
@@ -231,13 +230,13 @@ def test_a_rhythm_that_trembles_is_fetched_after_each_command_and_before_the_one
 def test_a_status_file_that_cannot_be_written_does_not_end_the_stage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    emulator, _, _ = live_pair(tmp_path, monkeypatch)
-    emulator.step(time.monotonic_ns())
+    emulator, _, control = live_pair(tmp_path, monkeypatch)
     (tmp_path / "status.new").mkdir()  # stands in the way, as a full file system or a removed directory would
     before = (tmp_path / "status.json").read_text()
     emulator.step(time.monotonic_ns() + 10**9)
     assert "status.json: Is a directory" in emulator.status_error
     assert (tmp_path / "status.json").read_text() == before
+    control.close()
     emulator.port.close()
 
 
