@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench import harness
+from hil.bench import adding, harness, tick
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
-from hil.bench.jitter import lateness_in_histogram, stalls
+from hil.bench.jitter import lateness_in_histogram
 from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, undisturbed
 from hil.bench.lockstep import measure
-from hil.bench.tick import C_SOURCE, allocations_per_tick
+from hil.bench.tick import allocations_per_tick
 from hil.config import load_rig
 
 RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
@@ -110,20 +110,26 @@ def test_the_histogram_of_cyclictest_is_read_bin_by_bin_and_overflows_count():
     assert sorted(lateness_in_histogram(CYCLICTEST).tolist()) == [12.5, 12.5, 12.5, 13.5, 20_000.0]
 
 
-def test_the_clock_reader_counts_the_periods_of_cpu_time_between_two_readings_of_its_clock():
-    cpu = min(os.sched_getaffinity(0))
-    allowed = os.sched_getaffinity(0)
-    found = stalls(cpu, 1, 20_000_000)  # a "period" of a nanosecond: every one lies between two readings
-    assert found["own_misses"] == pytest.approx(found["cpu_s"] * 1e9)
-    assert os.sched_getaffinity(0) == allowed  # the thread that read was pinned, not the benchmark
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: C references are not built")
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: the C reference of hil bench tick is not built")
-def test_the_c_reference_compiles_and_says_how_it_is_called(tmp_path):
-    program = build_reference(C_SOURCE, tmp_path)
+@needs_compiler
+@pytest.mark.parametrize(("source", "first"), [(tick.C_SOURCE, "BUS_DIRECTORY"), (adding.C_SOURCE, "PERIODS")])
+def test_a_c_reference_compiles_and_says_how_it_is_called(source, first, tmp_path):
+    program = build_reference(source, tmp_path)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "BUS_DIRECTORY" in done.stderr
+    assert f"{program.name} {first}" in done.stderr
+
+
+@needs_compiler
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: benchmarks of live processes need two")
+def test_the_program_that_adds_books_the_slots_that_it_works_through_as_its_own(tmp_path):
+    rig = load_rig(RIG, ["timing.priority=1"])
+    program = build_reference(adding.C_SOURCE, tmp_path)
+    figures = adding.adding(program, rig, periods=20, work_ns=2.5 * rig.period_ns)
+    assert figures["own_misses"] > 0
+    assert figures["own_misses"] + figures["host_misses"] >= 2 * 20  # two slots a period
 
 
 def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():

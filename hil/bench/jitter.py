@@ -5,17 +5,12 @@ core, same SCHED_FIFO priority, same period, memory locked and DMA latency held 
 The loop is woken ahead of its deadline (hil/clock.py) and cyclictest is not; what the loop's own wake-up costs is seen
 in the blocks where it sleeps to the deadline as well.
 
-A host that stops a virtual machine does not always say so: the kernel then books the stall as CPU time of whoever ran,
-and a tick that it hits counts as an own miss. How often that happens is measured in turns, too, by a program that only
-reads its clocks.
+How many of the slots booked as our own a program without any work would lose on the same host: `hil bench misses`.
 """
 
-import os
 import shutil
 import subprocess
-import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,7 +37,7 @@ from hil.config import RigConfig, load_rig
 from hil.doctor import RT_TESTS
 
 SUBJECT, REFERENCE, RECORDED = "hil run", "cyclictest", "hil run + sidecar"
-ASLEEP, STALLS = "hil run, not ahead", "clock reader"
+ASLEEP = "hil run, not ahead"
 _HISTOGRAM_US = 20_000  # later ones are kept by cyclictest as overflows, and counted here as this much
 
 
@@ -65,7 +60,6 @@ def jitter(
         Case(SUBJECT, lambda: _control(rig, sets, ticks, runs)),
         Case(REFERENCE, lambda: cyclictest(program, config, ticks)),
         Case(ASLEEP, lambda: _control(rig, [*sets, TO_THE_DEADLINE], ticks, runs)),
-        Case(STALLS, lambda: stalls(cores()[1], config.period_ns, ticks)),
     ]
     if telemetry:
         cases.append(Case(RECORDED, lambda: _control(rig, sets, ticks, runs, telemetry=True)))
@@ -94,23 +88,6 @@ def cyclictest(program: str, config: RigConfig, ticks: int) -> Figures:
     return percentiles(lateness_in_histogram(done.stdout))
 
 
-def stalls(cpu: int, period_ns: int, periods: int) -> Figures:
-    """Whole periods of CPU time that a program loses although it only reads its clocks, for so long, on that core."""
-
-    def read() -> Figures:
-        os.sched_setaffinity(0, {cpu})  # of this thread
-        end, lost = time.monotonic_ns() + periods * period_ns, 0
-        first = before = time.thread_time_ns()
-        while time.monotonic_ns() < end:
-            now = time.thread_time_ns()
-            lost += (now - before) // period_ns
-            before = now
-        return {"own_misses": lost, "cpu_s": (before - first) / 1e9}
-
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(read).result()
-
-
 def lateness_in_histogram(output: str) -> NDArray[np.float64]:
     """Lateness (us) of every cycle, from what `cyclictest -h` prints; its bins are whole microseconds, rounded down."""
     values, overflows = [], 0
@@ -136,8 +113,6 @@ def _result(blocks: list[Block], runs: list[Run], telemetry: bool) -> dict[str, 
     return {
         **result,
         "own_misses": sum(run.lost[0] for run in runs),
-        "ticks_s": sum(float(run.stages.sum()) for run in runs) / 1e9,
-        "clock_reader": {figure: sum(values_of(blocks, STALLS, figure)) for figure in ("own_misses", "cpu_s")},
         "host_misses": sum(run.lost[1] for run in runs),
         "ticks": sum(len(run.lateness) for run in runs),
         "repeated_blocks": sum(run.repeated for run in runs),
@@ -151,14 +126,12 @@ def _table(blocks: list[Block]) -> Any:
 
 
 def _lines(result: dict[str, Any]) -> list[str]:
-    recorded, reader = result.get("telemetry_ratio_p99"), result["clock_reader"]
+    recorded = result.get("telemetry_ratio_p99")
     return [
         f"hil / cyclictest, median block: p50 {result['ratio_p50']:.2f}, p99 {result['ratio_p99']:.2f}"
         + (f"; p99 with telemetry / without: {recorded:.2f}" if recorded else ""),
         f"asleep to the deadline: p50 {result['asleep_ratio_p50']:.2f}, p99 {result['asleep_ratio_p99']:.2f}",
         f"slots lost of {result['ticks']}: {result['own_misses']} own, {result['host_misses']} the host's; "
         f"blocks spoilt by the host and repeated: {result['repeated_blocks']}",
-        f"a program that only reads its clocks lost {reader['own_misses']:.0f} in {reader['cpu_s']:.1f} s of CPU time; "
-        f"the ticks took {result['ticks_s']:.1f} s",
         str(result["realtime"]),
     ]

@@ -1,7 +1,9 @@
 """`hil bench tick`: what one tick of the live control process costs, against a C program that does the same work.
 
 Both run in turns on the same core, at the same priority, paced at the rig's rate (so that caches are cold), on the same
-kind of socket, against the same emulated stage in a process of its own on another core. Both sleep to the deadline.
+kind of socket, against the same emulated stage in a process of its own on another core. Both sleep to the deadline. So
+does a third program, which only adds for as long as the tick takes (hil/bench/adding.py): its slowest periods are what
+the host makes of that much CPU time, whatever is done in it.
 """
 
 import shutil
@@ -16,6 +18,7 @@ import typer
 
 import hil
 from drivers.local_medium import channel_dir
+from hil.bench import adding
 from hil.bench.harness import (
     Block,
     Case,
@@ -65,8 +68,8 @@ def tick(
         raise typer.BadParameter("the C program speaks stage_fd only")
     try:
         with private_bus(), tempfile.TemporaryDirectory() as build:
-            program = build_reference(C_SOURCE, Path(build))
-            measured, runs, calls = _measure(rig, sets, config, program, blocks, ticks)
+            programs = [build_reference(source, Path(build)) for source in (C_SOURCE, adding.C_SOURCE)]
+            measured, runs, calls = _measure(rig, sets, config, programs, blocks, ticks)
     except BenchError as error:
         raise SystemExit(f"hil bench tick: {error}") from None
     result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
@@ -74,14 +77,17 @@ def tick(
 
 
 def _measure(
-    rig: Path, sets: list[str], config: RigConfig, program: Path, blocks: int, ticks: int
+    rig: Path, sets: list[str], config: RigConfig, programs: list[Path], blocks: int, ticks: int
 ) -> tuple[list[Block], list[Run], float | None]:
+    program, adder = programs
     runs: list[Run] = []
+    taken: list[Figures] = []
 
     def subject() -> Figures:
         run = run_control(rig, [TO_THE_DEADLINE, *sets], ticks, cpu_clock=True)
         runs.append(run)
-        return _figures(run)
+        taken.append(_figures(run))
+        return taken[-1]
 
     def reference() -> Figures:
         def attempt() -> Figures:
@@ -90,7 +96,11 @@ def _measure(
 
         return undisturbed(attempt)[0]
 
-    measured = interleave([Case(SUBJECT, subject), Case(REFERENCE, reference)], blocks)
+    def only_adding() -> Figures:
+        return adding.adding(adder, config, ticks, taken[-1]["p50"] * 1e3)
+
+    cases = [Case(SUBJECT, subject), Case(REFERENCE, reference), Case(adding.NAME, only_adding)]
+    measured = interleave(cases, blocks)
     strace = shutil.which("strace")
     if strace is None:
         return measured, runs, None
@@ -157,6 +167,8 @@ def _result(blocks: list[Block], runs: list[Run], calls: float | None, allocatio
         "cpu_us": median_of(SUBJECT, *marks),
         "c_cpu_us": median_of(REFERENCE, *marks),
         "ratio": {mark: spread(ratios(blocks, SUBJECT, REFERENCE, mark)).median for mark in marks},
+        "adding_cpu_us": median_of(adding.NAME, *marks),
+        "adding_ratio": {mark: spread(ratios(blocks, adding.NAME, REFERENCE, mark)).median for mark in marks},
         "stages_us": {name: median_of(SUBJECT, f"{name}_p50")[f"{name}_p50"] for name in STAGES},
         "period_cpu_us": {"hil": median_of(SUBJECT, "period_p50"), "c": median_of(REFERENCE, "period_p50")},
         "system_calls_per_tick": calls,
@@ -183,9 +195,10 @@ def _table(blocks: list[Block]) -> Any:
 def _lines(result: dict[str, Any]) -> list[str]:
     calls = result["system_calls_per_tick"]
     shown = f"{calls:.1f}" if calls is not None else "not counted (strace is not installed: apt install strace)"
-    ratio = result["ratio"]
+    ratio, added = result["ratio"], result["adding_ratio"]
     return [
-        f"hil / C: p50 {ratio['p50']:.1f}, p99 {ratio['p99']:.1f}, p99.9 {ratio['p999']:.1f}",
+        f"hil / C: p50 {ratio['p50']:.1f}, p99 {ratio['p99']:.1f}, p99.9 {ratio['p999']:.1f}; "
+        f"only adding for as long / C: {added['p50']:.1f}, {added['p99']:.1f}, {added['p999']:.1f}",
         f"system calls per tick {shown}; allocated blocks per tick {result['allocated_blocks_per_tick']:.3f}; "
         f"collector runs {result['collector_runs']}; major faults {result['major_faults']}; "
         f"slots lost of {result['ticks']}: {result['own_misses']} own, {result['host_misses']} the host's; the C "
