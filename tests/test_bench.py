@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench import adding, harness, tick
+from hil.bench import harness, tick, walking
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
 from hil.bench.jitter import lateness_in_histogram
 from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, undisturbed
@@ -114,7 +114,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C com
 
 
 @needs_compiler
-@pytest.mark.parametrize(("source", "first"), [(tick.C_SOURCE, "BUS_DIRECTORY"), (adding.C_SOURCE, "PERIODS")])
+@pytest.mark.parametrize(("source", "first"), [(tick.C_SOURCE, "BUS_DIRECTORY"), (walking.C_SOURCE, "PERIODS")])
 def test_a_c_reference_compiles_and_says_how_it_is_called(source, first, tmp_path):
     program = build_reference(source, tmp_path)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
@@ -124,10 +124,10 @@ def test_a_c_reference_compiles_and_says_how_it_is_called(source, first, tmp_pat
 
 @needs_compiler
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: benchmarks of live processes need two")
-def test_the_program_that_adds_books_the_slots_that_it_works_through_as_its_own(tmp_path):
+def test_the_program_that_walks_books_the_slots_that_it_works_through_as_its_own(tmp_path):
     rig = load_rig(RIG, ["timing.priority=1"])
-    program = build_reference(adding.C_SOURCE, tmp_path)
-    figures = adding.adding(program, rig, periods=20, work_ns=2.5 * rig.period_ns)
+    program = build_reference(walking.C_SOURCE, tmp_path)
+    figures = walking.walking(program, rig, periods=20, work_ns=2.5 * rig.period_ns)
     assert figures["own_misses"] > 0
     assert figures["own_misses"] + figures["host_misses"] >= 2 * 20  # two slots a period
 

@@ -10,7 +10,7 @@ import typer
 BENCHES = {
     "tick": "CPU per tick by stage, system calls and allocations, against a C program doing the same work",
     "jitter": "Wake lateness of the full loop, against cyclictest on the same core",
-    "misses": "Slots that a long run loses, against a C program that only adds",
+    "misses": "Slots that a long run loses, against a C program that touches as much memory",
     "peers": "The same tick with python-can + cantools, with canopen, with moteus",
     "io": "Receiving and sending through the bus layer alone",
     "lockstep": "How much faster than real time a whole rig runs in lockstep",

@@ -1,4 +1,4 @@
-"""`hil bench misses`: the slots that a long run loses, in turns with a C program that adds (hil/bench/adding.py)."""
+"""`hil bench misses`: the slots that a long run loses, in turns with a C program that walks over memory."""
 
 import tempfile
 from collections.abc import Sequence
@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from hil.bench.adding import C_SOURCE, NAME, adding
 from hil.bench.harness import (
     Block,
     Case,
@@ -22,6 +21,7 @@ from hil.bench.harness import (
     values_of,
 )
 from hil.bench.live import BenchError, Run, build_reference, local, private_bus, run_control
+from hil.bench.walking import C_SOURCE, NAME, walking
 from hil.config import load_rig
 
 SUBJECT = "hil run"
@@ -35,7 +35,7 @@ def misses(
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 50_000,
     as_json_to: JsonTarget = None,
 ) -> None:
-    """Slots lost in a long run, in turns with a C program that only adds; growth, page faults, collector runs."""
+    """Slots that a long run loses, in turns with a C program that touches as much memory; growth, faults, collector."""
     sets = overrides or []
     config = load_rig(rig, local(sets))
     runs: list[Run] = []
@@ -44,7 +44,7 @@ def misses(
             program = build_reference(C_SOURCE, Path(build))
             cases = [
                 Case(SUBJECT, lambda: _control(rig, sets, ticks, runs)),
-                Case(NAME, lambda: adding(program, config, ticks, _work_ns(runs[-1]))),
+                Case(NAME, lambda: walking(program, config, ticks, _work_ns(runs[-1]))),
             ]
             measured = interleave(cases, blocks)
     except BenchError as error:
@@ -73,7 +73,7 @@ def _result(blocks: list[Block], runs: list[Run], ticks: int) -> dict[str, Any]:
     return {
         "ticks": ticks * len(runs),
         **lost(SUBJECT),
-        "c_adding": lost(NAME),
+        "c_walking": lost(NAME),
         "collector_runs": sum(run.timing.counters["collector_runs"] for run in runs),
         "major_faults": sum(run.major_faults for run in runs),
         "rss_bytes": max(run.rss_bytes for run in runs),
@@ -90,10 +90,11 @@ def _table(blocks: list[Block]) -> Any:
 
 
 def _lines(result: dict[str, Any]) -> list[str]:
-    reference = result["c_adding"]
+    reference = result["c_walking"]
     return [
         f"slots lost of {result['ticks']}: {result['own_misses']} own, {result['host_misses']} the host's; "
-        f"a program that only adds, as often and as long: {reference['own_misses']} and {reference['host_misses']}",
+        f"a program that touches as much memory, as often and as long: {reference['own_misses']} and "
+        f"{reference['host_misses']}",
         f"collector runs {result['collector_runs']}; major faults {result['major_faults']}; resident "
         f"{result['rss_bytes'] / 1e6:.0f} MB, growth {result['rss_growth_bytes'] / 1e3:.0f} kB",
         f"{result['realtime']}; blocks spoilt by the host and repeated: {result['repeated_blocks']}",

@@ -2,8 +2,8 @@
 
 Both run in turns on the same core, at the same priority, paced at the rig's rate (so that caches are cold), on the same
 kind of socket, against the same emulated stage in a process of its own on another core. Both sleep to the deadline. So
-does a third program, which only adds for as long as the tick takes (hil/bench/adding.py): its slowest periods are what
-the host makes of that much CPU time, whatever is done in it.
+does a third program, which touches as much memory for as long as the tick takes (hil/bench/walking.py): its slowest
+periods are what the host makes of that.
 """
 
 import shutil
@@ -18,7 +18,6 @@ import typer
 
 import hil
 from drivers.local_medium import channel_dir
-from hil.bench import adding
 from hil.bench.harness import (
     Block,
     Case,
@@ -46,6 +45,9 @@ from hil.bench.live import (
     run_control,
     undisturbed,
 )
+from hil.bench.walking import C_SOURCE as WALK_SOURCE
+from hil.bench.walking import NAME as WALKER
+from hil.bench.walking import walking
 from hil.config import RigConfig, load_rig
 from hil.timing import STAGES
 
@@ -68,7 +70,7 @@ def tick(
         raise typer.BadParameter("the C program speaks stage_fd only")
     try:
         with private_bus(), tempfile.TemporaryDirectory() as build:
-            programs = [build_reference(source, Path(build)) for source in (C_SOURCE, adding.C_SOURCE)]
+            programs = [build_reference(source, Path(build)) for source in (C_SOURCE, WALK_SOURCE)]
             measured, runs, calls = _measure(rig, sets, config, programs, blocks, ticks)
     except BenchError as error:
         raise SystemExit(f"hil bench tick: {error}") from None
@@ -79,7 +81,7 @@ def tick(
 def _measure(
     rig: Path, sets: list[str], config: RigConfig, programs: list[Path], blocks: int, ticks: int
 ) -> tuple[list[Block], list[Run], float | None]:
-    program, adder = programs
+    program, walker = programs
     runs: list[Run] = []
     taken: list[Figures] = []
 
@@ -96,10 +98,10 @@ def _measure(
 
         return undisturbed(attempt)[0]
 
-    def only_adding() -> Figures:
-        return adding.adding(adder, config, ticks, taken[-1]["p50"] * 1e3)
+    def only_walking() -> Figures:
+        return walking(walker, config, ticks, taken[-1]["p50"] * 1e3)
 
-    cases = [Case(SUBJECT, subject), Case(REFERENCE, reference), Case(adding.NAME, only_adding)]
+    cases = [Case(SUBJECT, subject), Case(REFERENCE, reference), Case(WALKER, only_walking)]
     measured = interleave(cases, blocks)
     strace = shutil.which("strace")
     if strace is None:
@@ -167,8 +169,8 @@ def _result(blocks: list[Block], runs: list[Run], calls: float | None, allocatio
         "cpu_us": median_of(SUBJECT, *marks),
         "c_cpu_us": median_of(REFERENCE, *marks),
         "ratio": {mark: spread(ratios(blocks, SUBJECT, REFERENCE, mark)).median for mark in marks},
-        "adding_cpu_us": median_of(adding.NAME, *marks),
-        "adding_ratio": {mark: spread(ratios(blocks, adding.NAME, REFERENCE, mark)).median for mark in marks},
+        "walking_cpu_us": median_of(WALKER, *marks),
+        "walking_ratio": {mark: spread(ratios(blocks, WALKER, REFERENCE, mark)).median for mark in marks},
         "stages_us": {name: median_of(SUBJECT, f"{name}_p50")[f"{name}_p50"] for name in STAGES},
         "period_cpu_us": {"hil": median_of(SUBJECT, "period_p50"), "c": median_of(REFERENCE, "period_p50")},
         "system_calls_per_tick": calls,
@@ -195,10 +197,10 @@ def _table(blocks: list[Block]) -> Any:
 def _lines(result: dict[str, Any]) -> list[str]:
     calls = result["system_calls_per_tick"]
     shown = f"{calls:.1f}" if calls is not None else "not counted (strace is not installed: apt install strace)"
-    ratio, added = result["ratio"], result["adding_ratio"]
+    ratio, walked = result["ratio"], result["walking_ratio"]
     return [
         f"hil / C: p50 {ratio['p50']:.1f}, p99 {ratio['p99']:.1f}, p99.9 {ratio['p999']:.1f}; "
-        f"only adding for as long / C: {added['p50']:.1f}, {added['p99']:.1f}, {added['p999']:.1f}",
+        f"walking for as long / C: {walked['p50']:.1f}, {walked['p99']:.1f}, {walked['p999']:.1f}",
         f"system calls per tick {shown}; allocated blocks per tick {result['allocated_blocks_per_tick']:.3f}; "
         f"collector runs {result['collector_runs']}; major faults {result['major_faults']}; "
         f"slots lost of {result['ticks']}: {result['own_misses']} own, {result['host_misses']} the host's; the C "
