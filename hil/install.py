@@ -18,6 +18,7 @@ from hil.config import RigConfig, RigError, build_rig
 
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"
+CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, worked out again where they are missing
 _UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil.target")
 _PACKAGED_TARGET = "usr/lib/systemd/system/hil.target"
 
@@ -285,10 +286,13 @@ def _prune(directory: Path) -> None:
 
 
 def uninstall_all(root: Path, *, purge: bool) -> list[str]:
-    """Remove what `install_rig` put under `root`, with `purge` the rig files too. Returns what was left, and why."""
+    """Remove what `install_rig` put under `root` and the service's cache, with `purge` the rig files too. Returns what
+    was left, and why.
+    """
     manifest = _read_manifest(root)
     left = [f"/{path}: changed since it was installed" for path in _remove(root, list(manifest), manifest)]
     (root / MANIFEST).unlink(missing_ok=True)
+    shutil.rmtree(root / CACHE, ignore_errors=True)
     rigs = root / RIGS
     if purge and rigs.is_dir():
         shutil.rmtree(rigs)

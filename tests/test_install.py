@@ -127,6 +127,9 @@ def test_an_edited_rig_file_is_not_overwritten_unless_asked(tmp_path):
 
 def test_uninstall_takes_away_all_but_the_rig_files(tmp_path):
     put(tmp_path, channel="vcan0")
+    designs = tmp_path / "var/cache/hil/designs"  # the service's
+    designs.mkdir(parents=True)
+    (designs / "one").touch()
     left = uninstall_all(tmp_path, purge=False)
     assert contents(tmp_path) == {"etc/hil/rigs/microscope.toml"}
     assert len(left) == 1
