@@ -13,7 +13,7 @@ import pytest
 from hil.bench import harness, tick, walking
 from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
 from hil.bench.jitter import lateness_in_histogram
-from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, undisturbed
+from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, cores, undisturbed
 from hil.bench.lockstep import measure
 from hil.bench.tick import allocations_per_tick
 from hil.config import load_rig
@@ -88,6 +88,12 @@ def test_a_block_that_the_host_spoils_is_measured_again_and_anything_else_is_not
         undisturbed(measure)
 
 
+@pytest.mark.parametrize(("allowed", "shared_out"), [({2, 3, 7}, (2, 7)), ({5}, (5, 5))])
+def test_the_loop_has_a_core_of_its_own_where_there_are_two(monkeypatch, allowed, shared_out):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: allowed)
+    assert cores() == shared_out
+
+
 def test_system_calls_are_counted_per_pacing_sleep():
     assert calls_per_tick(STRACE) == 3.25
     assert calls_per_tick("strace: attach: Operation not permitted") is None
@@ -123,7 +129,6 @@ def test_a_c_reference_compiles_and_says_how_it_is_called(source, first, tmp_pat
 
 
 @needs_compiler
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: benchmarks of live processes need two")
 def test_the_program_that_walks_books_the_slots_that_it_works_through_as_its_own(tmp_path):
     rig = load_rig(RIG, ["timing.priority=1"])
     program = build_reference(walking.C_SOURCE, tmp_path)

@@ -6,14 +6,7 @@ set -u
 project=$1 results=$2
 shift 2
 
-# The root that virtme-ng mounts caches nothing; the same tree mounted again with a cache starts Python twice as fast.
-host=/tmp/host
-mkdir -p $host
-mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000,cache=loose,ro hostroot $host || exit 70
-for directory in proc sys dev run tmp; do mount --rbind /$directory $host/$directory; done
-mount --bind "$results" "$host$results" || exit 70
-
-ip link set lo up
+. "$project/deploy/vm/guest_mounts.sh" "$results"
 for module in can can-raw can-gw vcan kvaser_pci vxcan; do modprobe $module || echo "guest: no module $module"; done
 
 cat > /run/inside.sh <<'INNER'

@@ -22,14 +22,8 @@ find "$RESULTS" -mindepth 1 -maxdepth 1 ! -name "$kept" -exec rm -rf {} +
 # the guest cannot write byte code, and compiles slowly
 "$PROJECT/.venv/bin/python" -m compileall -q "$PROJECT"/{hil,drivers,sim_plant,tests} || true
 
-kernel=$(cat "$VM/kernel/ready")
-printf -v command '%q ' /bin/bash "$PROJECT/deploy/vm/guest_host_root.sh" "$PROJECT" "$RESULTS" "${arguments[@]}"
-devices="-virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap"
 # two SJA1000 controllers behind their real driver, on one emulated bus: can0 and can1 in the guest
-devices+=" -object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0"
-
-echo "vm: booting $kernel in software emulation; limit $LIMIT s"
-PATH="$VM/venv/bin:$PATH:/usr/sbin:/sbin" "$PROJECT/deploy/vm/watched.sh" "$LIMIT" "$RESULTS" \
-    vng --verbose --run "$VM/kernel/boot/vmlinuz-$kernel" --disable-kvm --cpus 2 --memory 2G \
-    --append "$(cat "$PROJECT/deploy/vm/kernel_options")" --rwdir "$RESULTS" --qemu-opts="$devices" -- "$command"
+devices="-object can-bus,id=canbus0 -device kvaser_pci,canbus=canbus0 -device kvaser_pci,canbus=canbus0"
+"$PROJECT/deploy/vm/boot.sh" "$LIMIT" "$RESULTS" 2 2G "$devices" \
+    /bin/bash "$PROJECT/deploy/vm/guest_host_root.sh" "$PROJECT" "$RESULTS" "${arguments[@]}"
 exec "$PROJECT/deploy/vm/verdict.py" "$RESULTS"

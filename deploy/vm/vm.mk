@@ -1,5 +1,5 @@
 # The VM lane: included by the Makefile. Everything it needs is kept in .vm/.
-.PHONY: test-vm test-vm-again test-systemd test-vcan vm-lock vm-mutants
+.PHONY: test-vm test-vm-again test-systemd test-vcan vm-lock vm-mutants counted
 
 test-vm: setup  ## tests that need a real CAN stack, in a virtual machine with one (no KVM needed)
 	@deploy/vm/test.sh
@@ -15,6 +15,9 @@ vm-mutants: setup  ## prove that the VM lane turns red when drivers/bus.py is br
 
 test-vcan: setup  ## the same vcan tests on this machine, where its kernel has vcan
 	@deploy/vm/test_vcan.sh
+
+counted: setup compiled  ## a million ticks on a machine whose clock counts instructions, which no stall of this one delays (2 hours; ARGS='bench tick' for another)
+	@deploy/vm/counted.sh $(ARGS)
 
 vm-lock:  ## renew deploy/vm/requirements.lock (needs uv)
 	uv pip compile deploy/vm/requirements.in --universal --python-version 3.11 --generate-hashes \

@@ -89,10 +89,8 @@ def build_reference(source: Path, directory: Path) -> Path:
 
 
 def cores() -> tuple[int, int]:
-    """(core of everything else, core of the loop). Raises BenchError on a machine with one."""
+    """(core of everything else, core of the loop): the same on a machine with one, where the loop takes precedence."""
     allowed = sorted(os.sched_getaffinity(0))
-    if len(allowed) < 2:
-        raise BenchError("needs two cores: one for the loop, one for the emulated stage")
     return allowed[0], allowed[-1]
 
 
