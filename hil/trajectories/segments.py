@@ -66,13 +66,24 @@ def move(duration_ns: int, begin: Values, end: Values, phase: int = 0) -> Segmen
 
 
 class _Held:
-    """One axis in the segment at hand: its row, as numbers of a compiled object's own, and whether it stands still."""
+    """One axis of a segment at hand: its row, as numbers of a compiled object's own, and whether it stands still."""
 
     __slots__ = ("row", "still")
 
     def __init__(self, row: Row, still: bool) -> None:
         self.row = row
         self.still = still
+
+
+class _AtHand:
+    """A segment with its place in the plan, ns of task time; axes: by axis."""
+
+    __slots__ = ("axes", "begins", "ends")
+
+    def __init__(self, segment: Segment, begins: int, ends: int) -> None:
+        self.axes = [_Held(segment.rows[axis], still) for axis, still in enumerate(segment.still)]
+        self.begins = begins
+        self.ends = ends
 
 
 class Segments(Trajectory):
@@ -83,7 +94,7 @@ class Segments(Trajectory):
         self.segments = segments
         self._starts = list(accumulate([segment.duration_ns for segment in segments], initial=0))
         self._total = self._starts.pop()
-        self._hold(0)
+        self._at_hand = self._spare = self._find(0)
         self._repeats = repeat
         self._arrays: dict[int, Array] = {}  # an axis' rows, (segments, 14): for who asks for many instants
         self.phase_names = phase_names
@@ -96,26 +107,33 @@ class Segments(Trajectory):
             t_ns %= self._total
         return self.segments[max(bisect_right(self._starts, t_ns) - 1, 0)].phase
 
-    def _hold(self, t_ns: int) -> None:
-        """Have at hand the segment that holds task time `t_ns`: the next instant asked for is mostly there too."""
+    def _find(self, t_ns: int) -> _AtHand:
         index = bisect_right(self._starts, t_ns) - 1
-        segment = self.segments[index]
-        self._begins = self._starts[index]
-        self._ends = self._starts[index + 1] if index + 1 < len(self._starts) else _NEVER
-        self._held = [_Held(segment.rows[axis], still) for axis, still in enumerate(segment.still)]
+        ends = self._starts[index + 1] if index + 1 < len(self._starts) else _NEVER
+        return _AtHand(self.segments[index], self._starts[index], ends)
+
+    def _turn_to(self, t_ns: int) -> _AtHand:
+        """Have at hand the segment that holds task time `t_ns`: the next instant asked for is mostly there too. A tick
+        at a border asks for either side of it by turns, axis after axis, so the last one stays near.
+        """
+        self._at_hand, self._spare = self._spare, self._at_hand
+        if not self._at_hand.begins <= t_ns < self._at_hand.ends:
+            self._at_hand = self._find(t_ns)
+        return self._at_hand
 
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """See Trajectory."""
         t_ns = t_ns if t_ns > 0 else 0  # a third of what max() costs
         if self._repeats:
             t_ns %= self._total
-        if not self._begins <= t_ns < self._ends:
-            self._hold(t_ns)
-        held = self._held[axis]
+        at_hand = self._at_hand
+        if not at_hand.begins <= t_ns < at_hand.ends:
+            at_hand = self._turn_to(t_ns)
+        held = at_hand.axes[axis]
         c0, c1, c2, c3, c4, c5, v2, v3, v4, v5, a2, a3, a4, a5 = held.row
         if held.still:
             return c0, 0.0, 0.0
-        t = (t_ns - self._begins) * NS
+        t = (t_ns - at_hand.begins) * NS
         return (
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
             c1 + t * (v2 + t * (v3 + t * (v4 + t * v5))),
