@@ -260,7 +260,13 @@ class LocalMedium:
         return found
 
     def ready(self) -> list[int]:
-        """Descriptors to read from now, whether or not something is there."""
+        """Descriptors to read from now, whether or not something is there.
+
+        A member that waits (`fileno`) is woken by a knock at its door, before the count goes up, and has to answer it
+        then: else it would be woken again and again, and where it takes precedence over who is joining, for ever.
+        """
+        if self._watched:
+            return self.wait(0.0)
         if self._joined[0] != self._seen:
             self._admit()
         few = self._few
