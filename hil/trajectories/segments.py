@@ -113,8 +113,9 @@ class Segments(Trajectory):
         return _AtHand(self.segments[index], self._starts[index], ends)
 
     def _turn_to(self, t_ns: int) -> _AtHand:
-        """Have at hand the segment that holds task time `t_ns`: the next instant asked for is mostly there too. A tick
-        at a border asks for either side of it by turns, axis after axis, so the last one stays near.
+        """Have at hand the segment that holds task time `t_ns`: the next instant asked for is mostly there too.
+
+        The one before it stays near: a tick at a border asks for either side by turns, axis after axis.
         """
         self._at_hand, self._spare = self._spare, self._at_hand
         if not self._at_hand.begins <= t_ns < self._at_hand.ends:
