@@ -49,7 +49,7 @@ class BusConfig(BaseModel):
 
 
 class WireConfig(BaseModel):
-    """[wire]: the simulated CAN segment of lockstep runs (drivers/wire.py)."""
+    """[wire]: the simulated CAN segment of lockstep runs (drivers/wire/wire.py)."""
 
     model_config = STRICT
     drop_probability: Annotated[float, Field(ge=0, lt=1)] = 0.0  # per frame

@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports."""
     try:
-        from hil.cli import main as run_command
+        from hil.cli.app import main as run_command
 
         run_command()
     except KeyboardInterrupt:

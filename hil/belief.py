@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
-from hil.config import RigConfig
-from hil.faults import AxisLimits
-from hil.gate import ForceLimits
-from hil.laws.base import LawInputs, Model, Reference
+from hil.control.laws.base import LawInputs, Model, Reference
+from hil.cycle.fault_monitor import AxisLimits
+from hil.cycle.gate import ForceLimits
+from hil.rig.schema import RigConfig
 
 
 def rig_model(rig: RigConfig) -> Model:

@@ -7,12 +7,14 @@ goes, and wraps what it runs.
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.config import RigConfig
-from hil.cycle import ControlCycle
+from hil.cycle.step import ControlCycle
+from hil.rig.schema import RigConfig
 
 
 class TimedCycle(ControlCycle):
-    """stamps: when the tick's estimate, control, gate and record began, on `clock` (ns); see hil.cycle.ESTIMATE ..."""
+    """stamps: when the tick's estimate, control, gate and record began, on `clock` (ns); see hil.cycle.step.ESTIMATE
+    ...
+    """
 
     def __init__(self, rig: RigConfig, base_dir: Path, clock: Callable[[], int]) -> None:
         super().__init__(rig, base_dir)

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hil.config import RigConfig, RigError
-from hil.lockstep import LockstepRun
+from hil.rig.schema import RigConfig, RigError
+from hil.virtual.lockstep import LockstepRun
 
 
 def usable(rig: RigConfig, rig_file: Path) -> RigConfig:

@@ -19,7 +19,7 @@ class PlantError(ArithmeticError):
 
 
 class CellConfig(BaseModel):
-    """A membrane in front of the pipette: F = stiffness * depth^3 until it is pierced (sim_plant/cell.py)."""
+    """A membrane in front of the pipette: F = stiffness * depth^3 until it is pierced (physics/membrane.py)."""
 
     model_config = STRICT
     axis: str

@@ -18,11 +18,11 @@ from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject
 from sim_plant.config import PlantConfig, PlantError
-from sim_plant.drive import NEVER_NS, ServoDrive
-from sim_plant.stage import Stage, Truth, per_axis_array
+from sim_plant.drives.servo import NEVER_NS, ServoDrive
+from sim_plant.physics.stage import Stage, Truth, per_axis_array
 
 if TYPE_CHECKING:
-    from sim_plant.cia402_drive import Cia402Drive
+    from sim_plant.drives.canopen_drive import Cia402Drive
 
 Array = NDArray[np.float64]
 FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
@@ -104,7 +104,7 @@ class EmulatedStage:
         ]
 
     def _make_nodes(self, first_id: int) -> "list[Cia402Drive]":
-        from sim_plant.cia402_drive import Cia402Drive  # only CANopen rigs pay for it
+        from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
 
         return [
             Cia402Drive(first_id + drive.axis, drive, partial(self._true_position, drive.axis), self.now_ns)

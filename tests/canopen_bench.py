@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols.base import Command, Reject, Sample
-from drivers.protocols.cia402 import Cia402Host
-from drivers.protocols.cia402_node import Phase
-from sim_plant.cia402_drive import Cia402Drive
-from sim_plant.drive import ServoDrive
+from drivers.protocols.canopen.host import Cia402Host
+from drivers.protocols.canopen.node import Phase
+from sim_plant.drives.canopen_drive import Cia402Drive
+from sim_plant.drives.servo import ServoDrive
 
 MS = 1_000_000
 WATCHDOG_MS = 10

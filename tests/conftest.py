@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from hil.config import RigConfig, load_rig
-from hil.invariants import Invariants
+from hil.rig.schema import RigConfig, load_rig
+from hil.virtual.invariants import Invariants
 from tests.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
 
 if TYPE_CHECKING:
-    from hil.lockstep import LockstepRun
+    from hil.virtual.lockstep import LockstepRun
 
 __all__ = ["pytest_collection_modifyitems", "pytest_configure", "pytest_terminal_summary"]  # hooks
 
@@ -51,7 +51,7 @@ def microscope(filterpy_loaded: None) -> RigConfig:
 def lockstep(filterpy_loaded: None) -> Callable[..., "LockstepRun"]:
     """Makes lockstep runs whose every tick is checked against the invariants."""
 
-    from hil.lockstep import LockstepRun
+    from hil.virtual.lockstep import LockstepRun
 
     def make(rig: RigConfig, **keywords: object) -> "LockstepRun":
         invariants = Invariants(rig, RIGS)

@@ -9,16 +9,16 @@ import sys
 from pathlib import Path
 
 from drivers.frame import Frame
-from hil.clock import Pacer
-from hil.commands import CommandDesk
-from hil.config import load_rig
-from hil.state_machine import Event, State
-from hil.telemetry.mailbox import Mailbox
-from hil.telemetry.places import places
-from hil.telemetry.provenance import describe_run
-from hil.telemetry.record import REJECT_REASONS, RecordBuilder
-from hil.telemetry.ring import RingWriter
-from hil.tick import PortCounters
+from hil.cycle.command_desk import CommandDesk
+from hil.cycle.record import REJECT_REASONS, RecordBuilder
+from hil.cycle.state_machine import Event, State
+from hil.cycle.tick import PortCounters
+from hil.live.mailbox import Mailbox
+from hil.live.pacing import Pacer
+from hil.live.places import places
+from hil.live.ring import RingWriter
+from hil.rig.provenance import describe_run
+from hil.rig.schema import load_rig
 
 SLOTS = 65536  # a minute: no reader is held up for longer than that, whatever else the machine does
 

@@ -17,7 +17,7 @@ from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Fra
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
-from hil.inbox import Inbox
+from hil.cycle.inbox import Inbox
 from sim_plant.config import PlantConfig
 from sim_plant.emulator import EmulatedStage
 

@@ -55,8 +55,8 @@ def hashes(names: Sequence[str], ticks: int) -> dict[str, str]:
 
 def run_hash(rig_file: str, overrides: Sequence[str], ticks: int) -> str:
     """SHA-256 of `ticks` ticks of a rig."""
-    from hil.config import load_rig
-    from hil.lockstep import LockstepRun
+    from hil.rig.schema import load_rig
+    from hil.virtual.lockstep import LockstepRun
 
     folder = ROOT / "deploy" / "rigs"
     more = hashlib.sha256()

@@ -10,7 +10,7 @@ import pytest
 from hil.control_path import control_path
 
 KINDS = ("unit", "lockstep", "live-local")
-_WHOLE_LOOPS = ("hil.lockstep", "hil.campaign")  # what brings virtual time into a test's module
+_WHOLE_LOOPS = ("hil.virtual.lockstep", "hil.studies.fault_campaign")  # what brings virtual time into a test's module
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bus import open_port
+from drivers.bus.port import open_port
 from drivers.protocols.base import DriveStatus
-from hil.config import RigConfig, load_rig
-from hil.demo import STALL_FAULTS
-from hil.faults import Fault
-from hil.state_machine import State
-from hil.telemetry.mailbox import Mailbox
-from hil.telemetry.places import places
-from hil.telemetry.ring import RingReader
-from hil.tick import CommandKind
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mailbox import Mailbox
+from hil.live.places import places
+from hil.live.ring import RingReader
+from hil.operate.demo import STALL_FAULTS
+from hil.rig.schema import RigConfig, load_rig
 from sim_plant.emulator import EmulatedStage
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
@@ -99,7 +99,7 @@ class Control:
         sets = [part for override in CALM for part in ("--set", override)]
         # Whoever runs the tests with nohup has us inherit that SIGHUP is ignored.
         heard = "import signal, sys\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)"
-        code = f"{heard}\n{wrap}\nfrom hil.cli import main\nmain()"
+        code = f"{heard}\n{wrap}\nfrom hil.cli.app import main\nmain()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, "run", str(rig), *sets, *arguments],
             stdout=subprocess.PIPE,

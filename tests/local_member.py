@@ -10,7 +10,7 @@ import select
 import sys
 import time
 
-from drivers.bus import open_port
+from drivers.bus.port import open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
 

@@ -10,13 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench import harness, tick, walking
-from hil.bench.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
-from hil.bench.jitter import lateness_in_histogram
-from hil.bench.live import ATTEMPTS, BenchError, DisturbedError, build_reference, calls_per_tick, cores, undisturbed
-from hil.bench.lockstep import measure
-from hil.bench.tick import allocations_per_tick
-from hil.config import load_rig
+from hil.rig.schema import load_rig
+from tests.benchmarks import harness, tick, walking
+from tests.benchmarks.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
+from tests.benchmarks.jitter import lateness_in_histogram
+from tests.benchmarks.live import (
+    ATTEMPTS,
+    BenchError,
+    DisturbedError,
+    build_reference,
+    calls_per_tick,
+    cores,
+    undisturbed,
+)
+from tests.benchmarks.lockstep import measure
+from tests.benchmarks.tick import allocations_per_tick
 
 RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 
@@ -146,7 +154,9 @@ def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():
 
 
 def test_the_command_lists_every_benchmark_and_loads_only_the_one_asked_for():
-    code = "import sys; sys.argv = ['hil', 'bench', '--help']\nfrom hil.bench.command import BENCHES, bench\n"
+    code = "import sys; sys.argv = ['hil', 'bench', '--help']\nfrom tests.benchmarks.command import BENCHES, bench\n"
     code += "assert len(bench.registered_commands) == len(BENCHES)\n"
-    code += "assert not [m for m in sys.modules if m.startswith('hil.bench.') and m != 'hil.bench.command']"
+    code += (
+        "assert not [m for m in sys.modules if m.startswith('tests.benchmarks.') and m != 'tests.benchmarks.command']"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

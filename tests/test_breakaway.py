@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.laws.base import Array, LawInputs, Model, axis_inputs
-from hil.laws.breakaway import Breakaway
-from hil.laws.structured_filter import Covariance, diagonal, slide
-from hil.laws.structured_kalman import StructuredKalman
-from hil.trajectories.minimum_jerk import minimum_jerk
+from hil.control.laws.base import Array, LawInputs, Model, axis_inputs
+from hil.control.laws.breakaway import Breakaway
+from hil.control.laws.structured_filter import Covariance, diagonal, slide
+from hil.control.laws.structured_kalman import StructuredKalman
+from hil.control.trajectories.minimum_jerk import minimum_jerk
 
 PERIOD = 1e-3
 COUNT = 5e-9

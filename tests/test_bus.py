@@ -19,14 +19,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import bus as bus_module
-from drivers import receive_block
-from drivers.bus import BusState, EchoingPort, Port, PortCounters, PortError, open_port, resolve_interface
+from drivers.bus import port as bus_module
+from drivers.bus import receive_block
+from drivers.bus.port import (
+    BusState,
+    EchoingPort,
+    Port,
+    PortCounters,
+    PortError,
+    open_port,
+    resolve_interface,
+)
+from drivers.bus.receive_block import ReceiveBlock
+from drivers.bus.recvmmsg import CONTROL_BYTES, HEADER_BYTES, SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_bytes import CANFD_MTU, to_bytes
-from drivers.receive_block import ReceiveBlock
-from drivers.recvmmsg import CONTROL_BYTES, HEADER_BYTES, SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)

@@ -11,12 +11,12 @@ import can
 import pytest
 import typer
 
-from drivers.bus import Port, open_port
+from drivers.bus.error_frames import overflow_notice
+from drivers.bus.port import Port, open_port
 from drivers.config import BusConfig
-from drivers.error_frames import overflow_notice
 from drivers.frame import BRS, EXTENDED, FD, Frame
-from hil import bus_tool
-from hil.bus_statistics import BusStatistics, identifier, kind
+from hil.operate import bus as bus_tool
+from hil.operate.bus_statistics import BusStatistics, identifier, kind
 
 PATIENCE_S = 60.0  # only a failing test waits this long
 TRAFFIC = [

@@ -9,15 +9,16 @@ from hypothesis import strategies as st
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.protocols import cia301, device_protocol
+from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
-from drivers.protocols.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
-from drivers.protocols.cia402 import EMCY_ID, FULL_SCALE, Cia402Host, rated_torque
-from drivers.protocols.cia402_master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
-from drivers.protocols.cia402_node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
-from sim_plant.cia402_drive import Cia402Drive
-from sim_plant.cia402_power import TRANSITIONS
-from sim_plant.object_dictionary import key_of
+from drivers.protocols.canopen import cia301
+from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
+from drivers.protocols.canopen.host import EMCY_ID, FULL_SCALE, Cia402Host, rated_torque
+from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
+from drivers.protocols.canopen.node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
+from sim_plant.drives.canopen_drive import Cia402Drive
+from sim_plant.drives.object_dictionary import key_of
+from sim_plant.drives.power_states import TRANSITIONS
 from tests.canopen_bench import MS, POSITION, RESOLUTION, WATCHDOG_MS, Bench, make_drive
 
 ALL = 0b1111

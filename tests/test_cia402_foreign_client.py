@@ -13,9 +13,9 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from drivers.frame import Frame
-from drivers.protocols import cia301
-from sim_plant.cia402_drive import Cia402Drive
-from sim_plant.drive import ServoDrive
+from drivers.protocols.canopen import cia301
+from sim_plant.drives.canopen_drive import Cia402Drive
+from sim_plant.drives.servo import ServoDrive
 
 NODE = 5
 COUNTS = 12_345

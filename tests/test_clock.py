@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.clock import MAX_RESLEEPS, Pacer, own_share
+from hil.live.pacing import MAX_RESLEEPS, Pacer, own_share
 from hil.sleep import sleeper
 
 PERIOD = 1_000_000

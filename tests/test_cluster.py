@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import build_app
+from hil.cli.app import build_app
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "law.name=structured-kalman"]
@@ -67,7 +67,7 @@ def chunks_done(address: str) -> set[str]:
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.sweep.CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("hil.studies.sweep.CONNECT_TIMEOUT_S", 0.2)
     outcome = CliRunner().invoke(
         build_app("sweep"), ["sweep", str(PAPER), "--output", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]
     )

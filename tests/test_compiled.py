@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, PACKAGES, listed, modules, on_floats
+from hil.control.laws import LAWS
 from hil.control_path import control_path
-from hil.laws import LAWS
 from tests.hashes import RUNS, Situation, ask
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -118,7 +118,8 @@ def test_the_sources_say_that_they_are_interpreted() -> None:
 def test_a_rig_runs_on_native_floats_and_a_batch_on_arrays() -> None:
     ask_both = """
 import numpy as np
-from hil import batch, cycle
+from hil.virtual import batch
+from hil.cycle import step as cycle
 batch.MotionFilter([np.ones(2)] * 3, np.ones(2)).correct(np.ones(2), 1e-3, np.ones(2))
 try:
     cycle.MotionFilter([1.0] * 3, 1.0).correct(np.ones(2), 1e-3, np.ones(2))
@@ -132,7 +133,7 @@ except TypeError as error:
 def test_every_law_computes_the_same_bytes_as_its_source() -> None:
     hash_all = """
 from itertools import product
-from hil.laws import LAWS
+from hil.control.laws import LAWS
 from tests.hashes import run_hash
 task = ("task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]")
 for law, learning in product(LAWS, ("false", "true")):

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.config import RigConfig, RigError, load_rig, rig_hash
-from hil.exit_status import EXIT_CONFIG
+from hil.cli.exit_status import EXIT_CONFIG
+from hil.rig.schema import RigConfig, RigError, load_rig, rig_hash
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 PAPER = RIGS / "paper.toml"

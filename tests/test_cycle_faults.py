@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from drivers.protocols.base import DriveStatus
-from hil.config import RigConfig, load_rig
-from hil.faults import Fault
-from hil.invariants import Invariants
-from hil.lockstep import LockstepRun
-from hil.state_machine import State
-from hil.tick import CommandKind, OperatorCommand
-from sim_plant.scenario import Scenario
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind, OperatorCommand
+from hil.rig.schema import RigConfig, load_rig
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun
+from sim_plant.scenario.language import Scenario
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 READY_BY = 60  # ticks

@@ -9,11 +9,11 @@ import time
 import pytest
 
 from drivers.protocols import device_protocol
-from hil.state_machine import State
-from hil.telemetry.places import places
-from hil.telemetry.ring import RingReader, previous_path
-from hil.tick import CommandKind
-from hil.timing import read_timing
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.places import places
+from hil.live.ring import RingReader, previous_path
+from hil.live.timing_record import read_timing
 from tests.live_rig import PAPER, PATIENCE_S, Control, emulated, every_record, order, rig_with
 
 pytestmark = pytest.mark.live
@@ -141,13 +141,13 @@ def test_denied_real_time_is_refused_without_a_frame_unless_the_rig_allows_it():
 
 
 BROKEN_CYCLE = """
-import hil.cycle
-step = hil.cycle.ControlCycle.step
+import hil.cycle.step
+step = hil.cycle.step.ControlCycle.step
 def breaking(self, tick, frames):
     if tick.index >= 50:
         raise ZeroDivisionError("a bug in the law")
     return step(self, tick, frames)
-hil.cycle.ControlCycle.step = breaking
+hil.cycle.step.ControlCycle.step = breaking
 """
 
 

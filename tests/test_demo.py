@@ -17,13 +17,13 @@ import pytest
 from rich.console import Console
 
 from drivers.protocols.base import DriveStatus
-from hil.config import load_rig
-from hil.demo import Demo, Scene, Signals, drive_report
-from hil.state_machine import TORQUE_STATES, State
-from hil.summary import RunData, load_run
+from hil.cycle.state_machine import TORQUE_STATES, State
+from hil.cycle.tick import CommandKind
+from hil.operate.demo import Demo, Scene, Signals, drive_report
+from hil.operate.summary import RunData, load_run
+from hil.rig.schema import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient
-from hil.tick import CommandKind
 
 ROOT = Path(__file__).parent.parent
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"

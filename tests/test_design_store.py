@@ -10,10 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hil import design_store
-from hil.config import RigConfig
-from hil.design_store import keep, recall
-from hil.estimation import design_gains
+from hil.control.estimator import gains_cache as design_store
+from hil.control.estimator.gains import design_gains
+from hil.control.estimator.gains_cache import keep, recall
+from hil.rig.schema import RigConfig
 
 PARAMETERS = json.dumps([{"mass": 0.5, "period": 1e-3}])
 DESIGN = [[[0.9, 1000.0, -3e5], 7e-15]]
@@ -23,8 +23,8 @@ RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 START = """
 import json, sys
 from pathlib import Path
-from hil.config import load_rig
-from hil.estimation import design_gains
+from hil.rig.schema import load_rig
+from hil.control.estimator.gains import design_gains
 if sys.argv[2] == "no child":
     sys.executable = "/nonexistent"
 gains, variance = design_gains(load_rig(Path(sys.argv[1])))

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from hil.docs import FOLDER, faults_page, states_page
-from hil.faults import RULES, Fault
+from docs.make_pages import FOLDER, faults_page, states_page
+from hil.cycle.fault_monitor import RULES, Fault
 
 ROOT = Path(__file__).parent.parent
 
@@ -16,7 +16,7 @@ def test_the_pages_are_up_to_date() -> None:
 
 def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:
     assert set(RULES) == set(Fault) - {Fault.NONE}
-    code = "".join((ROOT / "hil" / name).read_text() for name in ("faults.py", "cycle.py"))
+    code = "".join((ROOT / "hil" / name).read_text() for name in ("cycle/fault_monitor.py", "cycle/step.py"))
     body = code[code.index("class FaultMonitor") :] + code[code.index("_STATUS_FAULTS = (") : code.index("_BAD_STATUS")]
     unseen = [fault.name for fault in RULES if not re.search(rf"Fault\.{fault.name}\b", body)]
     assert unseen == []

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil import doctor
-from hil.cli import build_app
+from hil.cli.app import build_app
+from hil.operate import doctor
 from tests.vm.doctor_truth import untruths
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.protocols.base import DriveStatus
-from sim_plant.drive import NEVER_NS, ServoDrive, Trip
+from sim_plant.drives.servo import NEVER_NS, ServoDrive, Trip
 
 MS = 1_000_000
 MODULUS = 256

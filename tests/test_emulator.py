@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bus import Port, open_port
+from drivers.bus.port import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
 from sim_plant.config import PlantConfig
-from sim_plant.drive import NEVER_NS
+from sim_plant.drives.servo import NEVER_NS
 from sim_plant.emulator import EmulatedStage
-from sim_plant.live import Emulator, Rhythm, StopSignals
+from sim_plant.process import Emulator, Rhythm, StopSignals
 
 MS = 1_000_000
 AXES = ["x", "y", "z"]

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.counters import BusState
-from drivers.error_frames import ErrorReport, decode_error, describe_error, overflow_notice
+from drivers.bus.counters import BusState
+from drivers.bus.error_frames import ErrorReport, decode_error, describe_error, overflow_notice
 from drivers.frame import ERROR
 
 # What kernel drivers put into an error frame: sja1000, kvaser, mcp251xfd, m_can, and the core (drivers/net/can/dev).

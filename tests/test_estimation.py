@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hil.config import RigConfig
-from hil.estimation import MotionFilter, design_gains, filter_parameters
-from hil.estimation_design import make_filter, steady_gains
+from hil.control.estimator.filterpy_design import make_filter, steady_gains
+from hil.control.estimator.gains import MotionFilter, design_gains, filter_parameters
+from hil.rig.schema import RigConfig
 
 
 def settled_filterpy(parameters: dict[str, float]):  # type: ignore[no-untyped-def]

@@ -11,23 +11,23 @@ import pytest
 
 from drivers.frame import Frame
 from drivers.protocols.base import Sample
-from drivers.protocols.cia402_master import Master
-from hil.campaign.checkpoints import READY, RESTING, Checkpoint, Voyage, active, bring_to
-from hil.campaign.command import campaign
-from hil.campaign.means import Means, fixed_means
-from hil.campaign.trials import TRIALS
-from hil.campaign.voyage import Cell, Leg, displaced, in_fork, legs, run_cell, sail
-from hil.cli import main
-from hil.config import RigConfig, RigError, load_rig
-from hil.cycle import ControlCycle
-from hil.exit_status import EXIT_CONFIG
-from hil.faults import REACTIONS, Fault, FaultMonitor, Reaction
-from hil.gate import TorqueGate
-from hil.inbox import Inbox
-from hil.state_machine import TABLE, Event, State
-from hil.stop import DampedStop
-from hil.tick import CommandKind
-from sim_plant.drive import ServoDrive
+from drivers.protocols.canopen.master import Master
+from hil.cli.app import main
+from hil.cli.exit_status import EXIT_CONFIG
+from hil.cycle.damped_stop import DampedStop
+from hil.cycle.fault_monitor import REACTIONS, Fault, FaultMonitor, Reaction
+from hil.cycle.gate import TorqueGate
+from hil.cycle.inbox import Inbox
+from hil.cycle.state_machine import TABLE, Event, State
+from hil.cycle.step import ControlCycle
+from hil.cycle.tick import CommandKind
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.studies.fault_campaign.catalogue import TRIALS
+from hil.studies.fault_campaign.checkpoints import READY, RESTING, Checkpoint, Voyage, active, bring_to
+from hil.studies.fault_campaign.command import campaign
+from hil.studies.fault_campaign.layout_capabilities import Means, fixed_means
+from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, in_fork, legs, run_cell, sail
+from sim_plant.drives.servo import ServoDrive
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 STRIDE = 4  # about a thousand cells of the two rigs
@@ -118,7 +118,7 @@ def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair
 
 
 def test_a_rig_that_is_never_ready_is_told_so_and_not_sailed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.campaign.checkpoints.PATIENCE", 50)
+    monkeypatch.setattr("hil.studies.fault_campaign.checkpoints.PATIENCE", 50)
     with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
         bring_to(rig_of("microscope", "cia402"), RIGS, READY)
 
@@ -165,8 +165,8 @@ def never(*arguments: object, **keywords: object) -> None:
 
 def react(patch: pytest.MonkeyPatch, fault: Fault, reaction: Reaction) -> None:
     changed = [reaction if number == fault else honest for number, honest in enumerate(REACTIONS)]
-    patch.setattr("hil.faults.REACTIONS", changed)
-    patch.setattr("hil.campaign.voyage.REACTIONS", changed)
+    patch.setattr("hil.cycle.fault_monitor.REACTIONS", changed)
+    patch.setattr("hil.studies.fault_campaign.matrix.REACTIONS", changed)
 
 
 Break = Callable[[pytest.MonkeyPatch], None]
@@ -204,7 +204,7 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     ),
     (
         "the gate forgets to clamp",
-        lambda m: m.setattr("hil.gate.limit_force", unlimited),
+        lambda m: m.setattr("hil.cycle.gate.limit_force", unlimited),
         "law asks for 1e9",
         ON_THE_WAY,
         "must not let it pass",

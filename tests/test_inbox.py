@@ -9,7 +9,7 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Reject, Sample
-from hil.inbox import Inbox
+from hil.cycle.inbox import Inbox
 
 BUS = BusConfig()
 HERE = Path()

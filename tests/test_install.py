@@ -5,8 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from hil.config import RigError, load_rig
-from hil.install import InstallError, escape, install_rig, network_files, system_files, uninstall_all, with_values
+from hil.operate.install import (
+    InstallError,
+    escape,
+    install_rig,
+    network_files,
+    system_files,
+    uninstall_all,
+    with_values,
+)
+from hil.rig.schema import RigError, load_rig
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 MICROSCOPE = RIGS / "microscope.toml"

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from drivers.protocols.base import DriveStatus
-from hil.demo import STALL_FAULTS
-from hil.faults import Fault
-from hil.state_machine import State
-from hil.telemetry.mailbox import MailboxError
-from hil.telemetry.places import places
-from hil.tick import CommandKind
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mailbox import MailboxError
+from hil.live.places import places
+from hil.operate.demo import STALL_FAULTS
 from tests.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 
 pytestmark = pytest.mark.live
@@ -116,13 +116,13 @@ def test_a_restart_after_a_kill_waits_for_the_operator_with_the_drives_latched()
 
 
 WEDGED = """
-import hil.cycle
-step = hil.cycle.ControlCycle.step
+import hil.cycle.step
+step = hil.cycle.step.ControlCycle.step
 def wedging(self, tick, frames):
     while self.state.name == "ACTIVE" and tick.index > 100:
         pass
     return step(self, tick, frames)
-hil.cycle.ControlCycle.step = wedging
+hil.cycle.step.ControlCycle.step = wedging
 """
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from hil.belief import blank_inputs
-from hil.config import LawConfig, load_rig
-from hil.laws import LAWS, make_axis_laws, make_law
-from hil.laws.base import Array, Law, LawInputs, Model, Reference
-from hil.laws.iterative_learning import IterativeLearning
-from hil.laws.structured_filter import sign_array, sign_float, slide
-from hil.lockstep import LockstepRun, simulate
-from hil.rehearsal import Rehearsal, Trial
-from hil.tune_bench import CORNERS
+from hil.control.laws import LAWS, make_axis_laws, make_law
+from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
+from hil.control.laws.iterative_learning import IterativeLearning
+from hil.control.laws.structured_filter import sign_array, sign_float, slide
+from hil.rig.schema import LawConfig, load_rig
+from hil.studies.tune.objective import CORNERS
+from hil.studies.tune.rehearsal import Rehearsal, Trial
+from hil.virtual.lockstep import LockstepRun, simulate
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 PERIOD = 1e-3

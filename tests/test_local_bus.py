@@ -19,13 +19,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers import local_bus, local_medium
-from drivers.bus import Port, PortCounters, PortError, open_port
+from drivers.bus import local_bus, local_medium
+from drivers.bus.local_bus import LocalBus, from_message, to_message
+from drivers.bus.local_medium import FIRST_DEPTH, LocalMedium, channel_dir
+from drivers.bus.port import Port, PortCounters, PortError, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.frame_bytes import to_bytes
-from drivers.local_bus import LocalBus, from_message, to_message
-from drivers.local_medium import FIRST_DEPTH, LocalMedium, channel_dir
 from tests.local_member import HELLO, PING, PONG, STOP
 
 PATIENCE_S = 20.0  # only a failing test waits this long

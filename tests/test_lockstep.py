@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.wire_faults import FaultKind, WireFault
-from hil.config import RigConfig, load_rig
-from hil.faults import Fault
-from hil.invariants import Invariants
-from hil.lockstep import LockstepRun, simulate
-from hil.state_machine import State
-from hil.tick import CommandKind
+from drivers.wire.faults import FaultKind, WireFault
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.rig.schema import RigConfig, load_rig
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun, simulate
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 MakeRun = Callable[..., LockstepRun]

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus import BusState, Port
+from drivers.bus.port import BusState, Port
 from drivers.frame import ERROR, Frame
 from drivers.frame_bytes import to_bytes
-from hil import daemon
-from hil.clock import Pacer
-from hil.config import load_rig
-from hil.faults import Fault
-from hil.loop import ControlLoop, MissLedger
-from hil.notify import Notifier
-from hil.watched_file import WatchedFile
+from hil.cycle.fault_monitor import Fault
+from hil.live import run as daemon
+from hil.live.loop import ControlLoop, MissLedger
+from hil.live.pacing import Pacer
+from hil.live.systemd import Notifier
+from hil.live.watched_file import WatchedFile
+from hil.rig.schema import load_rig
 from tests.test_bus import Cable
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.telemetry.mailbox import SIZE, SLOTS, Mailbox, MailboxError
-from hil.telemetry.record import MAX_COMMANDS
-from hil.tick import CommandKind, OperatorCommand
+from hil.cycle.record import MAX_COMMANDS
+from hil.cycle.tick import CommandKind, OperatorCommand
+from hil.live.mailbox import SIZE, SLOTS, Mailbox, MailboxError
 
 
 @pytest.fixture

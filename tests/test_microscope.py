@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.config import RigConfig, load_rig
-from hil.lockstep import SimReport, simulate
-from hil.stability import check_stability, pulse_response
+from hil.control.stability import check_stability, pulse_response
+from hil.rig.schema import RigConfig, load_rig
+from hil.virtual.lockstep import SimReport, simulate
 
 RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "microscope.toml"
 PLAN_S = 14.4  # s, the whole plan with its start

@@ -12,10 +12,10 @@ from rich.console import Console
 from typer import Exit
 
 from drivers.protocols.base import DriveStatus
-from hil.config import RigConfig
-from hil.monitor import dashboard
-from hil.monitor.plots import tracking_picture
-from hil.monitor.terminal import line, view
+from hil.cli.pictures import tracking_picture
+from hil.operate import dashboard
+from hil.operate.monitor import line, view
+from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
 
 
@@ -153,7 +153,7 @@ def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, microscope: Rig
 def test_a_single_peak_survives_the_thinning_of_a_long_line(microscope: RigConfig) -> None:
     from matplotlib.figure import Figure
 
-    from hil.monitor.plots import _line
+    from hil.cli.pictures import _line
 
     values = np.zeros(100_000)
     values[77_777] = 5.0

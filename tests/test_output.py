@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import build_app
-from hil.config import load_rig
-from hil.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
-from hil.output import PICTURES
-from hil.telemetry.places import known_sidecars
-from hil.tune import write_gains
+from hil.cli.app import build_app
+from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
+from hil.cli.output import PICTURES
+from hil.live.places import known_sidecars
+from hil.rig.schema import load_rig
+from hil.studies.tune.command import write_gains
 
 PAPER = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 FOR_EVER = "1e6"  # s of virtual time: a run that began would not end

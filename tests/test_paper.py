@@ -9,17 +9,17 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from hil.cli import build_app
-from hil.paper.claims import ARTEFACT, CLAIMS, FAILS, HOLDS, INFEASIBLE, agrees, judge
-from hil.paper.dormand_prince import solve
-from hil.paper.experiment import Job, Run, carry_out, jobs_of
-from hil.paper.figures import draw
-from hil.paper.moreau import Plan, Trace, integrate
-from hil.paper.outcome import outcome_of, page, problems
-from hil.paper.problem import COULOMB, DELTA, KP, MASS, ContinuousLaw, circle, paper_law
-from hil.paper.reproduce import run_claims
+from hil.cli.app import build_app
+from hil.studies.paper.claims import ARTEFACT, CLAIMS, FAILS, HOLDS, INFEASIBLE, agrees, judge
+from hil.studies.paper.dormand_prince import solve
+from hil.studies.paper.experiment import Job, Run, carry_out, jobs_of
+from hil.studies.paper.figures import draw
+from hil.studies.paper.moreau import Plan, Trace, integrate
+from hil.studies.paper.outcome import outcome_of, page, problems
+from hil.studies.paper.problem import COULOMB, DELTA, KP, MASS, ContinuousLaw, circle, paper_law
+from hil.studies.paper.reproduce import run_claims
 from sim_plant.config import PlantConfig
-from sim_plant.stage import Stage, Truth
+from sim_plant.physics.stage import Stage, Truth
 
 PLATEAU = DELTA / np.array(KP) * 1e6  # um
 

@@ -15,11 +15,11 @@ from drivers.config import BusConfig, WireConfig
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
-from drivers.wire import Wire
+from drivers.wire.wire import Wire
 from sim_plant.config import PlantConfig
 from sim_plant.emulator import EmulatedStage
-from sim_plant.faults import Injector
-from sim_plant.scenario import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario
+from sim_plant.scenario.injector import Injector
+from sim_plant.scenario.language import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario
 
 MS = 1_000_000
 AXES = ["x", "y"]

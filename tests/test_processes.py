@@ -60,6 +60,6 @@ def test_no_worker_outlives_a_command_that_was_killed(tmp_path: Path, words: lis
 
 def test_a_worker_whose_parent_died_before_it_could_ask_to_be_told_ends_by_itself() -> None:
     never = 0  # no parent has this id
-    code = f"from hil.processes import die_with_parent; die_with_parent({never}); print('orphaned')"
+    code = f"from hil.cli.processes import die_with_parent; die_with_parent({never}); print('orphaned')"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout) == (1, "")

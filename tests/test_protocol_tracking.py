@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.config import RigConfig, load_rig
-from hil.lockstep import LockstepRun
+from hil.rig.schema import RigConfig, load_rig
+from hil.virtual.lockstep import LockstepRun
 from tests.conftest import RIGS
 
 # Largest true following error, m, once on the circle. A radius of 20 mm at 0.5 Hz; encoders count 100 nm.

@@ -16,13 +16,13 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.bus_load.schedulability import analyse
 from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
-from drivers.protocols.compiled import compile_codec, load_dbc
-from drivers.schedulability import analyse
+from drivers.protocols.dbc_codec import compile_codec, load_dbc
 
 ROOT = Path(__file__).parent.parent
 RIGS = ROOT / "deploy" / "rigs"

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from hil.cli import COMMANDS
+from hil.cli.app import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()

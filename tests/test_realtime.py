@@ -8,15 +8,15 @@ import sys
 
 import pytest
 
-from hil import realtime
-from hil.config import TimingConfig
-from hil.realtime import Grant, RealtimeVerdict
+from hil.live import realtime
+from hil.live.realtime import Grant, RealtimeVerdict
+from hil.rig.schema import TimingConfig
 
 # `claim` changes the whole process (priority, memory, collector), so the tests watch it from outside.
 PROBE = """
 import json, gc, os, sys
-from hil.config import TimingConfig
-from hil.realtime import claim
+from hil.rig.schema import TimingConfig
+from hil.live.realtime import claim
 {before}
 held = claim(TimingConfig(**json.loads(sys.argv[1])))
 fd = held.latency_fd

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
-from hil.config import document_hash
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
+from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
+from hil.rig.schema import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
 from hil.telemetry.recorder import Recorder, Recording, RecordingError
-from hil.tick import BusState, CommandKind, OperatorCommand, PortCounters
 
 FRAMES = st.builds(
     Frame, st.integers(0, 2**32 - 1), st.binary(max_size=64), st.integers(0, 7), st.integers(-(2**63), 2**63 - 1)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from hil.config import RigConfig, RigError, load_rig
-from hil.lockstep import simulate
-from hil.replay import replay_run
-from hil.summary import load_run, summarise
+from hil.operate.summary import load_run, summarise
+from hil.rig.schema import RigConfig, RigError, load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
+from hil.virtual.lockstep import simulate
+from hil.virtual.replay import replay_run
 
 ROOT = Path(__file__).parent.parent
 RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"

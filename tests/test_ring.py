@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.telemetry.record import FRAME, MAX_RECEIVED, RECORD
-from hil.telemetry.ring import RingError, RingReader, RingWriter, previous_path
+from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD
+from hil.live.ring import RingError, RingReader, RingWriter, previous_path
 
 
 def _record(index: int, received: int = 4) -> np.void:

@@ -12,15 +12,15 @@ import tomlkit
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
-from hil.config import RigConfig, RigError, build_rig, load_rig
-from hil.cycle import ControlCycle
-from hil.invariants import Invariants
-from hil.lockstep import LockstepRun
-from hil.state_machine import TABLE, Event, State, StateMachine
-from hil.tick import CommandKind, OperatorCommand
-from hil.trajectories import make_trajectory
+from hil.control.trajectories import make_trajectory
+from hil.cycle.state_machine import TABLE, Event, State, StateMachine
+from hil.cycle.step import ControlCycle
+from hil.cycle.tick import CommandKind, OperatorCommand
+from hil.rig.schema import RigConfig, RigError, build_rig, load_rig
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun
 from sim_plant.config import PlantError
-from sim_plant.scenario import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario
+from sim_plant.scenario.language import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 NAMES = ("paper", "microscope")

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from hil.config import RigError, load_rig
-from hil.invariants import Invariants
-from hil.lockstep import LockstepRun
-from hil.scenario import load_scenario
-from hil.state_machine import State
-from sim_plant.scenario import Scenario
+from hil.cycle.state_machine import State
+from hil.rig.schema import RigError, load_rig
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.scenario import load_scenario
+from sim_plant.scenario.language import Scenario
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 RIG = DEPLOY / "rigs/microscope.toml"

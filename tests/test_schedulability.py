@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from drivers.bus_load.response_time import ErrorModel
+from drivers.bus_load.schedulability import Analysis, analyse, faults_tolerated
 from drivers.protocols.base import Message
-from drivers.protocols.cia402 import cia402_messages, service_messages
-from drivers.response_time import ErrorModel
-from drivers.schedulability import Analysis, analyse, faults_tolerated
-from hil.check import refuse_unschedulable
-from hil.cli import build_app
-from hil.config import RigError, load_rig
-from hil.exit_status import EXIT_CONFIG
+from drivers.protocols.canopen.host import cia402_messages, service_messages
+from hil.cli.app import build_app
+from hil.cli.exit_status import EXIT_CONFIG
+from hil.operate.check import refuse_unschedulable
+from hil.rig.schema import RigError, load_rig
 from tests.traffic import Simulation, random_messages
 
 MS = 1_000_000

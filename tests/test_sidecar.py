@@ -15,16 +15,16 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from hil.cycle.tick import CommandKind
+from hil.live.places import places
+from hil.live.ring import RingReader
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.gateway import Gateway
-from hil.telemetry.places import places
 from hil.telemetry.recorder import Recording
-from hil.telemetry.ring import RingReader
 from hil.telemetry.session import client_config
-from hil.tick import CommandKind
 
 ROOT = Path(__file__).parent.parent
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
@@ -318,7 +318,7 @@ def test_a_client_without_a_sidecar_says_what_to_start() -> None:
 
 
 def test_the_token_is_readable_by_its_owner_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.telemetry.places import renew_token
+    from hil.live.places import renew_token
 
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "runtime"))
     path = places("rig").token

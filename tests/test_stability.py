@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from hil.belief import rig_model
-from hil.config import RigConfig, RigError, load_rig
-from hil.estimation import design_gains
-from hil.stability import (
+from hil.control.estimator.gains import design_gains
+from hil.control.stability import (
     check_stability,
     finite_difference_lowest_rate,
     finite_difference_poles,
@@ -17,7 +16,8 @@ from hil.stability import (
     realise_poles,
     refuse_unstable,
 )
-from hil.tune_bench import margins_of
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.studies.tune.objective import margins_of
 
 RIG = Path(__file__).parent.parent / "deploy" / "rigs" / "paper.toml"
 PAPER = [(0.022180, 3000.0, 20.0, 1296.0), (0.011386, 3500.0, 25.0, 2842.0)]

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sim_plant.config import CellConfig, PlantConfig
-from sim_plant.stage import FEW, Stage, Truth
-from sim_plant.trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
+from sim_plant.physics.exact_trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
+from sim_plant.physics.stage import FEW, Stage, Truth
 
 MS = 1_000_000
 PAPER = {
@@ -276,7 +276,7 @@ def test_the_sine_alone_has_the_bits_of_sine_and_cosine_together(turns: list[flo
 
 
 def test_a_batch_beyond_one_chunk_is_still_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim_plant.stage.CHUNK", 5)
+    monkeypatch.setattr("sim_plant.physics.stage.CHUNK", 5)
     kinds = [
         PlantConfig(**PAPER["x"], **effect, modelling_error=0.01 * i) for i in range(6) for effect in EFFECTS.values()
     ]

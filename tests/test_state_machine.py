@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State, StateMachine
+from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State, StateMachine
 
 ALL_PAIRS = list(itertools.product(State, Event))
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.timing import BINS, METRICS, SUB_BINS, WINDOW, TimingRecorder, bin_edge, bin_of, read_timing
+from hil.live.timing_record import BINS, METRICS, SUB_BINS, WINDOW, TimingRecorder, bin_edge, bin_of, read_timing
 
 LATENESS = METRICS.index("lateness")
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.config import InjectionConfig, TaskConfig, load_rig
-from hil.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
-from hil.trajectories.displaced import Displaced
-from hil.trajectories.segments import Segments
+from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
+from hil.control.trajectories.displaced import Displaced
+from hil.control.trajectories.segments import Segments
+from hil.rig.schema import InjectionConfig, TaskConfig, load_rig
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 MS = 1_000_000

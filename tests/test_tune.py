@@ -13,19 +13,30 @@ import tomlkit
 from rich.console import Console
 from typer.testing import CliRunner
 
-from hil.batch import BatchRun
-from hil.cli import build_app
-from hil.compare import LEARNING, case_rig, cases, disturbances, run_case
-from hil.compare_report import comparison_table, draw, summary_table, worst_of
-from hil.config import RigError, load_rig
-from hil.invariants import Invariants
-from hil.lockstep import LockstepRun, simulate
-from hil.rehearsal import Rehearsal, Trial
-from hil.stability import check_stability, refuse_unstable
-from hil.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
-from hil.tune import front, rounded, search, write_gains
-from hil.tune_bench import NO_MARGINS, SPACE, Bench, Knob, Margins, at_rate, knob_scale, margins_of, space_of, trials
-from sim_plant.stage import Truth
+from hil.cli.app import build_app
+from hil.control.stability import check_stability, refuse_unstable
+from hil.rig.schema import RigError, load_rig
+from hil.studies.compare.command import LEARNING, case_rig, cases, disturbances, run_case
+from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
+from hil.studies.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from hil.studies.tune.command import front, rounded, search, write_gains
+from hil.studies.tune.objective import (
+    NO_MARGINS,
+    SPACE,
+    Bench,
+    Knob,
+    Margins,
+    at_rate,
+    knob_scale,
+    margins_of,
+    space_of,
+    trials,
+)
+from hil.studies.tune.rehearsal import Rehearsal, Trial
+from hil.virtual.batch import BatchRun
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun, simulate
+from sim_plant.physics.stage import Truth
 
 RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
@@ -254,8 +265,8 @@ def tuned(rig_file: Path, *words: str) -> tuple[int, str]:
 @pytest.fixture
 def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches are as long as their trials: these look at less than half a second."""
-    monkeypatch.setattr("hil.tune_bench.SETTLE_S", 0.2)
-    monkeypatch.setattr("hil.tune_bench.WINDOW_S", 0.2)
+    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 0.2)
+    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 0.2)
 
 
 @pytest.mark.usefixtures("short_trials")
@@ -391,8 +402,8 @@ def test_the_filters_parameters_are_learnt_at_a_rate_in_samples() -> None:
 
 def test_the_middle_of_the_ranges_is_a_sensible_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Axes of different mass and friction: where a search begins, the law is already ten times better than a PD."""
-    monkeypatch.setattr("hil.tune_bench.SETTLE_S", 1.5)
-    monkeypatch.setattr("hil.tune_bench.WINDOW_S", 1.0)
+    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 1.5)
+    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 1.0)
     own = Trial("own", {"approach_s": 0.5}, 4.0, error=0.06)
     for axis, error in enumerate((20e-6, 1e-6)):
         bench = Bench(load_rig(PAPER), "structured-kalman", axis, [own, own._replace(mass=0.8, friction=1.3)])
@@ -476,7 +487,7 @@ def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None
 
 
 def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
-    from hil.velocity import compare_velocity
+    from hil.studies.compare.velocity_estimators import compare_velocity
 
     rig = load_rig(PAPER, ["task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5", "plant.modelling_error=0.3"])
     rows = {row["estimator"]: row["axes"]["x"]["rms_error"] for row in compare_velocity(rig, RIGS, 4.0)}

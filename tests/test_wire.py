@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.counters import BusState
+from drivers.bus.counters import BusState
 from drivers.frame import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
-from drivers.wire import Wire
-from drivers.wire_faults import FaultKind, Random, WireFault
-from drivers.wire_node import WireNode, arbitration_key
+from drivers.wire.faults import FaultKind, Random, WireFault
+from drivers.wire.node import WireNode, arbitration_key
+from drivers.wire.wire import Wire
 
 BIT = 1000  # ns at 1 Mbit/s
 MS = 1_000_000

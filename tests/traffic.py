@@ -4,11 +4,11 @@ import heapq
 import random
 from collections.abc import Callable, Sequence
 
+from drivers.bus_load.schedulability import frame_ns
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import Message
-from drivers.schedulability import frame_ns
-from drivers.wire import Wire
-from drivers.wire_faults import FaultKind, WireFault
+from drivers.wire.faults import FaultKind, WireFault
+from drivers.wire.wire import Wire
 
 MS = 1_000_000
 # Long runs of equal bits: payloads that are stuffed a lot.

@@ -24,34 +24,46 @@ PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
 
 # Every module a tick runs through, in three tables. Not among them:
-# what defines ctypes structures (drivers/recvmmsg.py), which mypyc cannot compile; what users, tests and the fault
-# campaign replace or inherit from (hil/lockstep.py, drivers/wire_faults.py), which compiled
+# what defines ctypes structures (drivers/bus/recvmmsg.py), which mypyc cannot compile; what users, tests and the fault
+# campaign replace or inherit from (hil/virtual/lockstep.py, drivers/wire/faults.py), which compiled
 # classes do not allow; what runs once a run.
 
-# Written once for floats and arrays (hil/number.py). The build has them twice: compiled for a rig as hil/floats, where
-# `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for batches as they
-# are, interpreted, because their time is numpy's. *: all of the folder, so that a new law is compiled with the others.
+# Written once for floats and arrays (hil/control/number.py). The build has them twice: compiled for a rig as
+# hil/floats, where `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for
+# batches as they are, interpreted, because their time is numpy's. *: all of the folder, so that a new law is compiled
+# with the others.
 FOR_BOTH = """
-hil: estimation number setpoints
-hil/laws: *
+hil/control: number setpoints
+hil/control/estimator: gains
+hil/control/laws: *
 """
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil: clock commands cycle faults gate inbox loop sampling sleep stage_clock state_machine stop tick timing
+hil: sleep stage_clock
+hil/cycle: command_desk damped_stop fault_monitor gate inbox sampling state_machine step tick
+hil/live: loop pacing timing_record
 """
 
 OTHERS = """
-hil/telemetry: mailbox record ring
-hil/trajectories: base displaced figures minimum_jerk segments
-drivers: bus counters frame frame_bytes frame_length local_medium receive_block socketcan wire wire_node
-drivers/protocols: base checksum sampling stage stage_classic stage_fd
-sim_plant: drive emulator single_axis trigonometry
+hil/control/trajectories: base displaced figures minimum_jerk segments
+hil/cycle: record
+hil/live: mailbox ring
+drivers: frame frame_bytes frame_length
+drivers/bus: port counters local_medium receive_block socketcan
+drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
+drivers/wire: wire node
+sim_plant: emulator
+sim_plant/drives: servo
+sim_plant/physics: axis_floats exact_trigonometry
 """
 
-SEAM = "hil/laws/coupled.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
-IMPORT = re.compile(r"\bhil\.(estimation|number|setpoints|laws)\b(?!\.coupled)")  # of FOR_BOTH
-HIDDEN_IMPORT = re.compile(r"^from hil(\.laws)? import .*\b(estimation|number|setpoints|laws|coupled)\b", re.MULTILINE)
+SEAM = "hil/control/laws/coupled.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
+IMPORT = re.compile(r"\bhil\.control\.(number|setpoints|estimator\.gains|laws)\b(?!\.coupled|\w)")  # of FOR_BOTH
+HIDDEN_IMPORT = re.compile(
+    r"^from hil(\.control(\.estimator|\.laws)?)? import .*\b(control|gains|number|setpoints|laws|coupled)\b",
+    re.MULTILINE,
+)
 
 # The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
 # where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.
@@ -79,7 +91,7 @@ def listed(table: str) -> list[str]:
 
 def on_floats(name: str) -> str:
     """Path of a module's copy for floats."""
-    return name.replace("hil/", "hil/floats/", 1)
+    return name.replace("hil/control/", "hil/floats/", 1)
 
 
 def modules() -> list[str]:
@@ -109,10 +121,12 @@ def copy_sources() -> None:
 
 def instantiate() -> None:
     """Add hil/floats to the copies, and let what works for one rig import it."""
-    (WORK / "hil/floats/laws").mkdir(parents=True)
-    (WORK / "hil/floats/__init__.py").touch()
     for name in listed(FOR_BOTH):
-        shutil.copy(WORK / name, WORK / on_floats(name))
+        copy = WORK / on_floats(name)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(WORK / name, copy)
+        for folder in (copy.parent, copy.parent.parent):
+            (folder / "__init__.py").touch()
     change(WORK / "hil/floats/number.py", r"^Number = Any\b", "Number = float")
     for name in [*map(on_floats, listed(FOR_BOTH)), *listed(ONE_RIG)]:
         text = (WORK / name).read_text()

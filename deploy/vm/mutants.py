@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prove that the VM lane can fail: break drivers/bus.py in ways only SocketCAN shows, one by one, and expect red.
+"""Prove that the VM lane can fail: break drivers/bus/port.py in ways only SocketCAN shows, one by one, and expect red.
 
 Works in a copy of the committed tree beside the project; exit status 0 when every mutant was caught.
 usage: mutants.py     (as root, after `make test-vm` has passed)
@@ -23,18 +23,18 @@ TESTS = [
 # name -> (file, what it says, what it is broken to)
 MUTANTS = {
     "error frames masked": (
-        "drivers/socketcan.py",
+        "drivers/bus/socketcan.py",
         "            self._socket.setblocking(False)\n",
         "            self._socket.setblocking(False)\n            self._socket.setsockopt(101, 2, 0)\n",
     ),
-    "error frames taken for traffic": ("drivers/bus.py", "elif can_id & ERROR:", "elif can_id & 0:"),
+    "error frames taken for traffic": ("drivers/bus/port.py", "elif can_id & ERROR:", "elif can_id & 0:"),
     "FD flag lost": (
-        "drivers/bus.py",
+        "drivers/bus/port.py",
         "kind = 0 if classic else flags & ~ECHO | FD",
         "kind = 0 if classic else flags & ~ECHO & ~FD",  # the kernel sets it too
     ),
     "own echo not filtered": (
-        "drivers/bus.py",
+        "drivers/bus/port.py",
         "elif message_flags & _OWN_ECHO and can_id != self._echo_id:",
         "elif 0:",
     ),

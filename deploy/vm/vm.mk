@@ -10,7 +10,7 @@ test-vm-again: setup  ## of test-vm, what failed the last time
 test-systemd: setup  ## the Debian package installed and run on a fresh guest with systemd as init
 	@deploy/vm/test_systemd.sh
 
-vm-mutants: setup  ## prove that the VM lane turns red when drivers/bus.py is broken
+vm-mutants: setup  ## prove that the VM lane turns red when drivers/bus/port.py is broken
 	@deploy/vm/mutants.py
 
 test-vcan: setup  ## the same vcan tests on this machine, where its kernel has vcan

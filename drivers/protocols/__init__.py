@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drivers.config import BusConfig
 from drivers.protocols.base import DeviceProtocol, HostProtocol
-from drivers.protocols.compiled import LayoutError
+from drivers.protocols.dbc_codec import LayoutError
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
@@ -31,11 +31,11 @@ def host_protocol(
 
             return StageClassicHost(bus, n_axes, rated_force)
         case "cia402":
-            from drivers.protocols.cia402 import Cia402Host
+            from drivers.protocols.canopen.host import Cia402Host
 
             return Cia402Host(bus, n_axes, rated_force, period_ns)
         case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc_file import DbcHost
+            from drivers.protocols.dbc import DbcHost
 
             return DbcHost(bus, n_axes, rated_force, base_dir, period_ns)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
@@ -53,11 +53,11 @@ def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], b
 
             return StageClassicDevice(bus, n_axes, rated_force)
         case "cia402":
-            from drivers.protocols.cia402_listener import Cia402Listener
+            from drivers.protocols.canopen.listener import Cia402Listener
 
             return Cia402Listener(bus, n_axes, rated_force)
         case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc_file import DbcDevice
+            from drivers.protocols.dbc import DbcDevice
 
             return DbcDevice(bus, n_axes, rated_force, base_dir)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

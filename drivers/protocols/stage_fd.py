@@ -9,8 +9,8 @@ from zlib import crc32 as _crc32
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame, new_tuple
 from drivers.protocols.base import Command, Message, Reject, Sample
-from drivers.protocols.compiled import LayoutError, compile_codec, load_dbc
-from drivers.protocols.stage import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
+from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
+from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
 
 DBC = Path(__file__).with_name("stage_fd.dbc")
 COMMAND_NAMES = ("force_0", "force_1", "force_2", "force_3", "sequence", "flags", "checksum")

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from hil.config import load_rig
-from hil.telemetry.places import Places, places
+from hil.live.places import Places, places
+from hil.live.ring import RingError, RingReader, previous_path
+from hil.rig.schema import load_rig
 from hil.telemetry.recorder import Recorder, write_batch
-from hil.telemetry.ring import RingError, RingReader, previous_path
 
 
 def save_ring(reader: RingReader, path: Path) -> int:

@@ -10,12 +10,12 @@ import zenoh
 from google.protobuf.message import DecodeError
 from zenoh.handlers import RingChannel
 
+from hil.cycle.tick import CommandKind
+from hil.live.mapped_file import Closing
+from hil.live.places import known_sidecars
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.gateway import ASK_TIME
-from hil.telemetry.mapped_file import Closing
-from hil.telemetry.places import known_sidecars
 from hil.telemetry.session import client_config
-from hil.tick import CommandKind
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 COMMAND_LIFE_NS = 300_000_000

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
+from hil.cycle.record import FRAME, MOTION_FIELDS
+from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.record import FRAME, MOTION_FIELDS
-from hil.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
 
 Records = NDArray[np.void]
 

@@ -12,11 +12,11 @@ import numpy as np
 import zenoh
 from google.protobuf.message import DecodeError
 
-from hil.state_machine import State
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mailbox import Mailbox, MailboxError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import REALTIME_OK, RECORDER_OK, RIG_OK
-from hil.telemetry.mailbox import Mailbox, MailboxError
-from hil.tick import CommandKind
 
 ASK_TIME = 0  # kind of a request that wants to know the rig's clock only
 VERDICT_TIMEOUT_NS = 500_000_000

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import zenoh
 from zenoh.handlers import RingChannel
 
-from hil.telemetry.mapped_file import Closing
+from hil.live.mapped_file import Closing
 from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64

@@ -22,12 +22,12 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
-from hil.config import RigConfig, document_hash
+from hil.cycle.record import RECORD
+from hil.cycle.tick import CycleResult, Tick
+from hil.rig.provenance import describe_run
+from hil.rig.schema import RigConfig, document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.provenance import describe_run
-from hil.telemetry.record import RECORD
-from hil.tick import CycleResult, Tick
 
 CHANNELS: dict[str, type[Message]] = {"telemetry": pb.Telemetry, "traffic": pb.Traffic, "status": pb.Status}
 CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
@@ -114,7 +114,7 @@ class Recorder:
 
 
 class LockstepRecorder:
-    """Records a lockstep run as the sidecar records a live one: give `observe` to hil.lockstep as its observer.
+    """Records a lockstep run as the sidecar records a live one: give `observe` to hil.virtual.lockstep as its observer.
 
     rig_file: where the rig was read from (files it names are beside it). Raises RecordingError when it cannot write.
     """

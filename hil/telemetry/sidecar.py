@@ -17,17 +17,17 @@ from typing import Annotated
 import typer
 
 from drivers.stop_signals import stop_signals
-from hil.config import RigConfig, load_rig
-from hil.exit_status import EXIT_UNAVAILABLE
+from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.live.mailbox import Mailbox, MailboxError
+from hil.live.places import AlreadyServedError, Places, places, renew_token, sole_sidecar, write_private
+from hil.live.ring import RingError, RingReader
+from hil.rig.schema import RigConfig, load_rig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
 from hil.telemetry.gateway import Gateway
-from hil.telemetry.mailbox import Mailbox, MailboxError
-from hil.telemetry.places import AlreadyServedError, Places, places, renew_token, sole_sidecar, write_private
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.recorder import Recorder
-from hil.telemetry.ring import RingError, RingReader
 from hil.telemetry.window import Window
 
 STATUS_NS = 100_000_000

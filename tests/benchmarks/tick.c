@@ -1,6 +1,6 @@
 /* The tick of `hil run` as a C programmer would write it: the yardstick of `hil bench tick`.
  *
- * Joins the local bus by its rules (drivers/local_medium.py: connect to every door, greet with "hil1" and a queue
+ * Joins the local bus by its rules (drivers/bus/local_medium.py: connect to every door, greet with "hil1" and a queue
  * depth, count up), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
  * constant-gain Kalman filter per axis with look-ahead, PD plus feedforward with friction, clamp and rate limit, encode,
  * send. Same sockets, same frames, same arithmetic. It never sets an enable bit, so the drives do not act on its torque.

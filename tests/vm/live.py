@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivers.counters import BusState
-from hil import cli
-from hil.config import load_rig
-from hil.demo import STALL_FAULTS
-from hil.faults import Fault
-from hil.state_machine import State
-from hil.telemetry.mailbox import Mailbox
-from hil.telemetry.places import places
-from hil.telemetry.ring import RingError, RingReader
-from hil.tick import CommandKind
+from drivers.bus.counters import BusState
+from hil.cli import app as cli
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mailbox import Mailbox
+from hil.live.places import places
+from hil.live.ring import RingError, RingReader
+from hil.operate.demo import STALL_FAULTS
+from hil.rig.schema import load_rig
 from tests.vm import links
 
 RIGS = Path(__file__).parents[2] / "deploy/rigs"

@@ -4,7 +4,7 @@ import select
 import time
 from collections.abc import Callable
 
-from drivers.bus import Port, open_port
+from drivers.bus.port import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
 from tests.vm import links

@@ -2,7 +2,7 @@
 
 import time
 
-from drivers.bus import Port
+from drivers.bus.port import Port
 from drivers.frame import Frame
 from tests.vm.slcan import SerialAdapter
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.counters import BusState
-from hil.faults import Fault
-from hil.state_machine import State
-from hil.tick import CommandKind
+from drivers.bus.counters import BusState
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
 from tests.vm import links
 from tests.vm.live import UNHURRIED, LiveRig, live_rig
 from tests.vm.ports import port_on

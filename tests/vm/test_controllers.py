@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus import BusState
+from drivers.bus.port import BusState
 from drivers.frame import Frame
-from hil.config import load_rig
-from hil.install import network_files
-from hil.state_machine import State
+from hil.cycle.state_machine import State
+from hil.operate.install import network_files
+from hil.rig.schema import load_rig
 from tests.vm import links
 from tests.vm.live import RIGS, UNHURRIED, assert_closed_loop, live_rig
 from tests.vm.ports import drained_until, port_on, receive

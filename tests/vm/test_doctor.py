@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hil import doctor
+from hil.operate import doctor
 from tests.vm import links
 from tests.vm.doctor_truth import untruths
 

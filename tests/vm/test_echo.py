@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from drivers.bus import open_port
+from drivers.bus.port import open_port
 from drivers.frame import BRS, ECHO, FD, Frame
 from tests.vm.ports import bus_config, port_on, receive
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.bus import BusState
+from drivers.bus.port import BusState
 from drivers.frame import Frame
 from tests.vm import links
 from tests.vm.ports import drained_until, port_on, receive

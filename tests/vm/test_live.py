@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.counters import BusState
-from hil.faults import Fault
-from hil.state_machine import State
+from drivers.bus.counters import BusState
+from hil.cycle.fault_monitor import Fault
+from hil.cycle.state_machine import State
 from tests.vm import links
 from tests.vm.live import LAYOUTS, RIGS, assert_closed_loop, live_rig
 

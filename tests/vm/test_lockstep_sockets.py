@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from drivers.bus import open_port
+from drivers.bus.port import open_port
 from drivers.frame import Frame
-from hil.config import RigConfig, load_rig
-from hil.cycle import ControlCycle
-from hil.state_machine import State
-from hil.tick import CommandKind, OperatorCommand, PortCounters, Tick
+from hil.cycle.state_machine import State
+from hil.cycle.step import ControlCycle
+from hil.cycle.tick import CommandKind, OperatorCommand, PortCounters, Tick
+from hil.rig.schema import RigConfig, load_rig
 from sim_plant.emulator import EmulatedStage
 from tests.vm.live import LAYOUTS, RIGS
 from tests.vm.ports import receive

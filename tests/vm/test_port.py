@@ -1,4 +1,4 @@
-"""drivers/bus.py on a real CAN stack: everything that only SocketCAN can show."""
+"""drivers/bus/port.py on a real CAN stack: everything that only SocketCAN can show."""
 
 import os
 import socket
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.bus import BusState, PortError
+from drivers.bus.port import BusState, PortError
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from tests.vm import links
 from tests.vm.ports import drained_until, port_on, receive

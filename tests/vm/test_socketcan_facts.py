@@ -1,4 +1,4 @@
-"""What the kernel itself does, which drivers/bus.py counts on. A new kernel that differs shows here."""
+"""What the kernel itself does, which drivers/bus/port.py counts on. A new kernel that differs shows here."""
 
 import errno
 import socket

@@ -93,7 +93,7 @@ def eventually(holds: Callable[[], object], what: str) -> None:
 
 _CONSOLE = """
 import sys
-from hil.cli import main
+from hil.cli.app import main
 for line in sys.stdin:
     sys.argv = ["hil", *line.split()]
     try:

@@ -1,0 +1,146 @@
+"""Pages of docs/ made from the tables in code: `python -m docs.make_pages`. A test holds them up to date."""
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from drivers.config import BusConfig
+from drivers.protocols import host_protocol
+from hil.cycle.fault_monitor import RULES, Reaction
+from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
+from hil.studies.fault_campaign.layout_capabilities import TEXTS, Means, fixed_means
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FOLDER = Path(__file__).parent.parent / "docs"
+REACTION_TEXT = {
+    Reaction.COUNT: "R0 count",
+    Reaction.BRIDGE: "R1 bridge on the prediction, at most 2 ticks",
+    Reaction.STOP: "R2 damped stop, then zero, latch",
+    Reaction.ZERO: "R3 zero and disable now, latch",
+    Reaction.SILENT: "R4 as R3, and send nothing more",
+}
+PLACES = {
+    State.BOOT: (0, 3), State.CONNECTED: (2, 3), State.READY: (4, 3), State.HOMING: (6.4, 5), State.ACTIVE: (7.2, 3),
+    State.STOPPING: (5.8, 1.2), State.FAULT: (2.2, 0.8), State.ESTOP: (0.4, 0.8), State.SHUTDOWN: (4.4, 0),
+}  # fmt: skip
+
+
+EVERYWHERE = {
+    (Event.ESTOP, State.ESTOP),
+    (Event.FAULT_ZERO, State.FAULT),
+    (Event.FAULT_STOP, State.FAULT),
+    (Event.EXIT, State.SHUTDOWN),
+}
+CAPTION = """orange: torque permitted; grey: nothing is sent
+not drawn, from every state: estop to ESTOP, a fault to FAULT (fault_stop by way of STOPPING where torque flows), exit
+to SHUTDOWN likewise"""
+
+
+def arrows() -> dict[tuple[State, State], list[Event]]:
+    """Events by the pair of states they join; self-transitions and those of EVERYWHERE left out."""
+    joined: dict[tuple[State, State], list[Event]] = defaultdict(list)
+    for (state, event), target in TABLE.items():
+        if state is not target and (event, target) not in EVERYWHERE:
+            joined[state, target].append(event)
+    return dict(joined)
+
+
+def states_page() -> str:
+    """docs/states.md."""
+    lines = ["# States", "", "Made from `hil/cycle/state_machine.py` by `make docs`.", "", "![states](states.svg)", ""]
+    lines += ["| state | torque | sends | " + " | ".join(event.name for event in Event) + " |"]
+    lines += ["|---" * (len(Event) + 3) + "|"]
+    for state in State:
+        cells = [TABLE[state, event].name if (state, event) in TABLE else "" for event in Event]
+        torque = "yes" if state in TORQUE_STATES else "zero"
+        sends = "nothing" if state in SILENT_STATES else "every tick"
+        lines.append(f"| **{state.name}** | {torque} | {sends} | " + " | ".join(cells) + " |")
+    lines += ["", "An empty cell is an illegal event: refused, counted, without effect."]
+    return "\n".join(lines) + "\n"
+
+
+def faults_page() -> str:
+    """docs/faults.md."""
+    lines = [
+        "# Faults",
+        "",
+        "Made from `hil/cycle/fault_monitor.py` by `make docs`. Thresholds are keys of `[safety]` in the rig file.",
+        "",
+    ]
+    lines += ["| number | fault | seen by | after | reaction | armed in |", "|---|---|---|---|---|---|"]
+    for fault, rule in RULES.items():
+        armed = ", ".join(state.name for state in State if state in rule.states)
+        lines.append(
+            f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
+            f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
+        )
+    return "\n".join([*lines, *_means_lines()]) + "\n"
+
+
+def _means_lines() -> list[str]:
+    """What a layout cannot tell, from the properties the campaign goes by."""
+    has = {
+        name: fixed_means(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
+        for name in ("stage_fd", "stage_classic", "cia402")
+    }
+    lines = ["", "## What a layout cannot tell", ""]
+    lines += [
+        "Made from `hil/studies/fault_campaign/layout_capabilities.py`. Where a layout lacks one of these, `hil "
+        "faults` demands less, counts the cells (`cannot tell`) and says why. A DBC file has what it binds.",
+        "",
+    ]
+    lines += ["| what it takes | " + " | ".join(has) + " | without it |", "|---" * (len(has) + 2) + "|"]
+    for means, text in TEXTS.items():
+        marks = [
+            "as its load leaves" if means is Means.ROOM else "yes" if means & own else "no" for own in has.values()
+        ]
+        lines.append(f"| {text.means} | {' | '.join(marks)} | {text.follows} |")
+    return lines
+
+
+def states_picture(path: Path) -> None:
+    """The table as a drawing (SVG)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "hil"
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(12, 8))
+    for (state, target), events in arrows().items():
+        _arrow(axes, PLACES[state], PLACES[target], "\n".join(event.name.lower() for event in events))
+    for state, place in PLACES.items():
+        colour = "#ffd9a0" if state in TORQUE_STATES else "#dddddd" if state in SILENT_STATES else "#d7e8ff"
+        box = {"boxstyle": "round,pad=0.5", "facecolor": colour, "edgecolor": "#333333"}
+        axes.text(*place, state.name, ha="center", va="center", fontsize=11, bbox=box, zorder=3)
+    axes.set_xlim(-0.8, 8.2)
+    axes.set_ylim(-0.8, 5.8)
+    axes.axis("off")
+    axes.set_title(CAPTION, fontsize=9)
+    figure.savefig(path, metadata={"Date": None}, bbox_inches="tight")
+    pyplot.close(figure)
+
+
+def _arrow(axes: "Axes", start: tuple[float, float], end: tuple[float, float], label: str) -> None:
+    style = {"arrowstyle": "-|>", "color": "#777777", "shrinkA": 32, "shrinkB": 32, "connectionstyle": "arc3,rad=0.12"}
+    axes.annotate("", xy=end, xytext=start, arrowprops=style)
+    (x0, y0), (x1, y1) = start, end
+    across = (0.12 * (y1 - y0), -0.12 * (x1 - x0))
+    x, y = x0 + 0.45 * (x1 - x0) + 0.5 * across[0], y0 + 0.45 * (y1 - y0) + 0.5 * across[1]
+    axes.text(x, y, label, fontsize=6.5, ha="center", va="center", color="#444444", zorder=2)
+
+
+def main() -> None:
+    """Write the pages."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
+    folder.mkdir(exist_ok=True)
+    (folder / "states.md").write_text(states_page(), encoding="utf-8")
+    (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
+    states_picture(folder / "states.svg")
+
+
+if __name__ == "__main__":
+    main()

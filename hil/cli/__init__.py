@@ -1,0 +1,1 @@
+"""The command line, and what commands share: output, exit statuses, child processes, pictures."""

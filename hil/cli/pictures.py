@@ -1,0 +1,73 @@
+"""Pictures of a run: what the stage was asked, how far off it was, and with what force."""
+
+from pathlib import Path
+from typing import Protocol
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hil.rig.schema import RigConfig
+
+_BUCKETS = 1500  # of a drawn line; each shows its lowest and highest value, so that no peak is lost
+_UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
+
+
+class Tracked(Protocol):
+    """A run to draw: hil.virtual.lockstep.Traces or hil.operate.summary.RunData. Arrays (ticks, n_axes); NaN where
+    there is nothing.
+    """
+
+    @property
+    def setpoint(self) -> NDArray[np.float64]:
+        """Setpoint at the samples' instants, m."""
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Following error at the samples' instants, m."""
+
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """Force let out, N."""
+
+
+def tracking_picture(path: Path, rig: RigConfig, run: Tracked, lateness: NDArray[np.float64] | None = None) -> None:
+    """One column per axis: position, error and force over time (s); below, where known, tick lateness (s, per tick)."""
+    n_axes = len(rig.axes)
+    rows = 3 + (lateness is not None)
+    with mpl.rc_context({"font.size": 8, "axes.grid": True, "grid.alpha": 0.3, "lines.linewidth": 0.8}):
+        figure = Figure(figsize=(3.4 * max(n_axes, 2), 2.0 * rows), layout="constrained")
+        grid = figure.add_gridspec(rows, n_axes)
+        setpoint, error, force = run.setpoint, run.error, run.force
+        for axis, (name, config) in enumerate(rig.axes.items()):
+            panels = [figure.add_subplot(grid[row, axis]) for row in range(3)]
+            long, to_long, short, to_short, force_unit = _UNITS[config.kind]
+            panels[0].set_title(name, fontweight="bold")
+            _line(panels[0], rig, setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
+            _line(panels[1], rig, error[:, axis] * to_short, f"following error, {short}", "C3")
+            _line(panels[2], rig, force[:, axis], f"force, {force_unit}", "C2")
+        if lateness is not None:
+            panel = figure.add_subplot(grid[3, :])
+            _line(panel, rig, lateness * 1e6, "tick lateness, µs", "C4")
+        figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110)
+
+
+def _line(panel: Axes, rig: RigConfig, values: NDArray[np.float64], label: str, colour: str) -> None:
+    """Draw values over time, thinned to their envelope."""
+    ticks = len(values)
+    size = max(1, -(-ticks // _BUCKETS))
+    padded = np.full(size * -(-ticks // size) if ticks else 0, np.nan)
+    padded[:ticks] = values
+    buckets = padded.reshape(-1, size)
+    seen = ~np.isnan(buckets).all(axis=1)
+    low = np.full(len(buckets), np.nan)
+    high = low.copy()
+    low[seen], high[seen] = np.nanmin(buckets[seen], axis=1), np.nanmax(buckets[seen], axis=1)
+    time = (np.arange(len(buckets)) * size + (size - 1) / 2) / rig.rate_hz
+    panel.plot(np.repeat(time, 2), np.stack((low, high), axis=1).ravel(), color=colour)
+    panel.set_ylabel(label)
+    panel.set_xlabel("s")

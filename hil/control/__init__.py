@@ -1,0 +1,1 @@
+"""The mathematics: estimators, laws, trajectories, stability. Floats or arrays; no clock, no I/O."""

@@ -1,0 +1,145 @@
+"""The one signature of all control laws.
+
+Timing (DESIGN.md, The tick): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1} (the
+expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.control.number import Number
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Reference:
+    """Setpoints at an instant: m, m/s, m/s^2 (rad for rotary axes); a float each, or arrays (..., n_axes)."""
+
+    position: Number
+    velocity: Number
+    acceleration: Number
+
+
+@dataclass(slots=True)
+class Model:
+    """Nominal belief about the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
+
+    Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
+    supply to hold the axis.
+    """
+
+    mass: Number
+    coulomb: Number
+    viscous: Number
+    quadratic: Number
+    gravity: Number
+
+
+def axis_model(whole: Any, index: int) -> Model:
+    """One axis of a Model of arrays (n_axes,), as floats: in the compiled build not the same class.
+
+    See hil/control/number.py.
+    """
+    values = (whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity)
+    return Model(*(float(value[index]) for value in values))
+
+
+@dataclass(slots=True)
+class LawInputs:
+    """All a law may look at in one tick: of one axis, floats; or of all, arrays (..., n_axes). The objects are reused
+    from tick to tick, their arrays as well: copy what you keep.
+
+    position: newest sample (as measured, m). fresh: 1.0 where a trusted sample came this tick, else 0.0; where none
+    came, `position` is the rig filter's prediction for the instant the sample should have had, and nothing must be
+    learnt from it. answered: 1.0 where any axis of the rig answered this tick, else 0.0.
+    sample: reference at the samples' own time stamps (or that instant).
+    sample_interval: s from the previous sample instant to this one, by their stamps (one period where none came).
+    ahead: s from the sample instant to the start of the interval in which the force asked for now will act.
+    position_estimate, velocity_estimate, disturbance_estimate: the rig's Kalman filter, predicted to that start (m,
+    m/s, N).
+    start: reference at that start. end: reference at that interval's end.
+    mean_velocity, mean_acceleration, mean_sign: reference averaged over that interval (mean_sign: of sgn(velocity)).
+    force_last: force the gate let out in the previous tick; acts between the sample and `start` (N).
+    force_before: force let out the tick before that; it acted in the interval ending at the sample (N).
+    task_ns: task time at which the interval starts (ns since the trajectory's origin, first axis; below 0: no task
+    runs); laws that learn over repeats need it.
+    """
+
+    position: Number
+    fresh: Number
+    sample: Reference
+    sample_interval: Number
+    ahead: Number
+    position_estimate: Number
+    velocity_estimate: Number
+    disturbance_estimate: Number
+    start: Reference
+    end: Reference
+    mean_velocity: Number
+    mean_acceleration: Number
+    mean_sign: Number
+    force_last: Number
+    force_before: Number
+    answered: Number = 1.0
+    task_ns: int = 0
+
+
+def axis_inputs() -> LawInputs:
+    """LawInputs of one axis, floats, all 0."""
+    o = 0.0
+    sample, start, end = Reference(o, o, o), Reference(o, o, o), Reference(o, o, o)
+    return LawInputs(o, o, sample, o, o, o, o, o, start, end, o, o, o, o, o)
+
+
+class Law(ABC):
+    """A control law: asks for force, decides nothing about safety (the gate does).
+
+    Written once for floats and arrays (hil/control/number.py). All that it is given is of one kind: floats, one law
+    object an axis, as the control cycle does (hil/control/laws/per_axis.py), or arrays (..., n_axes), one object for
+    all, as batches do. Gains arrive as keyword arguments of the same kind; the class attribute `GAINS` names them with
+    their defaults. Both ways give bit-identical results: only element-wise IEEE operations (+ - * / sqrt, minimum,
+    maximum, where, abs), no BLAS, no transcendental function, no reduction whose order depends on memory layout.
+
+    coupled: it looks at all axes at once, and its `force` takes arrays alone. told_of_learning: a force learnt beside
+    it (hil/control/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of
+    `stiffness` (N/m) and `damping` (N s/m). denominator_floors: how often a denominator was held at its floor.
+    """
+
+    name: ClassVar[str]
+    GAINS: ClassVar[dict[str, Any]]
+    coupled: bool = False
+    told_of_learning: ClassVar[bool] = False
+    stiffness: Number = 0.0
+    damping: Number = 0.0
+    denominator_floors: int = 0
+
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:  # noqa: B027
+        """Every law is made like this. period: s. force_limit: N."""
+
+    @abstractmethod
+    def reset(self, position: Number, force: Number) -> None:
+        """Bumpless start at rest at `position` (m) with `force` (N) now applied: integrators and estimates restart."""
+
+    @abstractmethod
+    def force(self, inputs: LawInputs) -> Number:
+        """Force asked for, N."""
+
+
+class AxisLaws(Protocol):
+    """A rig's law on plain floats, for all its axes. denominator_floors: of all laws together."""
+
+    @property
+    def denominator_floors(self) -> int:
+        """How often a denominator was held at its floor."""
+
+    def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
+        """Bumpless start at rest at `position` (m) with `force` (N) now applied; one value an axis."""
+
+    def force(self, axes: Sequence[Any]) -> list[float]:
+        """Force asked for, N; one value an axis. axes: LawInputs of floats, one an axis."""

@@ -1,0 +1,74 @@
+"""Adaptive control of Slotine and Li (Int. J. Robotics Research 6(3), 1987); a baseline of the paper ([14, 15])."""
+
+from typing import Any, ClassVar
+
+from hil.control.laws.base import Law, LawInputs, Model
+from hil.control.laws.feedback import error, error_rate, unless_saturated
+from hil.control.laws.terms import Feedforward, default_damping
+from hil.control.number import Number, bounded, select
+
+
+class SlotineLi(Law):
+    """tau = feedforward + Y a - M lambda ė - Kd s, da/dt = -Gamma Y' s, s = ė + lambda e, Y = [q̈r, sgn(q̇d), q̇d, 1].
+
+    q̈r = q̈d - lambda ė. a corrects the nominal mass (kg), Coulomb friction (N), viscous friction (N s/m) and a constant
+    force (N). rate: lambda, 1/s; kd: N s/m; None: from mass and rate. Adaptation gains per unit of s: mass_gain kg^2/(N
+    s), coulomb_gain and bias_gain N/m, viscous_gain N s^2/m^2 ... Estimates stay within bounds and stop while the force
+    is saturated outwards.
+    """
+
+    name: ClassVar[str] = "slotine-li"
+    GAINS: ClassVar[dict[str, Any]] = {
+        "rate": None,
+        "kd": None,
+        "mass_gain": 1e-3,
+        "coulomb_gain": 10.0,
+        "viscous_gain": 1.0,
+        "bias_gain": 10.0,
+    }
+
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: Number,
+        *,
+        rate: Number | None = None,
+        kd: Number | None = None,
+        mass_gain: Number = 1e-3,
+        coulomb_gain: Number = 10.0,
+        viscous_gain: Number = 1.0,
+        bias_gain: Number = 10.0,
+    ) -> None:
+        self._feedforward = Feedforward(model)
+        self._mass = model.mass
+        self._gravity = model.gravity
+        self._rate = 0.15 / period if rate is None else rate
+        self._kd = 0.5 * default_damping(model, period) if kd is None else kd
+        self._limit = force_limit
+        third = force_limit / 3.0
+        self._bounds = (0.5 * model.mass, third, third, third)
+        self._gains = tuple(gain * period for gain in (mass_gain, coulomb_gain, viscous_gain, bias_gain))
+        self.reset(model.mass - model.mass, model.gravity)
+
+    def reset(self, position: Number, force: Number) -> None:
+        """Estimates restart; the bias takes over what `force` has beyond the gravity hold."""
+        zero = position - position
+        bias = bounded(zero + (force - self._gravity), self._bounds[3])
+        self._estimates = [zero, zero, zero, bias]
+
+    def force(self, inputs: LawInputs) -> Number:
+        """The law of the class's docstring."""
+        e, rate = error(inputs), error_rate(inputs)
+        s = rate + self._rate * e
+        correction = self._rate * rate
+        regressors = (inputs.mean_acceleration - correction, inputs.mean_sign, inputs.mean_velocity, 1.0)
+        out = self._feedforward(inputs) - self._mass * correction - self._kd * s
+        for index, regressor in enumerate(regressors):
+            change = -self._gains[index] * regressor * s
+            # What the change would add to the force decides whether it pushes outwards.
+            push = unless_saturated(change * regressor, inputs.force_last, self._limit)
+            change = select(push == 0.0, 0.0, change)
+            self._estimates[index] = bounded(self._estimates[index] + change, self._bounds[index])
+            out = out + self._estimates[index] * regressor
+        return out

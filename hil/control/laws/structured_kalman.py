@@ -1,0 +1,248 @@
+"""PD plus feedforward, with the model's error estimated by one structured covariance filter per axis and fed forward.
+
+State per axis: [e, ė, d0, theta1, theta2, theta3], error and disturbance
+
+    d = d0 + theta1 sgn(q̇d) + theta2 q̇d + theta3 q̈d      (N)
+
+Every regressor is the reference's mean over the interval in which a force acted, by the samples' own time stamps. The
+Coulomb term therefore switches on the reference's reversal, not on the measured speed, and needs no time to be found
+again; theta3 carries the error of the mass. What the filter expects of the next sample follows set-valued friction all
+the same: an axis that sticks, before it first moves or where it reverses slowly, says nothing of the disturbance beyond
+that friction holds, and a filter that expects it to move would learn a bias that is not there. Kalman filter: e.g.
+Simon, Optimal State Estimation (2006), section 5.1. Where a slow axis' friction falls with speed, theta2 may be the
+height of that peak instead of viscous friction.
+
+The covariance depends on the reference and on which samples came, never on what they say: plants that share both share
+one covariance. The arithmetic is in hil/control/laws/structured_filter.py.
+"""
+
+from typing import Any, ClassVar
+
+from hil.control.laws.base import Law, LawInputs, Model
+from hil.control.laws.breakaway import Breakaway, anywhere
+from hil.control.laws.structured_filter import (
+    Covariance,
+    Disturbance,
+    Noise,
+    choose,
+    diagonal,
+    force_of,
+    interval,
+    keep_disturbance,
+    mean_sign_over,
+    move,
+    peak,
+    predict,
+    slide,
+    standing,
+    update,
+)
+from hil.control.laws.terms import DEFAULT_BANDWIDTH, DEFAULT_DAMPING
+from hil.control.number import Number, at_least, bounded, select
+
+# Standard deviations at the start, at rest: m/s; of gravity and dry friction; of dry friction; of the force limit.
+PRIOR_SPEED, BIAS_PART, DRY_PART, SMALL_PART = 1e-3, 0.1, 1.0, 0.05
+
+
+class StructuredKalman(Law):
+    """tau = feedforward(15) + d(estimated) - Kp e - Kd ė on the filter's own estimates, at the instant the force acts.
+
+    kp: N/m; kd: N s/m; None: mass times omega^2 and 2 damping omega, omega = bandwidth (rad per period) / period, so
+    that the same gains fit every rate. Noise densities of the random walks, per sqrt(s): acceleration_noise
+    m/s; bias_noise N; coulomb_noise N; viscous_noise N s/m; mass_noise kg. reversal_noise: standard deviation of the
+    speed where the reference reverses, as a fraction of the speed gained in that period. measurement_noise: m, standard
+    deviation of a sample; not below 29 nm at 0.1 um counts. Estimates are bounded by the force limit.
+
+    bias_prior, coulomb_prior (N), viscous_prior (N s/m), mass_prior (kg): standard deviations at the start, of what the
+    model may be wrong by before anything is known; None: from the model. stribeck_velocity: m/s; where above 0, theta2
+    is the height (N) of friction's peak at rest, of that width, and viscous_noise and viscous_prior are in N.
+    breakaway_rate (N/s), breakaway_lag (m): see hil/control/laws/breakaway.py; where the rate is above 0, what is
+    learnt while the reference rests leaves the variances of d as they were: an axis that friction holds is no evidence.
+    """
+
+    name: ClassVar[str] = "structured-kalman"
+    told_of_learning: ClassVar[bool] = True
+    GAINS: ClassVar[dict[str, Any]] = {
+        "kp": None,
+        "kd": None,
+        "bandwidth": DEFAULT_BANDWIDTH,
+        "damping": DEFAULT_DAMPING,
+        "acceleration_noise": 1e-2,
+        "reversal_noise": 0.5,
+        "bias_noise": 1e-2,
+        "coulomb_noise": 1e-2,
+        "viscous_noise": 1e-2,
+        "mass_noise": 1e-4,
+        "measurement_noise": 29e-9,
+        "bias_prior": None,
+        "coulomb_prior": None,
+        "viscous_prior": None,
+        "mass_prior": None,
+        "stribeck_velocity": 0.0,
+        "breakaway_rate": 0.0,
+        "breakaway_lag": 0.0,
+    }
+
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: Number,
+        *,
+        kp: Number | None = None,
+        kd: Number | None = None,
+        bandwidth: Number = DEFAULT_BANDWIDTH,
+        damping: Number = DEFAULT_DAMPING,
+        acceleration_noise: Number = 1e-2,
+        reversal_noise: Number = 0.5,
+        bias_noise: Number = 1e-2,
+        coulomb_noise: Number = 1e-2,
+        viscous_noise: Number = 1e-2,
+        mass_noise: Number = 1e-4,
+        measurement_noise: Number = 29e-9,
+        bias_prior: Number | None = None,
+        coulomb_prior: Number | None = None,
+        viscous_prior: Number | None = None,
+        mass_prior: Number | None = None,
+        stribeck_velocity: Number = 0.0,
+        breakaway_rate: Number = 0.0,
+        breakaway_lag: Number = 0.0,
+    ) -> None:
+        omega = bandwidth * (1.0 / period)
+        self.stiffness = model.mass * (omega * omega) if kp is None else kp
+        self.damping = model.mass * (2.0 * damping * omega) if kd is None else kd
+        self._model, self._period = model, period
+        self._inverse_mass = 1.0 / model.mass
+        self._noise: Noise = (
+            acceleration_noise * acceleration_noise, reversal_noise * reversal_noise, bias_noise * bias_noise,
+            coulomb_noise * coulomb_noise, viscous_noise * viscous_noise, mass_noise * mass_noise,
+        )  # fmt: skip
+        self._measurement = measurement_noise * measurement_noise
+        # What the model may be wrong by before anything is known. What holds an axis still looks like friction until it
+        # has moved both ways: bias must not be believed beyond what gravity or the drive's offset can be.
+        bias = BIAS_PART * (abs(model.gravity) + model.coulomb) if bias_prior is None else bias_prior
+        dry = DRY_PART * model.coulomb + SMALL_PART * force_limit if coulomb_prior is None else coulomb_prior
+        wet = abs(model.viscous) + model.mass if viscous_prior is None else viscous_prior
+        inertia = 0.5 * model.mass if mass_prior is None else mass_prior
+        prior = (measurement_noise, PRIOR_SPEED, bias, dry, wet, inertia)
+        self._prior = diagonal(*(value * value for value in prior))
+        zero = model.mass - model.mass
+        self._breakaway = Breakaway(zero + breakaway_rate, zero + breakaway_lag)
+        speed = zero + stribeck_velocity
+        self._peaked = speed > 0.0
+        self._has_peak = anywhere(self._peaked)
+        self._slowness = 1.0 / select(self._peaked, speed, 1.0)
+        self._bounds: Disturbance = (force_limit, force_limit, force_limit, 0.9 * model.mass)
+        self.reset(model.mass - model.mass, model.gravity)
+
+    def reset(self, position: Number, force: Number) -> None:
+        """At rest, without error; what `force` has beyond the gravity hold is taken as bias."""
+        zero = position - position
+        bias = bounded(zero + (force - self._model.gravity), self._bounds[0])
+        self._error, self._rate = zero, zero  # at the newest sample, as all that follows
+        self._disturbance: Disturbance = (bias, zero, zero, zero)
+        self._covariance: Covariance = self._prior
+        self._position, self._velocity = zero, zero  # of the reference
+        self._breakaway.reset(zero + position)
+        self._begun = False
+        self._acting = zero + force  # in the interval before the newest sample
+
+    @property
+    def error_rate(self) -> Number:
+        """Rate of the error at the newest sample, estimated (m/s)."""
+        return self._rate
+
+    def _acted(self, inputs: LawInputs) -> tuple[Number, Number]:
+        """The forces that acted before the newest sample and after it."""
+        before, last = self._acting, inputs.force_last
+        if not self._begun:
+            # The axis rests, held by its drive or brake until the first command arrives; so does the reference.
+            last = before
+            sample = inputs.sample
+            self._position, self._velocity = sample.position, sample.velocity
+            self._begun = True
+        # Where no axis answered, the command was lost, and drives hold the force before it.
+        last = select(inputs.answered != 0.0, last, before)
+        self._acting = last + 0.0  # arrays are reused by the caller: keep a copy
+        return before, last
+
+    def _friction(self, mean_sign: Number, mean_velocity: Number) -> Number:
+        """Nominal friction and gravity hold, N."""
+        model = self._model
+        dry = model.coulomb * mean_sign + model.gravity
+        return dry + (model.viscous + model.quadratic * abs(mean_velocity)) * mean_velocity
+
+    def _third(self, mean_sign: Number, mean_velocity: Number) -> Number:
+        """What theta2 multiplies."""
+        if not self._has_peak:
+            return mean_velocity
+        shape = peak(mean_sign, mean_velocity, self._slowness)
+        return shape if self._peaked is True else select(self._peaked, shape, mean_velocity)
+
+    def force(self, inputs: LawInputs) -> Number:
+        """Filter the sample in, look ahead to `start`, feed forward what is known and feed back what is left."""
+        force_before, force_last = self._acted(inputs)
+        error, rate, d = self._correct(inputs, force_before)
+        model = self._model
+        mass, coulomb = model.mass, model.coulomb + d[1]
+        sample, start = inputs.sample, inputs.start
+        coming = interval(mass, coulomb, inputs.ahead, sample.position, sample.velocity, start.position, start.velocity)
+        _, _, _, _, s, v, a, stuck, _ = coming
+        net = force_last - self._friction(s, v) - force_of(d, s, self._third(s, v), a) - stuck
+        error, rate = move(error, rate, net, self._inverse_mass, coming)
+        # An axis that waited for its reversal has the speed still to gain that the reference has already: `stuck`.
+        s, _, _ = mean_sign_over(start.velocity, inputs.end.velocity, self._period, mass, coulomb)
+        v, a = inputs.mean_velocity, inputs.mean_acceleration
+        known = mass * a + stuck + self._friction(s, v) + force_of(d, s, self._third(s, v), a)
+        return known - self.stiffness * error - self.damping * rate
+
+    def _correct(self, inputs: LawInputs, force_before: Number) -> tuple[Number, Number, Disturbance]:
+        """Predict to the newest sample and learn from it: error, its rate and the disturbance there."""
+        rate, d, kept, q0, v0 = self._rate, self._disturbance, self._covariance, self._position, self._velocity
+        model, inverse_mass, sample = self._model, self._inverse_mass, inputs.sample
+        q1, v1 = sample.position, sample.velocity
+        past = interval(model.mass, model.coulomb + d[1], inputs.sample_interval, q0, v0, q1, v1)
+        time, moved, _, _, sign, v, a, _, _ = past
+        bias, dry, wet, inertia = d
+        third = self._third(sign, v)
+        sliding, driving = dry, wet * third
+        if self._has_peak:  # a peak of friction holds as friction does
+            shape = peak(1.0, v, self._slowness)
+            sliding = select(self._peaked, at_least(dry + wet * shape, -model.coulomb), dry)
+            driving = select(self._peaked, 0.0, driving)
+        push = force_before - self._friction(0.0, v) - (bias + driving + inertia * a)
+        end, way = slide(rate + v0, push, model.coulomb + sliding, time, inverse_mass)
+        error, rate = self._error + (way - moved), end - v1
+        expected = predict(kept, self._noise, inverse_mass, past, third)
+        covariance, (k0, k1, k2, k3, k4, k5) = update(expected, self._measurement, inputs.fresh)
+        innovation = (inputs.position - q1) - error
+        error = error + k0 * innovation
+        rate = rate + k1 * innovation
+        limit, dry_limit, wet_limit, inertia_limit = self._bounds
+        learnt: Disturbance = (
+            bounded(bias + k2 * innovation, limit),
+            at_least(bounded(dry + k3 * innovation, dry_limit), -model.coulomb),  # friction never drives
+            bounded(wet + k4 * innovation, wet_limit),
+            bounded(inertia + k5 * innovation, inertia_limit),
+        )
+        if self._breakaway.ever:
+            rests, holds, position = self._breakaway.watch(inputs.position, inputs.fresh, v0, v1)
+            if anywhere(rests):
+                covariance = keep_disturbance(covariance, expected, rests)
+            if anywhere(holds):
+                lag = position - q1
+                error, rate = select(holds, lag, error), select(holds, -v1, rate)
+                learnt = self._crept(holds, lag, inputs, learnt)
+                covariance = choose(holds, standing(kept, self._measurement), covariance)
+        self._error, self._rate, self._disturbance, self._covariance = error, rate, learnt, covariance
+        self._position, self._velocity = q1 + 0.0, v1 + 0.0
+        return error, rate, learnt
+
+    def _crept(self, holds: Any, lag: Number, inputs: LawInputs, learnt: Disturbance) -> Disturbance:
+        """d where the axis holds: what it was before this sample, and more of what is missing."""
+        bias, dry, wet, inertia = self._disturbance
+        velocity, time = inputs.sample.velocity, inputs.sample_interval
+        more_bias, more_dry = self._breakaway.creep(lag, velocity, time, self._covariance)
+        bias, dry = bounded(bias + more_bias, self._bounds[0]), bounded(dry + more_dry, self._bounds[1])
+        b, d, w, i = learnt
+        return select(holds, bias, b), select(holds, dry, d), select(holds, wet, w), select(holds, inertia, i)

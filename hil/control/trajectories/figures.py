@@ -1,0 +1,138 @@
+"""Circle and Lissajous figure, entered by a minimum-jerk blend from wherever the stage stands."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from hil.control.laws.base import Array
+from hil.control.number import Number
+from hil.control.trajectories.base import Times, Trajectory
+from hil.control.trajectories.minimum_jerk import minimum_jerk
+from sim_plant.physics.exact_trigonometry import TURN, sincos_turns, sincos_turns_array
+
+SECOND = 1_000_000_000  # ns
+INT64_LIMIT = 2**62
+
+Motion = tuple[Number, Number, Number]  # position, velocity, acceleration; or s and its derivatives
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """amplitude * cos(2 pi (frequency t + offset)); offset in turns."""
+
+    amplitude: float
+    frequency_hz: Fraction
+    offset: float
+
+    @property
+    def cycle(self) -> tuple[int, int]:
+        """(p, m): the phase is (p t mod m) / m turns for t in ns, in exact integers."""
+        exact = self.frequency_hz / SECOND
+        return exact.numerator, exact.denominator
+
+
+def rational_hz(frequency_hz: float) -> Fraction:
+    """The decimal fraction meant by a frequency, coarsened only where 64-bit phase arithmetic would overflow."""
+    limit = 1_000_000
+    while True:
+        fraction = Fraction(repr(float(frequency_hz))).limit_denominator(limit)
+        cycle = fraction / SECOND
+        if (fraction > 0 and cycle.numerator * cycle.denominator < INT64_LIMIT) or limit == 1:
+            return fraction
+        limit //= 10
+
+
+class Figure(Trajectory):
+    """Some axes oscillate, the others hold; q = start + s(t) (figure(t) - start), s minimum jerk over `approach_ns`.
+
+    From s = 1 on it is the figure itself; position, velocity and acceleration are continuous at the join.
+    """
+
+    phase_names: tuple[str, ...] = ("approach", "figure")
+
+    def __init__(
+        self, oscillations: Mapping[int, Oscillation], start: Sequence[float], approach_ns: int, settle_ns: int
+    ) -> None:
+        super().__init__(len(start))
+        self._start = list(start)
+        self._oscillations = dict(oscillations)
+        self._approach_ns = approach_ns
+        self._per_second = 1e9 / approach_ns  # du/dt
+        self.repeat_from_ns = approach_ns
+        self.steady_from_ns = approach_ns + settle_ns
+        slowest = min(o.frequency_hz for o in self._oscillations.values())
+        self.repeat_ns = round(SECOND / slowest)
+
+    def phase_at(self, t_ns: int) -> int:
+        """0 while approaching, 1 on the figure."""
+        return int(t_ns >= self._approach_ns)
+
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """See Trajectory."""
+        oscillation = self._oscillations.get(axis)
+        if oscillation is None:
+            return self._start[axis], 0.0, 0.0
+        t_ns = t_ns if t_ns > 0 else 0  # a third of what max() costs
+        p, m = oscillation.cycle
+        sine, cosine = sincos_turns((t_ns % m * p % m) / m + oscillation.offset)
+        figure = self._derivatives(oscillation, sine, cosine)
+        if t_ns >= self._approach_ns:
+            return figure
+        s, ds, dds = minimum_jerk(t_ns / self._approach_ns)
+        return self._blend(axis, figure, s, ds, dds)
+
+    def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
+        oscillation = self._oscillations.get(axis)
+        if oscillation is None:
+            zero = np.zeros(t_ns.shape)
+            return np.full(t_ns.shape, self._start[axis]), zero, zero
+        p, m = oscillation.cycle
+        sine, cosine = sincos_turns_array((t_ns % m * p % m) / m + oscillation.offset)
+        figure: tuple[Array, Array, Array] = self._derivatives(oscillation, sine, cosine)
+        s, ds, dds = minimum_jerk(np.minimum(t_ns, self._approach_ns) / self._approach_ns)
+        blended: tuple[Array, Array, Array] = self._blend(axis, figure, s, ds, dds)
+        done = t_ns >= self._approach_ns
+        return (
+            np.where(done, figure[0], blended[0]),
+            np.where(done, figure[1], blended[1]),
+            np.where(done, figure[2], blended[2]),
+        )
+
+    @staticmethod
+    def _derivatives(oscillation: Oscillation, sine: Number, cosine: Number) -> Motion:
+        omega = TURN * float(oscillation.frequency_hz)
+        speed = oscillation.amplitude * omega
+        return oscillation.amplitude * cosine, -speed * sine, -(speed * omega) * cosine
+
+    def _blend(self, axis: int, figure: Motion, s: Number, ds: Number, dds: Number) -> Motion:
+        start, rate = self._start[axis], self._per_second
+        away, velocity, acceleration = figure[0] - start, figure[1], figure[2]
+        s1, s2 = ds * rate, dds * (rate * rate)
+        return (
+            start + s * away,
+            s1 * away + s * velocity,
+            s2 * away + 2.0 * (s1 * velocity) + s * acceleration,
+        )
+
+
+def turns(phase_rad: float) -> float:
+    """Radians as turns."""
+    return phase_rad / TURN
+
+
+def circle_oscillations(
+    first: int, second: int, radius: float, frequency_hz: float, phase: float
+) -> dict[int, Oscillation]:
+    """The paper's q_d = [cos(2 pi f t), sin(2 pi f t)] of the given radius; `phase` (rad) advances both."""
+    frequency, offset = rational_hz(frequency_hz), turns(phase)
+    return {first: Oscillation(radius, frequency, offset), second: Oscillation(radius, frequency, offset - 0.25)}
+
+
+def lissajous_oscillations(
+    first: int, second: int, radius: float, frequency_hz: float, ratio: int, phase: float
+) -> dict[int, Oscillation]:
+    """cos(2 pi f t + phase) on the first axis, sin(ratio 2 pi f t) on the second."""
+    frequency = rational_hz(frequency_hz)
+    return {first: Oscillation(radius, frequency, turns(phase)), second: Oscillation(radius, frequency * ratio, -0.25)}

@@ -1,0 +1,13 @@
+"""Minimum-jerk transition (Flash and Hogan, J. Neuroscience 5(7), 1985): a quintic with rest at both ends."""
+
+from hil.control.number import Number
+
+
+def minimum_jerk(u: Number) -> tuple[Number, Number, Number]:
+    """s, ds/du, d2s/du2 at the fraction u in [0, 1] of the transition; s runs from 0 to 1."""
+    u2 = u * u
+    rest = 1.0 - u
+    s = u2 * u * (10.0 + u * (6.0 * u - 15.0))
+    ds = 30.0 * (u2 * (rest * rest))
+    dds = 60.0 * (u * rest) * (1.0 - 2.0 * u)
+    return s, ds, dds

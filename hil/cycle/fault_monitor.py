@@ -1,0 +1,393 @@
+"""What can go wrong, how it is seen, after how long, and what is done about it: one table, and the detectors that fill
+it.
+
+Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks the law runs on the filter's prediction (holding the last torque
+instead would throw away what the model knows, and decaying it would drop the friction compensation: 13 um in one tick
+on the paper's X axis); R2 STOP: damped stop, zero within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT:
+R3, and nothing more is sent until an explicit reset, so that the drives' own watchdogs act.
+"""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from drivers.protocols.base import DriveStatus
+from hil.control.laws.base import Reference
+from hil.cycle.inbox import Inbox
+from hil.cycle.state_machine import TORQUE_STATES, State
+from hil.cycle.tick import BusState, PortCounters, Tick
+from hil.rig.schema import SafetyConfig
+
+
+class Reaction(IntEnum):
+    """In order of severity."""
+
+    COUNT = 0
+    BRIDGE = 1
+    STOP = 2
+    ZERO = 3
+    SILENT = 4
+
+
+class Fault(IntEnum):
+    """Number of a fault in records and telemetry; 0 is none."""
+
+    NONE = 0
+    ENCODER_GAP = 1
+    ENCODER_LOST = 2
+    ENCODER_DEAD = 3
+    BAD_FRAMES = 4
+    ENCODER_GLITCH = 5
+    ENCODER_JUMP = 6
+    ENCODER_STUCK = 7
+    FOLLOWING_ERROR = 8
+    TRAVEL_PLANNED = 9
+    TRAVEL = 10
+    SPEED_PLANNED = 11
+    SPEED = 12
+    NOT_FINITE = 13
+    FILTER_DIVERGED = 14
+    DRIVE_FAULT = 15
+    DRIVE_WATCHDOG = 16
+    DRIVE_DISABLED = 17
+    ENABLE_TIMEOUT = 18
+    ENCODER_FAULT = 19
+    BUS_PASSIVE = 20
+    BUS_OFF = 21
+    NO_ACK = 22
+    TRANSMIT_REFUSED = 23
+    TRANSMIT_BLOCKED = 24
+    INTERFACE_DOWN = 25
+    RECEIVE_FLOOD = 26
+    OVERRUN = 27
+    OVERRUN_BURST = 28
+    OVERRUN_LONG = 29
+    HEARTBEAT_LOST = 30
+    REALTIME_DENIED = 31
+    RECORDER_LOST = 32
+    RIG_CHANGED = 33
+    DRIVE_STAYS_ENABLED = 34
+
+
+MOVING = TORQUE_STATES
+WATCHING = frozenset({State.READY, *MOVING})
+RESTING = frozenset({State.CONNECTED, State.READY, State.FAULT, State.ESTOP})
+ALWAYS = frozenset(State) - {State.BOOT, State.SHUTDOWN}
+
+
+class Rule(NamedTuple):
+    """seen_by, after: for people. states: where the detector is armed. drive_latched: the drive holds it, so it does
+    not keep RESET from clearing it.
+    """
+
+    seen_by: str
+    after: str
+    reaction: Reaction
+    states: frozenset[State]
+    drive_latched: bool = False
+
+
+RULES: dict[Fault, Rule] = {
+    Fault.ENCODER_GAP: Rule("no answer to the latest command", "1 tick", Reaction.BRIDGE, MOVING),
+    Fault.ENCODER_LOST: Rule("the same", "safety.silent_stop_ticks (3)", Reaction.STOP, MOVING),
+    Fault.ENCODER_DEAD: Rule("the same", "safety.silent_zero_ticks (10)", Reaction.ZERO, WATCHING),
+    Fault.BAD_FRAMES: Rule(
+        "sequence, checksum, length; leaky bucket", "safety.bad_frame_limit (5)", Reaction.ZERO, WATCHING
+    ),
+    Fault.ENCODER_GLITCH: Rule(
+        "step beyond the speed bound; the sample is discarded", "1 sample", Reaction.BRIDGE, MOVING
+    ),
+    Fault.ENCODER_JUMP: Rule("the same", "2 samples in a row", Reaction.ZERO, WATCHING),
+    Fault.ENCODER_STUCK: Rule("high force, not one count of motion", "safety.stuck_ticks (50)", Reaction.ZERO, MOVING),
+    Fault.FOLLOWING_ERROR: Rule(
+        "|position - setpoint| beyond a limit that grows with speed", "1 tick", Reaction.STOP, MOVING
+    ),
+    Fault.TRAVEL_PLANNED: Rule(
+        "setpoint, or position plus stopping distance, outside the travel", "1 tick", Reaction.STOP, MOVING
+    ),
+    Fault.TRAVEL: Rule("measured position outside the travel", "1 tick", Reaction.ZERO, MOVING),
+    Fault.SPEED_PLANNED: Rule("setpoint speed above the limit", "1 tick", Reaction.STOP, MOVING),
+    Fault.SPEED: Rule("estimated speed above the limit", "1 tick", Reaction.ZERO, MOVING),
+    Fault.NOT_FINITE: Rule("NaN or infinity in the law's request or the filter", "1 tick", Reaction.ZERO, MOVING),
+    Fault.FILTER_DIVERGED: Rule(
+        "normalised innovation squared", "safety.nis_ticks (20) in a row", Reaction.ZERO, MOVING
+    ),
+    Fault.DRIVE_FAULT: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
+    Fault.DRIVE_WATCHDOG: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
+    Fault.DRIVE_DISABLED: Rule("status bit gone after it was set", "1 tick", Reaction.ZERO, MOVING, True),
+    Fault.ENABLE_TIMEOUT: Rule(
+        "status bit not set after activation", "safety.enable_timeout_ticks (500)", Reaction.ZERO, MOVING, True
+    ),
+    Fault.ENCODER_FAULT: Rule("status bit", "1 tick", Reaction.ZERO, WATCHING, True),
+    Fault.BUS_PASSIVE: Rule("error frames", "1 tick", Reaction.COUNT, ALWAYS),
+    Fault.BUS_OFF: Rule("error frames", "1 tick", Reaction.SILENT, ALWAYS),
+    Fault.NO_ACK: Rule("error frames", "2 ticks in a row", Reaction.SILENT, ALWAYS),
+    Fault.TRANSMIT_REFUSED: Rule("ENOBUFS, EAGAIN; newest wins, nothing is retried", "1 frame", Reaction.COUNT, ALWAYS),
+    Fault.TRANSMIT_BLOCKED: Rule("the same", "safety.transmit_refused_limit (3) ticks in a row", Reaction.ZERO, ALWAYS),
+    Fault.INTERFACE_DOWN: Rule("ENETDOWN, ENODEV", "1 tick", Reaction.SILENT, ALWAYS),
+    Fault.RECEIVE_FLOOD: Rule(
+        "frames of no use per tick, overflow counter", "safety.flood_frames (12)", Reaction.STOP, ALWAYS
+    ),
+    Fault.OVERRUN: Rule("a slot was skipped", "1 slot", Reaction.COUNT, ALWAYS),
+    Fault.OVERRUN_BURST: Rule("the same", "safety.overrun_streak (5) ticks in a row", Reaction.STOP, MOVING),
+    Fault.OVERRUN_LONG: Rule("time between two ticks", "safety.overrun_zero_s (20 ms)", Reaction.ZERO, MOVING),
+    Fault.HEARTBEAT_LOST: Rule(
+        "age of the operator's heartbeat", "safety.heartbeat_s, when not 0", Reaction.STOP, MOVING
+    ),
+    Fault.REALTIME_DENIED: Rule(
+        "what the kernel granted", "at start; ACTIVATE is refused unless timing.allow_degraded", Reaction.COUNT, ALWAYS
+    ),
+    Fault.RECORDER_LOST: Rule(
+        "the sidecar's heartbeat", "ACTIVATE is refused if telemetry.recording_required", Reaction.COUNT, ALWAYS
+    ),
+    Fault.RIG_CHANGED: Rule("hash of the rig file", "ACTIVATE is refused", Reaction.COUNT, ALWAYS),
+    Fault.DRIVE_STAYS_ENABLED: Rule(
+        "status bit set although no torque is permitted: its brake is open; only its watchdog is left",
+        "safety.disable_timeout_ticks (50) in a row",
+        Reaction.SILENT,
+        RESTING,
+        True,
+    ),
+}
+
+_NONE: Final = Fault.NONE
+_COUNT: Final = Reaction.COUNT
+_FAULTS: Final = list(Fault)  # by number: an enum's own lookup is slow
+REACTIONS: Final = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
+_BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
+_STATUS_FAULTS = (
+    (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
+    (int(DriveStatus.WATCHDOG), Fault.DRIVE_WATCHDOG),
+    (int(DriveStatus.ENCODER_FAULT), Fault.ENCODER_FAULT),
+)
+_BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
+_ENABLED: Final = int(DriveStatus.ENABLED)
+_ARMED: Final = [sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State]
+
+
+class AxisLimits(NamedTuple):
+    """One axis' thresholds, SI units."""
+
+    position_low: float
+    position_high: float
+    speed: float
+    following_error: float
+    jump_step: float  # m a sample may differ from the last one per period
+    stuck_force: float
+    braking: float  # m/s^2 the force limit is good for, halved
+
+
+class FaultMonitor:
+    """The detectors. Each method looks at one thing and raises bits of `active`; `worst` is the gravest armed one."""
+
+    def __init__(
+        self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
+    ) -> None:
+        n = len(axes)
+        self._safety = safety
+        self._flood_frames, self._bad_frame_limit = safety.flood_frames, safety.bad_frame_limit  # read in every tick
+        self._axes = list(axes)
+        self._period_ns = period_ns
+        self._innovation_limit = list(innovation_limit)  # m
+        self._port = PortCounters()
+        self._no_ack_ticks = 0
+        self._refused_ticks = 0
+        self._previous_index = -1
+        self._previous_now_ns = 0
+        self._overruns = 0
+        self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
+        self._glitches = [0] * n
+        self._diverging = [0] * n
+        self._stuck = [0] * n
+        self._stuck_position = [0.0] * n
+        self.active = 0
+        self.counts = [0] * len(Fault)
+
+    def restart(self) -> None:
+        """Forget streaks; at every activation and reset."""
+        n = len(self._axes)
+        self._glitches = [0] * n
+        self._diverging = [0] * n
+        self._stuck = [0] * n
+        self._no_ack_ticks = self._refused_ticks = self._overruns = self._enabled_ticks = 0
+
+    def begin(self) -> None:
+        """A new tick: nothing seen yet."""
+        self.active = 0
+
+    def see(self, fault: Fault) -> None:
+        """Mark a fault as present in this tick."""
+        self.active |= 1 << fault
+
+    def check_bus(self, tick: Tick, useless_now: int) -> None:
+        """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use
+        (answers that pile up behind a stall are late, not a flood).
+        """
+        port, before = tick.port, self._port
+        slots = tick.index - self._previous_index
+        if slots < 1:
+            slots = 1
+        if useless_now >= self._flood_frames * slots:
+            self.see(Fault.RECEIVE_FLOOD)
+        if port == before:
+            self._no_ack_ticks = self._refused_ticks = 0
+            if port.state is not BusState.ERROR_ACTIVE:
+                self._see_bus_state(port)
+            return
+        self._port = port
+        if port.state is not BusState.ERROR_ACTIVE or port.bus_off != before.bus_off or port.down != before.down:
+            self._see_bus_state(port)
+            if port.bus_off != before.bus_off:
+                self.see(Fault.BUS_OFF)
+            if port.down != before.down:
+                self.see(Fault.INTERFACE_DOWN)
+        self._no_ack_ticks = self._no_ack_ticks + 1 if port.no_ack > before.no_ack else 0
+        if self._no_ack_ticks >= 2:
+            self.see(Fault.NO_ACK)
+        self._refused_ticks = self._refused_ticks + 1 if port.refused > before.refused else 0
+        if self._refused_ticks:
+            self.see(Fault.TRANSMIT_REFUSED)
+            if self._refused_ticks >= self._safety.transmit_refused_limit:
+                self.see(Fault.TRANSMIT_BLOCKED)
+        if slots == 1 and (port.overflow > before.overflow or port.discarded > before.discarded):
+            self.see(Fault.RECEIVE_FLOOD)
+
+    def _see_bus_state(self, port: PortCounters) -> None:
+        if port.state == BusState.ERROR_PASSIVE:
+            self.see(Fault.BUS_PASSIVE)
+        elif port.state == BusState.BUS_OFF:
+            self.see(Fault.BUS_OFF)
+        elif port.state == BusState.DOWN:
+            self.see(Fault.INTERFACE_DOWN)
+
+    def check_timing(self, tick: Tick) -> None:
+        """Skipped slots and long gaps between ticks."""
+        first = self._previous_index < 0
+        skipped = not first and tick.index > self._previous_index + 1
+        self._overruns = self._overruns + 1 if skipped else 0
+        if skipped:
+            self.see(Fault.OVERRUN)
+            if self._overruns >= self._safety.overrun_streak:
+                self.see(Fault.OVERRUN_BURST)
+            if tick.now_ns - self._previous_now_ns > self._safety.overrun_zero_s * 1e9:
+                self.see(Fault.OVERRUN_LONG)
+        self._previous_index = tick.index
+        self._previous_now_ns = tick.now_ns
+
+    def check_grants(self, tick: Tick) -> None:
+        """What makes a new ACTIVE unacceptable without stopping a running one."""
+        if not tick.realtime_ok:
+            self.see(Fault.REALTIME_DENIED)
+        if not tick.recorder_ok:
+            self.see(Fault.RECORDER_LOST)
+        if not tick.rig_ok:
+            self.see(Fault.RIG_CHANGED)
+
+    def check_samples(self, inbox: Inbox, enabled_seen: bool) -> None:
+        """Silence, bad frames and what the drives say of themselves."""
+        oldest = inbox.oldest()
+        if oldest:
+            self.see(Fault.ENCODER_GAP)
+            if oldest >= self._safety.silent_stop_ticks:
+                self.see(Fault.ENCODER_LOST)
+            if oldest >= self._safety.silent_zero_ticks:
+                self.see(Fault.ENCODER_DEAD)
+        if inbox.bad_frames >= self._bad_frame_limit:
+            self.see(Fault.BAD_FRAMES)
+        for sample in inbox.samples:
+            if sample is None:
+                continue
+            if sample.status & _BAD_STATUS:
+                for bit, fault in _STATUS_FAULTS:
+                    if sample.status & bit:
+                        self.see(fault)
+            if enabled_seen and not sample.status & _ENABLED:
+                self.see(Fault.DRIVE_DISABLED)
+
+    def check_released(self, inbox: Inbox) -> None:
+        """Where no torque is permitted: a drive that goes on saying it is enabled."""
+        said = zip(inbox.fresh, inbox.samples, strict=True)
+        enabled = any(fresh and sample is not None and sample.status & _ENABLED for fresh, sample in said)
+        self._enabled_ticks = self._enabled_ticks + 1 if enabled else 0
+        if self._enabled_ticks >= self._safety.disable_timeout_ticks:
+            self.see(Fault.DRIVE_STAYS_ENABLED)
+
+    def implausible(self, axis: int, step: float, periods: float) -> bool:
+        """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""
+        if abs(step) <= self._axes[axis].jump_step * max(1.0, periods):
+            self._glitches[axis] = 0
+            return False
+        self._glitches[axis] += 1
+        self.see(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH)
+        return True
+
+    def check_filter(self, axis: int, innovation: float) -> None:
+        """An innovation (m) that stays beyond its limit, or is not finite."""
+        limit = self._innovation_limit[axis]
+        if -limit <= innovation <= limit:
+            self._diverging[axis] = 0
+            return
+        self._diverging[axis] += 1
+        if innovation != innovation:
+            self.see(Fault.NOT_FINITE)
+        if self._diverging[axis] >= self._safety.nis_ticks:
+            self.see(Fault.FILTER_DIVERGED)
+
+    def check_motion(
+        self, axis: int, q: float, v: float, force: float, sample: Reference, planned: float, *, following: bool
+    ) -> None:
+        """Travel, speed, following error, stuck encoder of one axis; measured and planned. SI units.
+
+        q: measured position. v: estimated velocity. sample: setpoint at the sample's instant. planned: setpoint
+        position at the end of the coming interval. following: the axis is meant to follow the setpoint (not in a damped
+        stop).
+        """
+        limits, vd = self._axes[axis], sample.velocity
+        low, high = limits.position_low, limits.position_high
+        if not low <= q <= high:
+            self.see(Fault.TRAVEL)
+        if abs(v) > limits.speed or v != v:
+            self.see(Fault.SPEED)
+        if abs(vd) > limits.speed:
+            self.see(Fault.SPEED_PLANNED)
+        self._check_stuck(axis, q, force, limits.stuck_force)
+        if not following:
+            return
+        stopped_at = q + v * abs(v) / (2.0 * limits.braking)
+        if not (low <= planned <= high and low <= stopped_at <= high):
+            self.see(Fault.TRAVEL_PLANNED)
+        if abs(q - sample.position) > limits.following_error * (1.0 + abs(vd) / limits.speed):
+            self.see(Fault.FOLLOWING_ERROR)
+
+    def _check_stuck(self, axis: int, position: float, force: float, threshold: float) -> None:
+        if -threshold < force < threshold or position != self._stuck_position[axis]:
+            self._stuck[axis] = 0
+            self._stuck_position[axis] = position
+            return
+        self._stuck[axis] += 1
+        if self._stuck[axis] >= self._safety.stuck_ticks:
+            self.see(Fault.ENCODER_STUCK)
+
+    def judge(self, state: State) -> tuple[Fault, Reaction]:
+        """The gravest fault armed in `state` (lowest number first among equals), counted; (NONE, COUNT) when there is
+        none.
+        """
+        armed = self.active & _ARMED[state]
+        self.active = armed
+        worst, reaction = _NONE, _COUNT
+        while armed:
+            low = armed & -armed
+            fault = _FAULTS[low.bit_length() - 1]
+            armed ^= low
+            self.counts[fault] += 1
+            if worst is _NONE or REACTIONS[fault] > reaction:
+                worst, reaction = fault, REACTIONS[fault]
+        return worst, reaction
+
+    def named_counts(self) -> dict[str, int]:
+        """Ticks each fault was seen in, while armed."""
+        return {fault.name.lower(): self.counts[fault] for fault in Fault if fault}
+
+    def blocks_reset(self) -> bool:
+        """Whether a fault that latched may still be present."""
+        return bool(self.active & _BLOCKING)

@@ -1,0 +1,122 @@
+"""From the inbox's samples to instants and positions that can be trusted, per axis.
+
+The drives' stamps say when a sample was taken; their usual distance from the tick's start says when the next force will
+act. A sample whose step is beyond belief is left out; where none came, the filter's prediction stands in and nothing is
+learnt.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from drivers.protocols.base import Sample
+from hil.control.laws.base import LawInputs
+from hil.cycle.fault_monitor import FaultMonitor
+from hil.cycle.inbox import Inbox
+
+LATENCY_SHIFT: Final = 6  # the send-to-sample latency is averaged over 64 samples
+LATENCY_STEP_NS: Final = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
+LONGEST_PERIODS: Final = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged anyway
+
+
+class SampleClock:
+    """One axis: when its samples were taken, when its next force will act, and which samples can be true.
+
+    instant: of the filter's state, ns. latency: from the tick's start to the drive's sampling, averaged, ns. stretch:
+    interval since the last sample in periods, where slots were skipped, else 1.
+    """
+
+    __slots__ = (
+        "_average", "_inputs", "_period_ns", "_resolution", "_trusted", "_trusted_ns",
+        "instant", "known", "latency", "stretch",
+    )  # fmt: skip
+
+    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int) -> None:
+        self._inputs = inputs
+        self._resolution = resolution
+        self._period_ns = period_ns
+        self.instant = self.latency = self._average = 0
+        self.known = False  # the latency
+        self.stretch = 1.0
+        self._trusted, self._trusted_ns = 0.0, 0  # last believed position, m, and its instant
+
+    def take(self, axis: int, sample: Sample, sent_ns: int, monitor: FaultMonitor, *, tracked: bool) -> bool:
+        """An answer to the command of the tick that began at sent_ns; whether it is believed. Before the axes are
+        `tracked` there is nothing to hold it against.
+        """
+        x, period = self._inputs, self._period_ns
+        instant = sample.stamp_ns
+        self._learn(instant - sent_ns)
+        position = sample.position * self._resolution
+        if tracked:
+            elapsed = min(max(instant - self.instant, 0), LONGEST_PERIODS * period)
+            x.sample_interval = elapsed * 1e-9
+            self.stretch = elapsed / period if 2 * elapsed > 3 * period else 1.0
+        else:
+            x.sample_interval, self.stretch = period * 1e-9, 1.0
+        self.instant = instant
+        if tracked and monitor.implausible(axis, position - self._trusted, (instant - self._trusted_ns) / period):
+            x.fresh = 0.0
+            return False
+        x.position = self._trusted = position
+        self._trusted_ns = instant
+        x.fresh = 1.0
+        return True
+
+    def miss(self) -> None:
+        """No answer came: the sample would have been taken a period after the last one."""
+        self.instant += self._period_ns
+        self.stretch = 1.0
+        self._inputs.sample_interval = self._period_ns * 1e-9
+        self._inputs.fresh = 0.0
+
+    def _learn(self, delay: int) -> None:
+        """Keep the averaged latency (ns) up to date."""
+        if not self.known:
+            self.latency = self._average = delay
+            self.known = True
+            return
+        average = self._average
+        self._average = average = average + ((delay - average) >> LATENCY_SHIFT)
+        if not -LATENCY_STEP_NS <= average - self.latency <= LATENCY_STEP_NS:
+            self.latency = average
+
+
+class Sampling:
+    """The sample clocks of all axes.
+
+    instants: of the filters' state, integer ns on the samples' clock. starts: expected start of the coming force's
+    interval. tracked: there is a position to start from.
+    """
+
+    def __init__(self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int) -> None:
+        self._inputs = list(inputs)
+        self._inbox = inbox
+        self.clocks = [SampleClock(x, r, period_ns) for x, r in zip(self._inputs, resolution, strict=True)]
+        self.instants = [0] * len(self.clocks)
+        self.starts = [0] * len(self.clocks)
+        self.tracked = False
+
+    def restart(self) -> None:
+        """After a reset: what was learnt about the drives' clocks and positions counts no more."""
+        self.tracked = False
+        for clock in self.clocks:
+            clock.known = False
+
+    def take(self, now_ns: int, sent_ns: int, monitor: FaultMonitor) -> None:
+        """Fill the inputs' intervals (s) and `fresh`, and `position` (m) where a believable sample came; for a tick
+        that began at now_ns and a last command sent in the tick that began at sent_ns.
+        """
+        inbox, inputs, instants, starts, tracked = self._inbox, self._inputs, self.instants, self.starts, self.tracked
+        samples, arrived, answered = inbox.samples, inbox.fresh, 0.0
+        for axis, clock in enumerate(self.clocks):
+            sample = samples[axis]
+            if arrived[axis] and sample is not None:
+                if clock.take(axis, sample, sent_ns, monitor, tracked=tracked):
+                    answered = 1.0
+            else:
+                clock.miss()
+            instants[axis] = instant = clock.instant
+            starts[axis] = start = now_ns + clock.latency
+            inputs[axis].ahead = (start - instant) * 1e-9
+        for x in inputs:
+            x.answered = answered

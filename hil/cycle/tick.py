@@ -1,0 +1,89 @@
+"""What goes into one control cycle and what comes out: the whole of its contact with the world."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.bus.counters import BusState, PortCounters
+from drivers.frame import Frame
+
+__all__ = ["BusState", "CommandKind", "CycleResult", "OperatorCommand", "PortCounters", "Tick"]
+
+
+class CommandKind(IntEnum):
+    """What an operator (or `hil demo`) may ask of the state machine."""
+
+    ACTIVATE = 1
+    STOP = 2
+    RESET = 3
+    ESTOP = 4
+    HOME = 5
+    SHUTDOWN = 6
+    HEARTBEAT = 7
+
+
+class OperatorCommand(NamedTuple):
+    """A command from the mailbox. kind: a CommandKind; any other number is refused. sequence: strictly increasing per
+    sender session. expires_ns: monotonic ns.
+    """
+
+    kind: int
+    sequence: int
+    expires_ns: int
+
+
+class Tick:
+    """Everything but the frames that a cycle step may depend on.
+
+    index: 0, 1, 2, ...; skipped slots leave gaps. scheduled_ns: the tick's deadline on the control clock.
+    now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
+    recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
+    rig_ok: the rig file is still the one this process was started with.
+    """
+
+    __slots__ = (
+        "commands",
+        "index",
+        "now_ns",
+        "port",
+        "realtime_ok",
+        "recorder_ok",
+        "rig_ok",
+        "scheduled_ns",
+        "stop",
+    )
+
+    def __init__(
+        self,
+        index: int,
+        scheduled_ns: int,
+        now_ns: int,
+        port: PortCounters,
+        commands: tuple[OperatorCommand, ...] = (),
+        stop: bool = False,
+        recorder_ok: bool = True,
+        realtime_ok: bool = True,
+        rig_ok: bool = True,
+    ) -> None:
+        self.index = index
+        self.scheduled_ns = scheduled_ns
+        self.now_ns = now_ns
+        self.port = port
+        self.commands = commands
+        self.stop = stop
+        self.recorder_ok = recorder_ok
+        self.realtime_ok = realtime_ok
+        self.rig_ok = rig_ok
+
+
+class CycleResult:
+    """frames: to send now, in order; empty where nothing may be sent. record: this tick's telemetry
+    (hil.cycle.record).
+    """
+
+    __slots__ = ("frames", "record")
+
+    def __init__(self, frames: list[Frame], record: np.void) -> None:
+        self.frames = frames
+        self.record = record

@@ -1,0 +1,262 @@
+"""The control loop: wait for the deadline, read the bus, step the cycle, send, record. One thread and nothing else.
+
+Rules:
+- Nothing in here waits but the pacing sleep, and nothing grows.
+- Whatever goes wrong in the cycle ends the loop without another frame, so that the drives' watchdogs act.
+- Chores (systemd, rig file, statistics) are done a few times a second, one per tick, after the tick's frames are out.
+"""
+
+import os
+import resource
+import threading
+import time
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from drivers.bus.counters import BusState
+from drivers.bus.port import Port
+from hil.cycle.state_machine import TORQUE_STATES, State
+from hil.cycle.step import RECORD
+from hil.cycle.tick import CommandKind, OperatorCommand, Tick
+from hil.live.mailbox import Mailbox
+from hil.live.pacing import Pacer, own_share
+from hil.live.realtime import Claim
+from hil.live.ring import RingWriter
+from hil.live.systemd import Notifier
+from hil.live.timing_record import TimingRecorder
+from hil.live.watched_file import WatchedFile
+from hil.sleep import run_signal_handlers, sleeper
+from hil.stage_clock import TimedCycle
+
+CHORE_INTERVAL_S = 0.25
+STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
+_NO_AGE: Final = -1
+_monotonic_ns: Final = time.monotonic_ns
+_SHUTDOWN: Final = State.SHUTDOWN
+
+
+class MissLedger:
+    """Who lost which slots: this thread, or the host that did not let it run."""
+
+    def __init__(self, period_ns: int) -> None:
+        self.own = self.host = self.longest = 0
+        self.run_delay_ns = 0  # since the stock-taking before the last one
+        self.total_run_delay_ns = 0
+        self._period_ns = period_ns
+        # /proc/thread-self/schedstat: ns on the core, ns runnable but waiting for it, time slices
+        self._schedstat = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY | os.O_CLOEXEC)
+        self._switches = self._faults = self._sleeps = 0
+        self.take_stock(0)
+
+    def take_stock(self, sleeps: int) -> bool:
+        """Note run delay and switches since last time; True where the thread blocked other than in its pacing sleep.
+
+        sleeps: pacing sleeps made so far; each accounts for at most one voluntary switch.
+        """
+        total = int(os.pread(self._schedstat, 96, 0).split()[1])
+        self.run_delay_ns = total - self.total_run_delay_ns
+        self.total_run_delay_ns = total
+        usage = resource.getrusage(resource.RUSAGE_THREAD)
+        waited = usage.ru_nvcsw - self._switches > sleeps - self._sleeps
+        blocked = waited or usage.ru_majflt > self._faults
+        self._switches, self._faults, self._sleeps = usage.ru_nvcsw, usage.ru_majflt, sleeps
+        return blocked
+
+    def book(self, skipped: int, overrun: int, cpu_ns: int, sleeps: int) -> None:
+        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with the wait after it."""
+        blocked = self.take_stock(sleeps)
+        own = own_share(overrun, self._period_ns, cpu_ns, blocked)
+        self.own += own
+        self.host += skipped - own
+        self.longest = max(self.longest, skipped)
+
+    def close(self) -> None:
+        """Let go of the kernel's file."""
+        os.close(self._schedstat)
+
+
+class Parts(NamedTuple):
+    """What the loop works with; made, and closed, by its owner."""
+
+    cycle: TimedCycle
+    port: Port
+    ring: RingWriter
+    mailbox: Mailbox
+    timing: TimingRecorder
+    claim: Claim
+    rig_file: WatchedFile
+    notifier: Notifier
+
+
+class ControlLoop:
+    """The live shell around one cycle. Set `stop` (a signal handler may) and the loop stops the stage and ends.
+
+    stage_clock: what the stages are measured with. CLOCK_MONOTONIC costs no system call and equals CPU time while
+    nobody interrupts; benchmarks pass the thread's CPU clock. cpu_clock: what a tick's CPU time is told by.
+    """
+
+    def __init__(self, parts: Parts, stage_clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.stop = False
+        self.overstayed = False  # the cycle did not reach SHUTDOWN in time
+        self.ticks = 0
+        self.parts = parts
+        rig = parts.cycle.rig
+        self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
+        self._clock = stage_clock
+        self.cpu_clock: Callable[[], int] = time.thread_time_ns
+        alone = threading.active_count() == 1
+        self.pacer = Pacer(
+            rig.period_ns, sleep_until=sleeper(alone=alone), most_ahead_ns=round(rig.timing.wake_ahead_s * 1e9)
+        )
+        self.ledger = MissLedger(rig.period_ns)
+        self._rig_ok = True
+        self._realtime_ok = parts.claim.verdict.ok
+        self._records = parts.cycle.records
+        self._cpu_mark_ns = self._cpu_ns = 0
+        self._told: State | None = None
+        self._silent = self._recall_due = False
+        self._next_rebind = 0
+        self._chores = self._plan_chores(rig.period_ns)
+        self._chore_ticks = max(self._chores) + 1
+        self._stop_ticks = round((rig.safety.stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
+
+    def _plan_chores(self, period_ns: int) -> dict[int, Callable[[], None]]:
+        interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
+        chores = (self._tell_systemd, self._look_at_rig, self._take_stock, self._recover_bus)
+        ticks = max(len(chores), round(interval * 1e9 / period_ns))
+        return {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
+
+    # the loop ---------------------------------------------------------------------------------------------------------
+
+    def run(self, max_ticks: int | None = None) -> None:
+        """Tick until the cycle is in SHUTDOWN and has sent its last zero. max_ticks: ask it to stop after so many."""
+        self.pacer.start()
+        self._cpu_mark_ns = self.cpu_clock()
+        deadline = -1  # tick by which a stop must be over
+        while True:
+            self._tick()
+            self.ticks += 1
+            if self._cycle.state is _SHUTDOWN:
+                return
+            if self.ticks == max_ticks:
+                self.stop = True
+            if self.stop:
+                if deadline < 0:
+                    deadline = self.ticks + self._stop_ticks
+                elif self.ticks > deadline:
+                    self.overstayed = True
+                    return
+
+    def _tick(self) -> None:
+        pacer, port, mailbox, clock = self.pacer, self._port, self._mailbox, self._clock
+        pacer.wait()
+        woke = pacer.now_ns
+        mark = self.cpu_clock()
+        self._cpu_ns = mark - self._cpu_mark_ns
+        self._cpu_mark_ns = mark
+        began = clock()
+        if pacer.skipped:
+            self._book_miss()
+        frames = port.drain(woke)
+        commands = mailbox.poll()
+        if commands:
+            self._before_commands(commands)
+        tick = Tick(
+            pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
+            self._realtime_ok, self._rig_ok,
+        )  # fmt: skip
+        result = self._cycle.step(tick, frames)
+        if commands:
+            self._after_commands()
+        sending = self._cycle.stamps[RECORD]
+        for frame in result.frames:
+            port.send(frame)
+        sent_ns = _monotonic_ns()
+        self._ring.append(result.record)
+        self._measure(began, sending, clock(), sent_ns)
+        if self._cycle.silent is not self._silent:
+            self._silent = self._recall_due = self._cycle.silent
+            self._recall()
+        chore = self._chores.get(self.ticks % self._chore_ticks)
+        if chore is not None:
+            run_signal_handlers()  # of one that came while a tick ran; those that end a sleep have been
+            chore()
+
+    def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:
+        """Time per stage, for the timing file and the next record."""
+        cycle, pacer = self._cycle, self.pacer
+        estimate, control, gate, _ = cycle.stamps
+        read, estimated, controlled, gated = estimate - began, control - estimate, gate - control, sending - gate
+        sent = ended - sending
+        self._records.spent(read, estimated, controlled, gated, sent)
+        age, fresh = _NO_AGE, cycle.inbox.fresh
+        for axis, instant in enumerate(cycle.sampling.instants):
+            if not fresh[axis]:
+                age = _NO_AGE
+                break
+            age = max(age, sent_ns - instant)
+        lateness = pacer.now_ns - pacer.scheduled_ns
+        self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
+
+    def _book_miss(self) -> None:
+        ledger = self.ledger
+        ledger.book(self.pacer.skipped, self.pacer.overrun, self._cpu_ns, self.pacer.sleeps)
+        self._timing.note_missed(ledger.own, ledger.host, ledger.longest)
+        self._records.missed(ledger.own, ledger.host, ledger.longest, ledger.run_delay_ns)
+
+    # chores -----------------------------------------------------------------------------------------------------------
+
+    def _tell_systemd(self) -> None:
+        """Only from here: whoever hears it knows that ticks are being run."""
+        state = self._cycle.state
+        if state is self._told:
+            self.parts.notifier.send("WATCHDOG=1")
+            return
+        verdict = "" if self._realtime_ok else ", real time degraded"
+        lines = ["WATCHDOG=1", f"STATUS={state.name}{verdict}"]
+        if self._told is None:
+            lines.append("READY=1")
+        self.parts.notifier.send(*lines)
+        self._told = state
+
+    def _look_at_rig(self) -> None:
+        self._rig_ok = self.parts.rig_file.unchanged()
+
+    def _take_stock(self) -> None:
+        self.ledger.take_stock(self.pacer.sleeps)
+        self._timing.note_usage(self.ledger.total_run_delay_ns, self.parts.claim.collector_runs[0])
+
+    def _recall(self) -> None:
+        """The bus is to stay silent: what still waits for the wire must not move a drive that gets its power back.
+
+        Tried until it works. An interface that is down holds nothing; a controller in bus-off would be restarted by
+        this, which is for the operator's reset.
+        """
+        state = self._port.counters().state
+        if state is BusState.DOWN:
+            self._recall_due = False
+        elif self._recall_due and state is not BusState.BUS_OFF:
+            self._recall_due = not self._port.purge()
+            self._port.rebind()
+
+    def _recover_bus(self) -> None:
+        """Look once a second for an interface that is gone; nothing moves meanwhile, so a slow call does no harm."""
+        self._recall()
+        if self._port.counters().state is not BusState.DOWN or self._cycle.state in TORQUE_STATES:
+            return
+        if self.ticks >= self._next_rebind:
+            self._next_rebind = self.ticks + round(1e9 / self.pacer.period_ns)
+            self._port.rebind()
+
+    def _after_commands(self) -> None:
+        """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
+        handled = self._cycle.commands.handled
+        self.stop = self.stop or any(c.kind == CommandKind.SHUTDOWN and accepted for c, accepted in handled)
+
+    def _before_commands(self, commands: tuple[OperatorCommand, ...]) -> None:
+        """A controller in bus-off is restarted by nobody but the operator, and without the torques it still holds."""
+        if self._port.counters().state < BusState.BUS_OFF or self._cycle.state in TORQUE_STATES:
+            return
+        if any(command.kind == CommandKind.RESET for command in commands):
+            self._port.purge()
+            self._port.rebind()

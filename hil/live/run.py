@@ -1,0 +1,160 @@
+"""`hil run RIG`: the control process. Sets up, runs the loop, and says how it ended.
+
+Exit status: 0 stopped as asked, zero torque sent last; 69 no bus, or the rig is being run already; 70 the cycle failed
+(sending stopped at once, the drives' watchdogs act); 77 the kernel refused real time and [timing] allow_degraded is
+false; 78 the rig file is wrong (no bus was touched).
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.bus.port import PortError, open_port
+from drivers.protocols import host_protocol
+from drivers.runtime import RuntimeDirectoryError
+from drivers.stop_signals import stop_signals
+from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
+from hil.control.stability import refuse_unstable
+from hil.live.loop import ControlLoop, Parts
+from hil.live.mailbox import Mailbox
+from hil.live.places import places
+from hil.live.realtime import claim
+from hil.live.ring import RingError, RingWriter
+from hil.live.systemd import Notifier
+from hil.live.timing_record import TimingRecorder, read_timing
+from hil.live.watched_file import WatchedFile
+from hil.operate.check import refuse_unschedulable
+from hil.rig.provenance import describe_run
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.stage_clock import TimedCycle
+
+
+class RealtimeRefusedError(Exception):
+    """The kernel refused what [timing] asks for, and the rig file does not allow to go on without."""
+
+
+def run(
+    rig: Annotated[Path, typer.Argument(help="rig file")],
+    override: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    ticks: Annotated[int | None, typer.Option(min=1, help="stop after so many ticks")] = None,
+    cpu_clock: Annotated[bool, typer.Option(hidden=True, help="measure stages in CPU time (benchmarks)")] = False,
+) -> None:
+    """Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, SIGHUP, or an operator's shutdown)."""
+    clock = time.thread_time_ns if cpu_clock else time.monotonic_ns
+    sys.exit(run_rig(rig, override or [], ticks, clock))
+
+
+def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Callable[[], int]) -> int:
+    """Validate, set up, loop; returns the exit status."""
+    try:
+        watched = WatchedFile(path)  # before the file is read: a change in between is a change
+        config = validated(path, overrides)
+        with control_loop(config, path.parent, watched, stage_clock) as loop:
+            return _run_to_end(loop, ticks)
+    except RigError as error:
+        return _refuse(EXIT_CONFIG, error.problems)
+    except RealtimeRefusedError as error:
+        return _refuse(EXIT_REALTIME, [str(error)])
+    except (PortError, RingError, RuntimeDirectoryError, OSError) as error:
+        return _refuse(EXIT_UNAVAILABLE, [str(error)])
+
+
+def _refuse(status: int, problems: list[str]) -> int:
+    for problem in problems:
+        print(f"hil run: {problem}", file=sys.stderr)
+    return status
+
+
+def validated(path: Path, overrides: list[str]) -> RigConfig:
+    """The rig, with everything checked that can be checked before a bus is touched. Raises RigError."""
+    config = load_rig(path, overrides)
+    try:
+        rated = [axis.rated_force for axis in config.axes.values()]
+        host_protocol(config.bus, len(config.axes), rated, path.parent)
+    except (ValueError, OSError) as error:
+        raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
+    try:
+        refuse_unschedulable(config, path.parent)
+        refuse_unstable(config)
+    except ValueError as error:
+        raise RigError([f"{path}: {error}"]) from None
+    return config
+
+
+@contextlib.contextmanager
+def control_loop(
+    rig: RigConfig, base_dir: Path, rig_file: WatchedFile, stage_clock: Callable[[], int]
+) -> Iterator[ControlLoop]:
+    """All the loop needs, in the order in which it may fail; real time after every import and large allocation."""
+    files = places(rig.name)
+    try:
+        cycle = TimedCycle(rig, base_dir, stage_clock)
+    except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
+        raise RigError([str(error)]) from None
+    with contextlib.ExitStack() as stack:
+        port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
+        stack.callback(port.close)
+        notifier = Notifier()
+        stack.callback(notifier.close)
+        held = claim(rig.timing)
+        stack.callback(held.close)
+        verdict = held.verdict.text()
+        if not held.verdict.ok and not rig.timing.allow_degraded:
+            raise RealtimeRefusedError(f"{verdict}. To run all the same: --set timing.allow_degraded=true")
+        metadata = describe_run(rig, base_dir, realtime=verdict)
+        ring = RingWriter(files.ring, rig.telemetry.ring_slots, period_ns=rig.period_ns, metadata=metadata)
+        mailbox = Mailbox.create(files.mailbox)
+        stack.callback(mailbox.close)
+        timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
+        print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
+        yield ControlLoop(Parts(cycle, port, ring, mailbox, timing, held, rig_file, notifier), stage_clock)
+
+
+def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
+    """Loop until stopped. What the cycle raises is shown once no more frames go out, and is never hidden."""
+
+    def ask_to_stop(_signal: int, _frame: object) -> None:
+        loop.stop = True
+
+    for number in stop_signals():
+        signal.signal(number, ask_to_stop)
+    try:
+        loop.run(ticks)
+    except BaseException:
+        loop.parts.port.close()
+        print("hil run: the control cycle failed; nothing is sent any more", file=sys.stderr)
+        traceback.print_exc()
+        return EXIT_SOFTWARE  # without an end mark in the ring: it is kept as the black box
+    loop.parts.ring.close()
+    loop.parts.timing.show()
+    _say_farewell(loop)
+    if loop.overstayed:
+        print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
+        return EXIT_SOFTWARE
+    return 0
+
+
+def _say_farewell(loop: ControlLoop) -> None:
+    """The stop went well even where the terminal or the runtime directory is gone, and nobody can be told."""
+    try:
+        print(_summary(loop), flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else what is left fails again at exit
+
+
+def _summary(loop: ControlLoop) -> str:
+    timing = read_timing(loop.parts.timing.path)
+    late, cpu = (timing.summary()[metric] for metric in ("lateness", "cpu"))
+    ledger = loop.ledger
+    return (
+        f"hil run: {loop.ticks} ticks; lateness p50 {late['p50']:.0f} p99 {late['p99']:.0f} max {late['max']:.0f} us; "
+        f"CPU p50 {cpu['p50']:.0f} p99 {cpu['p99']:.0f} us; slots lost: {ledger.own} own, {ledger.host} the host's"
+    )

@@ -1,0 +1,225 @@
+"""`hil check`: does the rig's traffic fit its bus, and is its sampled loop stable, before anything moves."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivers.bus_load.schedulability import Analysis, Response, analyse, faults_tolerated
+from drivers.frame import EXTENDED
+from drivers.protocols import host_protocol
+from drivers.protocols.base import Message
+from hil.cli.exit_status import EXIT_CONFIG
+from hil.cli.output import drawable, writable, write_json
+from hil.control.stability import StabilityReport, check_stability
+from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError, load_rig
+
+
+def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
+    """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    try:
+        return host_protocol(rig.bus, len(rig.axes), rated, base_dir).messages(rig.period_ns)
+    except (ValueError, OSError) as error:
+        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
+
+
+def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
+    """Worst-case response times on the rig's bus."""
+    return analyse(rig_messages(rig, base_dir), rig.bus.bitrate, rig.bus.data_bitrate)
+
+
+def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:
+    """The analysis of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late."""
+    analysis = analyse_rig(rig, base_dir)
+    if not analysis.schedulable:
+        raise RigError(problems(rig, base_dir, analysis))
+    return analysis
+
+
+def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
+    """The most whole Hz, below its own rate, at which the rig's traffic fits; None where it does not at the least."""
+    fits, too_much = LEAST_RATE_HZ - 1, math.ceil(rig.rate_hz)
+    while too_much - fits > 1:
+        middle = (fits + too_much) // 2
+        if analyse_rig(rig.model_copy(update={"rate_hz": middle}), base_dir).schedulable:
+            fits = middle
+        else:
+            too_much = middle
+    return fits if fits >= LEAST_RATE_HZ else None
+
+
+def problems(rig: RigConfig, base_dir: Path, analysis: Analysis) -> list[str]:
+    """One line for the bus, one for the frame that is worst off."""
+    if analysis.schedulable:
+        return []
+    response = analysis.tightest
+    if response.margin_ns is None:
+        verdict = "has no bound: the bus is overloaded"
+    else:
+        verdict = f"ends up to {_us(response.message.deadline_ns - response.margin_ns)} after the tick's start, "
+        verdict += f"{_us(-response.margin_ns)} past its deadline of {_us(response.message.deadline_ns)}"
+    highest = highest_rate(rig, base_dir)
+    slower = f"rate_hz = {highest} or less, " if highest else ""
+    return [
+        f"bus.protocol = {rig.bus.protocol!r} at {rig.bus.bitrate} bit/s does not fit rate_hz = {rig.rate_hz:g} "
+        f"with {len(rig.axes)} axes: worst-case load {analysis.bus_load:.1%}, cyclic part {_us(analysis.tick_ns)} of "
+        f"{_us(rig.period_ns)} per tick",
+        f"frame '{response.frame}' {verdict}; {slower}a higher bit rate or a leaner layout would do",
+    ]
+
+
+def check(
+    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
+    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    json_path: Annotated[
+        str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
+    ] = None,
+) -> None:
+    """Worst-case response time of every frame, bus load, stability. Exit status 78 where one of them fails."""
+    rig = load_rig(rig_file, overrides or ())
+    messages = rig_messages(rig, rig_file.parent)
+    analysis = analyse_rig(rig, rig_file.parent)
+    console = Console(stderr=json_path == "-")
+    console.print(bus_table(rig, analysis))
+    tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
+    if tolerated >= 0:
+        console.print(f"Bus errors that may hit one response without a deadline missed: {tolerated}")
+    target = picture or Path("runs") / f"{rig.name}-tick.png"
+    draw_tick(rig, analysis, target)
+    console.print(f"One worst-case tick: {target}")
+    found = problems(rig, rig_file.parent, analysis)
+    try:
+        stability = check_stability(rig, lowest_rate=True)
+    except ValueError as error:
+        raise RigError([f"{rig_file}: {error}"]) from None
+    console.print(stability_table(stability))
+    found = [*found, *stability.problems()]
+    document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
+    if json_path:
+        write_json(document, json_path)
+    for line in found:
+        print(f"hil: {rig_file}: {line}", file=sys.stderr)
+    if found:
+        raise typer.Exit(EXIT_CONFIG)
+
+
+def as_json(analysis: Analysis) -> dict[str, Any]:
+    """Keys: bus_load (fraction), schedulable, tick_s, responses[] {frame, can_id, bits, worst_s, deadline_s, margin_s,
+    bounded}; worst_s is null where no bound exists."""
+    return {
+        "bus_load": analysis.bus_load,
+        "schedulable": analysis.schedulable,
+        "tick_s": analysis.tick_ns * 1e-9,
+        "responses": [_response_json(response) for response in analysis.responses],
+    }
+
+
+def _response_json(response: Response) -> dict[str, Any]:
+    deadline_ns, margin_ns = response.message.deadline_ns, response.margin_ns
+    return {
+        "frame": response.frame,
+        "can_id": response.message.can_id,
+        "bits": {"nominal": response.bits[0], "data": response.bits[1]},
+        "worst_s": None if margin_ns is None else (deadline_ns - margin_ns) * 1e-9,
+        "deadline_s": deadline_ns * 1e-9,
+        "margin_s": None if margin_ns is None else margin_ns * 1e-9,
+        "bounded": response.worst_ns is not None,
+    }
+
+
+def _us(time_ns: int) -> str:
+    return f"{time_ns / 1000:.1f} us"
+
+
+def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
+    """Every frame with its length, worst case, deadline and margin, the most urgent first."""
+    bus = rig.bus
+    rates = f"{bus.bitrate} bit/s" + (f", data {bus.data_bitrate} bit/s" if _any_fd(analysis) else "")
+    verdict = "fits" if analysis.schedulable else "[red]does not fit[/red]"
+    title = (
+        f"{rig.name}: {bus.protocol} on {rates}, {rig.rate_hz:g} Hz: {verdict}\n"
+        f"worst-case load {analysis.bus_load:.1%}, cyclic frames {_us(analysis.tick_ns)} a tick; times in us"
+    )
+    table = Table(title=title, title_justify="left")
+    for column in ("frame", "id", "from"):
+        table.add_column(column, no_wrap=True)
+    for column in ("bytes", "bits", "time", "worst", "deadline", "margin"):
+        table.add_column(column, no_wrap=True, justify="right")
+    for response in sorted(analysis.responses, key=lambda response: response.message.period_ns):
+        message, margin_ns = response.message, response.margin_ns
+        nominal, fast = response.bits
+        table.add_row(
+            response.frame,
+            f"{message.can_id & ~EXTENDED:03X}",
+            message.sender,
+            str(message.length),
+            f"{nominal}+{fast}" if fast else str(nominal),
+            f"{response.cost_ns / 1000:.1f}",
+            "no bound" if margin_ns is None else f"{(message.deadline_ns - margin_ns) / 1000:.1f}",
+            f"{message.deadline_ns / 1000:.0f}",
+            "-" if margin_ns is None else f"{'' if response.fits else '[red]'}{margin_ns / 1000:.1f}",
+        )
+    return table
+
+
+def stability_table(report: StabilityReport) -> Table:
+    """Per axis: slowest pole, margins, and the rates from which the loop is stable."""
+    title = f"{report.law} at {report.rate_hz:g} Hz, one period of delay: " + (
+        "stable" if report.stable else "[red]unstable[/red]"
+    )
+    table = Table(
+        "axis", "largest pole", "gain margin", "phase margin", "stable from", "from, finite difference", title=title
+    )
+    for name, axis in report.axes.items():
+        gain, phase = axis.gain_margin, axis.phase_margin_deg
+        rates = (axis.lowest_stable_rate_hz, axis.finite_difference_rate_hz)
+        table.add_row(
+            name,
+            f"{'' if axis.stable else '[red]'}{axis.radius:.4f}",
+            "-" if gain is None else f"{20.0 * math.log10(gain):.1f} dB",
+            "-" if phase is None else f"{phase:.0f} deg",
+            *("-" if rate is None else f"{rate:.0f} Hz" for rate in rates),
+        )
+    return table
+
+
+def _any_fd(analysis: Analysis) -> bool:
+    return any(response.message.fd for response in analysis.responses)
+
+
+def draw_tick(rig: RigConfig, analysis: Analysis, target: Path) -> None:
+    """PNG: what the analysis promises of one tick. Bars: each frame at its longest, ending when it ends at worst."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    responses = [
+        response for response in analysis.responses if response.message.deadline_ns <= 2 * rig.period_ns
+    ] or list(analysis.responses)
+    figure, axes = pyplot.subplots(figsize=(9, 1.2 + 0.35 * len(responses)), layout="constrained")
+    for row, response in enumerate(responses):
+        margin_ns = response.margin_ns
+        if margin_ns is not None:
+            end = (response.message.deadline_ns - margin_ns) / 1000
+            colour = "tab:blue" if response.fits else "tab:red"
+            axes.barh(row, response.cost_ns / 1000, left=end - response.cost_ns / 1000, color=colour)
+            axes.annotate(f"{end:.0f}", (end, row), xytext=(3, 0), textcoords="offset points", va="center", fontsize=8)
+        axes.plot(response.message.deadline_ns / 1000, row, "k|", markersize=14)
+    axes.axvline(rig.period_ns / 1000, color="grey", linewidth=0.8)
+    axes.set_yticks(range(len(responses)), [f"{r.frame}  {r.message.can_id & ~EXTENDED:03X}h" for r in responses])
+    axes.invert_yaxis()
+    axes.set_xlim(left=0)
+    axes.set_xlabel("µs after the tick's start (bar: the frame at its longest, ending at worst; tick mark: deadline)")
+    axes.set_title(f"{rig.name}, {rig.bus.protocol}, {rig.rate_hz:g} Hz: worst-case load {analysis.bus_load:.1%}")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(target, dpi=120)
+    pyplot.close(figure)

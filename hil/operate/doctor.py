@@ -1,0 +1,250 @@
+"""`hil doctor`: what this machine grants, and what to do about what it does not."""
+
+import ctypes
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivers.runtime import RuntimeDirectoryError, runtime_dir
+from hil.live.realtime import claim
+from hil.rig.schema import TimingConfig
+from tests.benchmarks.harness import machine_facts
+
+ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
+BUSY_DEVICE = 1000  # interrupts since the machine started; fewer are no device at work
+RT_TESTS = "install rt-tests (Debian: apt install rt-tests)"
+
+
+class Finding(NamedTuple):
+    """One thing looked at. level: ok, note (could be better), warn (missing). advice: what to do, empty when ok."""
+
+    topic: str
+    level: str
+    detail: str
+    advice: str = ""
+
+
+def doctor(
+    as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
+    strict: Annotated[bool, typer.Option(help="exit 1 when something is missing")] = False,
+) -> None:
+    """Say what this machine grants (CAN, real time, memory lock, DMA latency, cores) and what to do about the rest."""
+    findings = examine()
+    if as_json:
+        sys.stdout.write(
+            json.dumps({"findings": [f._asdict() for f in findings], "machine": machine_facts()}, indent=1)
+        )
+        sys.stdout.write("\n")
+    else:
+        _print(findings)
+    if strict and any(finding.level == "warn" for finding in findings):
+        raise typer.Exit(1)
+
+
+def _print(findings: list[Finding]) -> None:
+    console = Console()
+    table = Table(show_header=False, box=None, pad_edge=False)
+    colours = {"ok": "green", "note": "yellow", "warn": "red"}
+    for finding in findings:
+        table.add_row(finding.topic, f"[{colours[finding.level]}]{finding.level}[/]", finding.detail)
+        if finding.advice:
+            table.add_row("", "", f"-> {finding.advice}")
+    console.print(table)
+    console.print(", ".join(f"{key} {value}" for key, value in machine_facts().items() if value != ""), highlight=False)
+
+
+def examine() -> list[Finding]:
+    """All findings; none of them changes anything or needs privileges."""
+    return [
+        *can_findings(),
+        *realtime_findings(),
+        *kernel_findings(),
+        cores_finding(),
+        interrupts_finding(max(os.sched_getaffinity(0))),
+        runtime_finding(),
+        tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
+        tool_finding("strace", "`hil bench tick` counts system calls with it: apt install strace"),
+        tool_finding("cc", "`hil bench tick` builds its C reference with it: apt install gcc"),
+    ]
+
+
+# CAN ------------------------------------------------------------------------------------------------------------------
+
+
+def can_findings(net: Path = Path("/sys/class/net")) -> list[Finding]:
+    """SocketCAN in the kernel, and the interfaces there are. net: where the kernel lists its interfaces."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        return [
+            Finding(
+                "CAN",
+                "note",
+                f"no SocketCAN ({error.strerror}); emulated stages run on the local bus",
+                "for a real bus: modprobe can_raw (Debian's kernels have it), and in a service unit AF_CAN must be in "
+                "RestrictAddressFamilies",
+            )
+        ]
+    interfaces = can_interfaces(net)
+    if not interfaces:
+        advice = "plug in an adapter, or: ip link add vcan0 type vcan && ip link set vcan0 up"
+        return [Finding("CAN", "note", "SocketCAN, but no interface", advice)]
+    return [_interface_finding(name, net) for name in interfaces]
+
+
+def can_interfaces(net: Path) -> list[str]:
+    """Names of the kernel's CAN interfaces, virtual ones included."""
+    try:
+        return sorted(entry.name for entry in net.iterdir() if _read(entry / "type") == ARPHRD_CAN)
+    except OSError:
+        return []
+
+
+def _interface_finding(name: str, net: Path) -> Finding:
+    up = int(_read(net / name / "flags") or "0", 0) & 1
+    if not up:
+        advice = f"ip link set {name} up type can bitrate 1000000 dbitrate 5000000 fd on (vcan: only `up`)"
+        return Finding(f"CAN {name}", "warn", "down", advice)
+    queue, mtu = _read(net / name / "tx_queue_len"), _read(net / name / "mtu")
+    kind = "CAN FD" if mtu == "72" else "classic CAN only: stage_fd needs `fd on`"
+    level = "ok" if mtu == "72" else "note"
+    return Finding(
+        f"CAN {name}", level, f"up, {kind}, transmit queue {queue}", "" if level == "ok" else f"mtu is {mtu}"
+    )
+
+
+# Real time ------------------------------------------------------------------------------------------------------------
+
+
+def realtime_findings() -> list[Finding]:
+    """What a control process started by this user would be granted; tried in a child, so that nothing sticks here."""
+    command = [sys.executable, "-c", "from hil.operate.doctor import probe_realtime; probe_realtime()"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    except (subprocess.SubprocessError, OSError) as error:
+        return [Finding("real time", "warn", f"could not be tried: {error}", "run `hil doctor` as the service's user")]
+    grants: list[dict[str, Any]] = json.loads(done.stdout)
+    return [Finding(g["name"], "ok" if g["granted"] else "warn", g["detail"], g["remedy"]) for g in grants]
+
+
+def probe_realtime() -> None:
+    """Claim real time with the default [timing] and print the grants as JSON (for the child of realtime_findings)."""
+    held = claim(TimingConfig())
+    sys.stdout.write(json.dumps([grant._asdict() for grant in held.verdict.grants]))
+
+
+def kernel_findings(proc: Path = Path("/proc"), sys_kernel: Path = Path("/sys/kernel")) -> list[Finding]:
+    """Preemption model, real-time throttling and clock."""
+    release = os.uname().release
+    if _read(sys_kernel / "realtime") == "1":
+        kernel = Finding("kernel", "ok", f"{release}, PREEMPT_RT")
+    else:
+        advice = "for bounded latencies on a rig: linux-image-rt-amd64 (Debian)"
+        kernel = Finding("kernel", "note", f"{release}, not PREEMPT_RT", advice)
+    runtime = _read(proc / "sys/kernel/sched_rt_runtime_us") or "?"
+    throttle = Finding("throttling", "ok", f"real-time tasks may use {runtime} us of each second's 1000000")
+    if runtime == "0":
+        throttle = Finding(
+            "throttling", "warn", "no time for real-time tasks", "sysctl kernel.sched_rt_runtime_us=950000"
+        )
+    clock = machine_facts()["clock"] or "?"
+    if clock in ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"):
+        return [kernel, throttle, Finding("clock", "ok", f"{clock}, read without a system call")]
+    advice = "reading it is a system call of about a microsecond; see the kernel log for why tsc was rejected"
+    return [kernel, throttle, Finding("clock", "note", str(clock), advice)]
+
+
+def cores_finding() -> Finding:
+    """Cores this process may use, and whether one is kept free for the loop."""
+    allowed = sorted(os.sched_getaffinity(0))
+    isolated = _read(Path("/sys/devices/system/cpu/isolated")) or ""
+    if len(allowed) < 2:
+        return Finding("cores", "warn", "one: everything shares it with the loop", "give this machine a second core")
+    if isolated:
+        return Finding("cores", "ok", f"{len(allowed)}, isolated: {isolated}; set timing.cpu to one of these")
+    last = allowed[-1]
+    advice = (
+        f"to keep the loop's core ({last}) free: kernel command line isolcpus={last} nohz_full={last} rcu_nocbs={last}"
+    )
+    return Finding("cores", "note", f"{len(allowed)}, none isolated", advice)
+
+
+def interrupts_finding(core: int, proc: Path = Path("/proc")) -> Finding:
+    """Devices that interrupt the loop's core (timing.cpu = -1: the last one). Their handlers, and the softirqs behind
+    them, run in the middle of ticks, at no priority that SCHED_FIFO could beat.
+    """
+    found = [
+        (number, name, count)
+        for number, name, count in _device_interrupts(core, proc)
+        if count >= BUSY_DEVICE and _read(proc / "irq" / number / "effective_affinity_list") == str(core)
+    ]
+    if not found:
+        return Finding("interrupts", "ok", f"core {core} serves no busy device")
+    shown = ", ".join(f"{name} ({number}: {count} so far)" for number, name, count in found)
+    advice = (
+        "to move one to another core: echo CORE > /proc/irq/NUMBER/smp_affinity_list (and tell irqbalance, if it runs);"
+        f" or kernel command line irqaffinity= without {core}. The CAN adapter's own may stay"
+    )
+    return Finding("interrupts", "note", f"core {core} serves {shown}", advice)
+
+
+def _device_interrupts(core: int, proc: Path) -> Iterator[tuple[str, str, int]]:
+    """(number, name, how many came to the core since the start) of every device's line in /proc/interrupts."""
+    header, *lines = (_read(proc / "interrupts") or "").splitlines() or [""]
+    cores = header.split()
+    column = cores.index(f"CPU{core}") if f"CPU{core}" in cores else -1
+    for line in lines if column >= 0 else ():
+        number, _, rest = line.partition(":")
+        words = rest.split()
+        if number.strip().isdigit() and len(words) > len(cores):  # the others are the processor's own: timer, IPIs
+            yield number.strip(), words[-1], int(words[column])
+
+
+# The rest -------------------------------------------------------------------------------------------------------------
+
+
+def runtime_finding() -> Finding:
+    """Ring and mailbox must lie in memory: a disk's write-back can stop the loop for milliseconds."""
+    try:
+        path = runtime_dir()
+    except RuntimeDirectoryError as error:
+        return Finding("runtime directory", "warn", str(error), "set HIL_RUNTIME_DIR to a directory of your own")
+    if in_memory(path):
+        return Finding("runtime directory", "ok", f"{path}, in memory")
+    advice = "its write-back can delay the loop; put it on a tmpfs, for example HIL_RUNTIME_DIR=/dev/shm/hil"
+    return Finding("runtime directory", "note", f"{path}, on a disk", advice)
+
+
+class _Statfs(ctypes.Structure):
+    _fields_ = (("type", ctypes.c_long), ("rest", ctypes.c_byte * 240))
+
+
+def in_memory(path: Path) -> bool:
+    """Whether `path` lies on a tmpfs or ramfs (statfs(2))."""
+    found = _Statfs()
+    if ctypes.CDLL(None).statfs(os.fsencode(path), ctypes.byref(found)):
+        return False
+    return found.type in (0x01021994, 0x858458F6)  # TMPFS_MAGIC, RAMFS_MAGIC of <linux/magic.h>
+
+
+def tool_finding(name: str, advice: str, which: Callable[[str], str | None] = shutil.which) -> Finding:
+    """A program that only benchmarks need."""
+    path = which(name)
+    return Finding(name, "ok", path) if path else Finding(name, "note", "not installed", advice)
+
+
+def _read(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except OSError:
+        return None

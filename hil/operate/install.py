@@ -1,0 +1,355 @@
+"""`hil install` and `hil uninstall`: systemd units, network files and a rig file, put in place and taken away again."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tomlkit
+import typer
+
+from drivers.config import BusConfig
+from hil.rig.schema import RigConfig, RigError, build_rig
+
+MANIFEST = "etc/hil/installed.json"
+RIGS = "etc/hil/rigs"
+CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, worked out again where they are missing
+_UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil.target")
+_PACKAGED_TARGET = "usr/lib/systemd/system/hil.target"
+
+Files = dict[str, str]  # path relative to the root -> content
+Links = dict[str, str]  # path relative to the root -> what the symbolic link says
+
+
+class InstallError(Exception):
+    """What cannot be installed, and what to do instead."""
+
+
+def assets() -> Path:
+    """The deploy directory: beside the package in a checkout, inside it in a wheel. Raises InstallError."""
+    here = Path(__file__).resolve().parents[1]
+    for candidate in (here / "deploy", here.parent / "deploy"):
+        if (candidate / "systemd").is_dir():
+            return candidate
+    raise InstallError(f"no deploy/systemd beside {here}: this copy of hil is not complete")
+
+
+def escape(name: str) -> str:
+    """`name` as systemd-escape(1) writes it into a unit's name."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in ":_.") else f"\\x{ord(c):02x}" for c in name)
+
+
+def with_values(text: str, **values: object) -> str:
+    """An ini-style file with the values of its existing keys replaced."""
+    for key, value in values.items():
+        text, found = re.subn(rf"^{key}=.*$", f"{key}={value}", text, flags=re.MULTILINE)
+        if not found:
+            raise InstallError(f"no line {key}= in the file to be filled in")
+    return text
+
+
+def system_files(executable: str, *, packaged: bool) -> Files:
+    """What every rig shares: units, user, directories, device permission.
+
+    executable: absolute path of `hil` for ExecStart. packaged: at a package's places, else at an administrator's.
+    """
+    source = assets() / "systemd"
+    base, udev = ("usr/lib", "usr/lib/udev") if packaged else ("etc", "etc/udev")
+    units = {
+        f"{base}/systemd/system/{name}": (source / "units" / name)
+        .read_text()
+        .replace("/usr/bin/hil ", f"{executable} ")
+        for name in _UNITS
+    }
+    return {
+        **units,
+        f"{base}/sysusers.d/hil.conf": (source / "sysusers.conf").read_text(),
+        f"{base}/tmpfiles.d/hil.conf": (source / "tmpfiles.conf").read_text(),
+        f"{udev}/rules.d/70-hil.rules": (source / "udev.rules").read_text(),
+    }
+
+
+def network_files(bus: BusConfig, *, fd: bool) -> Files:
+    """systemd-networkd's and udev's files for the rig's CAN interface; `fd` says whether its layout needs CAN FD."""
+    source = assets() / "systemd/network"
+    place = f"etc/systemd/network/80-hil-{bus.channel}"
+    if bus.channel.startswith("vcan"):
+        return {
+            f"{place}.netdev": with_values((source / "vcan.netdev").read_text(), Name=bus.channel),
+            f"{place}.network": with_values((source / "vcan.network").read_text(), Name=bus.channel),
+        }
+    rates: dict[str, object] = {"Name": bus.channel, "BitRate": bus.bitrate}
+    if fd:
+        rates["DataBitRate"] = bus.data_bitrate
+    network = (source / ("can-fd.network" if fd else "can-classic.network")).read_text()
+    link = (source / "can.link").read_text()
+    return {
+        f"{place}.network": with_values(network, **rates),
+        f"{place}.link": with_values(link, OriginalName=bus.channel, TransmitQueueLength=bus.transmit_queue),
+    }
+
+
+def device_of(rig: RigConfig) -> str:
+    """The systemd device unit of the rig's CAN interface."""
+    return f"sys-subsystem-net-devices-{escape(rig.bus.channel)}.device"
+
+
+def unit_drop_in(rig: RigConfig, cpu: int | None = None) -> str:
+    """The rig's own part of a unit: bound to its CAN device and, where one is given, to a CPU."""
+    lines = ["[Unit]", f"BindsTo={device_of(rig)}", f"After={device_of(rig)}"]
+    if cpu is not None:
+        lines += ["", "[Service]", f"CPUAffinity={cpu}"]
+    return "\n".join([f"# written by `hil install` for rig {rig.name}", *lines, ""])
+
+
+def control_cpu(rig: RigConfig, cpus: int) -> int | None:
+    """The CPU of the control unit: the one of [timing], else the last of so many; None where there is but one."""
+    if rig.timing.cpu >= 0:
+        return rig.timing.cpu
+    return cpus - 1 if cpus > 1 else None
+
+
+def rig_links(rig: RigConfig, unit_directory: str, *, emulator: bool) -> Links:
+    """Which units hil.target starts, and which the CAN device brings back when it is plugged in again."""
+    bound = ["hil-control", "hil-emulator"] if emulator else ["hil-control"]
+    started = [*bound, "hil-sidecar"]
+    wants = [("hil.target", unit) for unit in started] + [(device_of(rig), unit) for unit in bound]
+    return {
+        f"etc/systemd/system/{wanting}.wants/{unit}@{rig.name}.service": f"/{unit_directory}/{unit}@.service"
+        for wanting, unit in wants
+    }
+
+
+def rig_files(rig: RigConfig, *, fd: bool, emulator: bool) -> Files:
+    """Everything but the rig file itself that belongs to one rig."""
+    drop_ins = {"hil-control": unit_drop_in(rig, control_cpu(rig, os.cpu_count() or 1))}
+    if emulator:
+        drop_ins["hil-emulator"] = unit_drop_in(rig)
+    places = {f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": text for unit, text in drop_ins.items()}
+    return {**network_files(rig.bus, fd=fd), **places}
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _read_manifest(root: Path) -> dict[str, str]:
+    path = root / MANIFEST
+    try:
+        entries: dict[str, str] = json.loads(path.read_text()) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise InstallError(f"{path}: {error}") from None
+    return entries
+
+
+def _write(root: Path, files: Files, links: Links, manifest: dict[str, str]) -> None:
+    for relative, content in files.items():
+        path = root / relative
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+        manifest[relative] = _digest(content)
+    for relative, target in links.items():
+        path = root / relative
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        path.symlink_to(target)
+        manifest[relative] = f"-> {target}"
+    place = root / MANIFEST
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+
+
+def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
+    """The rig file's text, with another channel where one is asked for (comments stay), and what it says."""
+    try:
+        document = tomlkit.parse(source.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RigError([f"{source}: {error.strerror}"]) from None
+    except (tomlkit.exceptions.TOMLKitError, UnicodeDecodeError) as error:
+        raise RigError([f"{source}: not a TOML document: {error}"]) from None
+    if channel is not None:
+        document.setdefault("bus", tomlkit.table())["channel"] = channel
+    try:
+        return tomlkit.dumps(document), build_rig(document.unwrap())
+    except RigError as error:
+        raise RigError([f"{source}: {line}" for line in error.problems]) from None
+
+
+def _dbc_file(rig: RigConfig, source: Path) -> Files:
+    """The DBC file that a rig with `protocol = "dbc:FILE"` needs beside it, by its name there; else nothing.
+
+    Raises InstallError for a path out of the rig file's folder: the installed one would not find it again.
+    """
+    kind, _, name = rig.bus.protocol.partition(":")
+    if kind != "dbc" or Path(name).is_absolute():  # an absolute path is the same file wherever the rig file lies
+        return {}
+    if ".." in Path(name).parts:
+        raise InstallError(f"bus.protocol = '{rig.bus.protocol}': must lie beside {source}, or be an absolute path")
+    # DBC files are in whatever 8-bit encoding their editor used: carry the bytes through
+    return {name: (source.parent / name).read_text(encoding="utf-8", errors="surrogateescape")}
+
+
+def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> None:
+    """Write the rig file and what belongs to it unless that would lose somebody's edits.
+
+    They are the user's: no manifest lists them.
+    """
+    encoding = {"encoding": "utf-8", "errors": "surrogateescape"}
+    places = {root / RIGS / name: text for name, text in files.items()}
+    for place, text in places.items():
+        if place.exists() and place.read_text(**encoding) != text and not replace:
+            raise InstallError(f"{place} exists and is different; edit it there and install it, or use --replace")
+    for place, text in places.items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text, **encoding)
+        place.chmod(0o644)
+
+
+def _reload(root: Path, channel: str = "") -> None:
+    """Let the running system see the new files; nothing is started or stopped.
+
+    channel: an interface to which udev is to apply its .link file (the transmit queue) now, if it is there.
+    """
+    if root != Path("/") or not Path("/run/systemd/system").is_dir():
+        return
+    devices = ["/dev/cpu_dma_latency", f"/sys/class/net/{channel}"]
+    present = [device for device in devices[: 2 if channel else 1] if Path(device).exists()]
+    for command in (
+        ["systemd-sysusers"],
+        ["systemd-tmpfiles", "--create", "--prefix=/run/hil", "--prefix=/var/lib/hil", "--prefix=/etc/hil"],
+        ["udevadm", "control", "--reload"],
+        ["udevadm", "trigger", "--settle", "--action=add", *present],
+        ["systemctl", "daemon-reload"],
+        ["systemctl", "try-reload-or-restart", "systemd-networkd.service"],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(f"hil install: {' '.join(command)}: {done.stderr.strip()}", file=sys.stderr)
+
+
+def _needs_fd(rig: RigConfig, base_dir: Path) -> bool:
+    from drivers.protocols import host_protocol  # slow, and only needed where a rig is installed
+
+    try:
+        return host_protocol(rig.bus, len(rig.axes), [axis.rated_force for axis in rig.axes.values()], base_dir).fd
+    except ValueError as error:
+        raise RigError([f"bus.protocol = '{rig.bus.protocol}': {error}"]) from None
+
+
+def install_rig(
+    source: Path, root: Path, *, channel: str | None, emulator: bool | None, replace: bool, executable: str
+) -> RigConfig:
+    """Put the rig file, its network files and unit links under `root`, and the shared units where no package did.
+
+    emulator: also start the emulated stage; None: on vcan channels only. Raises RigError, InstallError, OSError.
+    """
+    text, rig = _rig_text(source, channel)
+    emulated = rig.bus.channel.startswith("vcan") if emulator is None else emulator
+    fd = _needs_fd(rig, source.parent)
+    belongings = {f"{rig.name}.toml": text, **_dbc_file(rig, source)}
+    packaged = (root / _PACKAGED_TARGET).exists()
+    manifest = _read_manifest(root)
+    _remove(root, [path for path in manifest if f"@{rig.name}.service" in path], manifest)
+    _place_rig(root, rig, belongings, replace=replace)
+    shared = {} if packaged else system_files(executable, packaged=False)
+    unit_directory = "usr/lib/systemd/system" if packaged else "etc/systemd/system"
+    files = {**shared, **rig_files(rig, fd=fd, emulator=emulated)}
+    _write(root, files, rig_links(rig, unit_directory, emulator=emulated), manifest)
+    return rig
+
+
+def _remove(root: Path, paths: list[str], manifest: dict[str, str]) -> list[str]:
+    """Remove what was put there, but nothing that somebody has changed since; returns what was left."""
+    left = []
+    for relative in paths:
+        path = root / relative
+        expected = manifest.pop(relative)
+        present = path.is_symlink() or path.exists()
+        found = f"-> {os.readlink(path)}" if path.is_symlink() else _digest(path.read_text()) if present else expected
+        if found != expected:
+            left.append(relative)
+        elif present:
+            path.unlink()
+            _prune(path.parent)
+    return left
+
+
+def _prune(directory: Path) -> None:
+    """Remove the .wants and .d directories that have become empty; no other directory is ours."""
+    if directory.name.endswith((".wants", ".service.d")) and not any(directory.iterdir()):
+        directory.rmdir()
+
+
+def uninstall_all(root: Path, *, purge: bool) -> list[str]:
+    """Remove what `install_rig` put under `root` and the service's cache, with `purge` the rig files too. Returns what
+    was left, and why.
+    """
+    manifest = _read_manifest(root)
+    left = [f"/{path}: changed since it was installed" for path in _remove(root, list(manifest), manifest)]
+    (root / MANIFEST).unlink(missing_ok=True)
+    shutil.rmtree(root / CACHE, ignore_errors=True)
+    rigs = root / RIGS
+    if purge and rigs.is_dir():
+        shutil.rmtree(rigs)
+    elif rigs.is_dir() and any(rigs.iterdir()):
+        left.append(f"/{RIGS}: your rig files (--purge removes them)")
+    return left
+
+
+def _executable() -> str:
+    """The `hil` that the units are to start: the one beside this interpreter."""
+    beside = Path(sys.executable).parent / "hil"
+    found = str(beside) if beside.exists() else shutil.which("hil")
+    if not found:
+        raise InstallError("no `hil` command beside this Python or on the path, for the units to start")
+    return found
+
+
+def _fail(error: Exception) -> None:
+    print(f"hil: {error}", file=sys.stderr)
+    if isinstance(error, PermissionError):
+        print("hil: installing into the system needs root; --root DIR installs into a directory", file=sys.stderr)
+    raise typer.Exit(1)
+
+
+def install(
+    rig: Annotated[Path, typer.Option(help="Rig file to install as /etc/hil/rigs/NAME.toml")],
+    root: Annotated[Path, typer.Option(help="Install under this directory instead of /")] = Path("/"),
+    channel: Annotated[str | None, typer.Option(help="Write this CAN channel into the installed rig file")] = None,
+    emulator: Annotated[
+        bool | None, typer.Option(help="Start the emulated stage as well [default: on vcan channels only]")
+    ] = None,
+    replace: Annotated[bool, typer.Option(help="Overwrite an installed rig file that differs")] = False,
+) -> None:
+    """Put the systemd units and a rig file in place. Starts nothing: systemctl start hil.target does."""
+    try:
+        installed = install_rig(
+            rig, root, channel=channel, emulator=emulator, replace=replace, executable=_executable()
+        )
+    except (InstallError, OSError) as error:
+        _fail(error)
+    _reload(root, installed.bus.channel)
+    print(f"rig {installed.name} on {installed.bus.channel}: {root / RIGS / installed.name}.toml")
+    print("start: systemctl start hil.target    at every boot: systemctl enable hil.target")
+
+
+def uninstall(
+    root: Annotated[Path, typer.Option(help="Where it was installed")] = Path("/"),
+    purge: Annotated[bool, typer.Option(help="Remove the rig files as well")] = False,
+) -> None:
+    """Remove what `hil install` put in place; recordings in /var/lib/hil always stay."""
+    try:
+        if root == Path("/") and Path("/run/systemd/system").is_dir():
+            # disabled too: systemctl's own link for the next boot is in no manifest
+            subprocess.run(["systemctl", "disable", "--quiet", "--now", "hil.target"], check=False)
+        left = uninstall_all(root, purge=purge)
+    except (InstallError, OSError) as error:
+        _fail(error)
+    _reload(root)
+    for line in left:
+        print(f"left: {line}")

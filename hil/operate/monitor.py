@@ -1,0 +1,141 @@
+"""`hil monitor`: a rig in the terminal, over Zenoh, from any machine that reaches the sidecar."""
+
+import sys
+import time
+from typing import Annotated
+
+import typer
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.cli.output import metres
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+
+STALE_S = 2.0
+POLL_S = 0.05
+LINE_INTERVAL_S = 1.0  # without a terminal
+
+_STATE_STYLES = {"ACTIVE": "bold green", "HOMING": "green", "READY": "cyan", "FAULT": "bold red", "ESTOP": "bold red"}
+
+
+def control_line(status: pb.Status) -> Text:
+    """State, fault and fate of the control process."""
+    text = Text()
+    text.append(status.state or "-", style=_STATE_STYLES.get(status.state, "yellow"))
+    if status.fault not in ("", "NONE"):
+        text.append(f"  fault {status.fault}", style="bold red")
+    if status.faults_active:
+        text.append(f"  seen now: {', '.join(status.faults_active)}", style="red")
+    if not status.control_alive:
+        fate = "ended" if status.control_ended else "was killed" if status.pid else "is not running"
+        text.append(f"  the control process {fate}", style="yellow" if status.control_ended else "bold red")
+    return text
+
+
+def drive_words(bits: int) -> Text:
+    """What a drive says of itself. In red what keeps the rig from READY."""
+    text = Text()
+    for flag in DriveStatus(bits):
+        text.append(f"{(flag.name or '').lower().replace('_', ' ')} ", style="bold red" if flag & UNHEALTHY else "")
+    return text
+
+
+def axis_rows(status: pb.Status) -> Table:
+    """Per axis: where it is, where it should be, the largest error of the last second, the force, the drive's word."""
+    table = Table("axis", "position", "setpoint", "max error, last s", "force", "drive", expand=True)
+    columns = (status.axes, status.units, status.position, status.setpoint, status.max_error, status.force)
+    for name, unit, position, setpoint, error, force, drive in zip(*columns, status.drive_status, strict=False):
+        table.add_row(
+            name,
+            f"{position * 1e3:+.6f} m{unit}",
+            f"{setpoint * 1e3:+.6f} m{unit}",
+            metres(error, "linear" if unit == "m" else "rotary"),
+            f"{force:+.4f} {'N' if unit == 'm' else 'N m'}",
+            drive_words(drive),
+        )
+    return table
+
+
+def counter_rows(status: pb.Status) -> Table:
+    """Lateness, losses, telemetry."""
+    counts = status.counters
+    late = [f"{value * 1e6:.0f}" for value in (status.lateness_p50, status.lateness_p99, status.lateness_max)]
+    table = Table.grid(padding=(0, 2))
+    table.add_row("tick lateness", "p50 {} / p99 {} / max {} µs over the last second".format(*late))
+    missed = f"{counts.missed_own} own, {counts.missed_host} the host's"
+    table.add_row("missed ticks", missed)
+    lost = f"{counts.samples_lost} samples lost, {sum(counts.rejects)} frames rejected, {counts.refused} refused"
+    table.add_row("frames", f"{counts.sent} sent, {counts.received} received; {lost}")
+    recording = "recording" if status.recording else "not recording"
+    table.add_row("telemetry", f"{status.sent} ticks sent, {status.dropped} dropped; {recording}")
+    table.add_row("real time", status.realtime or "-")
+    return table
+
+
+def view(status: pb.Status) -> RenderableType:
+    """The whole picture."""
+    title = (
+        f"{status.rig} · {status.law} · {1e9 / status.period_ns if status.period_ns else 0:g} Hz · tick {status.index}"
+    )
+    return Panel(Group(control_line(status), axis_rows(status), counter_rows(status)), title=title)
+
+
+def line(status: pb.Status) -> str:
+    """The same in one line, where there is no terminal."""
+    errors = " ".join(
+        f"{name} {metres(error, 'linear' if unit == 'm' else 'rotary')}"
+        for name, unit, error in zip(status.axes, status.units, status.max_error, strict=False)
+    )
+    late = f"late p99 {status.lateness_p99 * 1e6:.0f} max {status.lateness_max * 1e6:.0f} us"
+    return f"tick {status.index:>7}  {control_line(status).plain}  max error {errors or '-'}  {late}"
+
+
+def monitor(
+    rig: Annotated[str | None, typer.Argument(help="name of the rig [any]")] = None,
+    connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
+    key: Annotated[str, typer.Option(help="[telemetry] key of the rig file")] = "hil",
+    once: Annotated[bool, typer.Option("--once", help="print one snapshot and leave")] = False,
+) -> None:
+    """Watch a rig until Ctrl-C. Exit status 69: no sidecar answers (with --once)."""
+    console = Console()
+    endpoint = connect or find_endpoint(rig)
+    with RigClient(endpoint, key, rig or "*") as client:
+        try:
+            if once:
+                console.print(view(client.wait_status(3.0)))
+            else:
+                _watch(client, console)
+        except NoSidecarError as error:
+            print(f"hil monitor: {error}", file=sys.stderr)
+            raise typer.Exit(EXIT_UNAVAILABLE) from None
+        except KeyboardInterrupt:
+            pass
+
+
+def _watch(client: RigClient, console: Console) -> None:
+    waiting = Text(f"waiting for a sidecar at {client.endpoint} (hil sidecar RIG, or hil demo RIG); Ctrl-C ends")
+    if not console.is_terminal:
+        _watch_lines(client, console)
+        return
+    last_s = 0.0
+    with Live(waiting, console=console, auto_refresh=False, transient=False) as live:
+        while True:
+            status = client.status()
+            if status:
+                last_s = time.monotonic()
+                live.update(view(status), refresh=True)
+            elif time.monotonic() - last_s > STALE_S:
+                live.update(waiting, refresh=True)
+            time.sleep(POLL_S)
+
+
+def _watch_lines(client: RigClient, console: Console) -> None:
+    while True:
+        console.print(line(client.wait_status(30.0)), soft_wrap=True)
+        time.sleep(LINE_INTERVAL_S)

@@ -1,0 +1,1 @@
+"""What the rig file says: its schema, its reading, whether its traffic fits the bus, where a run came from."""

@@ -1,0 +1,1 @@
+"""Offline questions about laws and plants; nothing here runs at the rig."""

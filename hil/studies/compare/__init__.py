@@ -1,0 +1,1 @@
+"""All laws, or all velocity estimators, on the same task."""

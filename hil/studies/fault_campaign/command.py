@@ -1,0 +1,100 @@
+"""`hil faults`: the whole campaign, over all cores."""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from hil.cli.output import writable, write_json
+from hil.cli.processes import worker_pool
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
+from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
+from hil.usable import usable
+
+PAPER = 150  # columns of a table that no terminal bounds
+SHIPPED = Path(__file__).parents[3] / "deploy" / "rigs"
+
+
+def campaign(
+    rigs: Sequence[Path],
+    stride: int,
+    jobs: int,
+    done: Callable[[int, int], None],
+    overrides: Sequence[str] = (),
+) -> list[Cell]:
+    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
+    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
+    """
+    work: list[Leg] = []
+    for path in rigs:
+        work += legs(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
+    total = sum(len(leg.cells) for leg in work)
+    cells: list[Cell] = []
+    # Spawned, not forked: a worker must be single-threaded to fork its cells.
+    with worker_pool(jobs, "spawn") as pool:
+        for leg_cells in pool.map(sail, work):
+            cells += leg_cells
+            done(len(cells), total)
+    return cells
+
+
+def _checked(rig: RigConfig, path: Path) -> RigConfig:
+    """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
+    return usable(displaced(rig), path)
+
+
+def faults(
+    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
+    ] = None,
+    stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
+    jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write all cells there; - for standard output")
+    ] = "",
+    page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
+) -> None:
+    """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of
+    faults.
+
+    Exit status 1 when a cell fails.
+    """
+    paths = rigs or sorted(SHIPPED.glob("*.toml"))
+    if not paths:
+        raise RigError([f"no rig file named, and none in {SHIPPED}"])
+    console = Console(stderr=json_target == "-")
+    if not console.is_terminal:
+        console = Console(stderr=json_target == "-", width=PAPER)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    started = time.perf_counter()
+    with Progress(*columns, console=console, transient=True) as bar:
+        job = bar.add_task("cells", total=None)
+        cells = campaign(
+            paths,
+            stride,
+            jobs or os.cpu_count() or 1,
+            lambda n, total: bar.update(job, completed=n, total=total),
+            overrides or (),
+        )
+    outcome = document(cells)
+    console.print(terminal_table(cells))
+    for cell in [cell for cell in cells if not cell.passed][:40]:
+        console.print(f"[red]failed[/red] {cell.rig}: {cell.checkpoint} / {cell.trial} / {cell.axis}: {cell.why}")
+    seconds = time.perf_counter() - started
+    for line in blind_lines(cells):
+        console.print(line)
+    console.print(f"{outcome['passed']} of {outcome['cells']} cells passed in {seconds:.0f} s")
+    if page:
+        write_html(cells, page)
+        console.print(f"matrix: {page}")
+    if json_target:
+        write_json(outcome, json_target)
+    sys.exit(0 if outcome["passed"] == outcome["cells"] else 1)

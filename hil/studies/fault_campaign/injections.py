@@ -1,0 +1,206 @@
+"""How the campaign's faults are brought about: steps of trials (trial.py) on a lockstep run."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from drivers.frame import ECHO, Frame
+from drivers.protocols.base import DriveStatus, Sample
+from drivers.protocols.canopen import cia301
+from drivers.protocols.canopen.cia301 import DriveState
+from drivers.wire.faults import FaultKind, WireFault
+from hil.control.laws.base import AxisLaws, LawInputs
+from hil.control.trajectories.displaced import Displaced
+from hil.studies.fault_campaign.trial import Step, axis_name, once
+from hil.virtual.lockstep import LockstepRun
+from sim_plant.drives.object_dictionary import key_of
+
+
+def axis_frames(
+    kind: FaultKind, *, node: bool = True, count: int = 0, delay_ns: int = 1_000_000, bit: int = -1
+) -> Step:
+    """A wire fault on the frames an axis sends: on `count` of them, or on all from now on; on everybody's without
+    `node`.
+    """
+
+    def act(run: LockstepRun, axis: int) -> None:
+        sender = axis_name(run, axis) if node else None
+        now = run.wire.now_ns
+        run.wire.inject(WireFault(kind, from_ns=now, node=sender, count=count, delay_ns=delay_ns, bit=bit))
+
+    return once(act)
+
+
+class Encoder:
+    """A falsified encoder. change(true count, count at the injection, ticks since) -> what it shows."""
+
+    def __init__(self, change: Callable[[int, int, int], int]) -> None:
+        self._change = change
+        self._held = self._ticks = 0
+
+    def __call__(self, run: LockstepRun, axis: int, k: int) -> None:
+        """The step."""
+        self._ticks = k
+        if k == 0:
+            drive = run.stage.drives[axis]
+            self._held = round(float(run.stage.position[axis]) / drive.resolution)
+            drive.taps.append(self._falsify)
+
+    def _falsify(self, sample: Sample) -> Sample:
+        return replace(sample, position=self._change(sample.position, self._held, self._ticks))
+
+
+def status_bit(bit: DriveStatus) -> Step:
+    """The drive shows a bit of its status, from now on."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.stage.drives[axis].extra_status |= int(bit)
+
+    return once(act)
+
+
+def trip(run: LockstepRun, axis: int) -> None:
+    """The drive's watchdog expires."""
+    run.stage.drives[axis].trip(run.stage.now_ns)
+
+
+def fail(run: LockstepRun, axis: int) -> None:
+    """The drive finds a fault."""
+    run.stage.drives[axis].fail()
+
+
+class _Falsified:
+    """A law that asks for something else."""
+
+    def __init__(self, honest: AxisLaws, change: Callable[[list[float], int], None], axis: int) -> None:
+        self._honest, self._change, self._axis = honest, change, axis
+        self.reset = honest.reset
+
+    def force(self, axes: Sequence[LawInputs]) -> list[float]:
+        """See AxisLaws."""
+        asked = self._honest.force(axes)
+        self._change(asked, self._axis)
+        return asked
+
+    @property
+    def denominator_floors(self) -> int:
+        """See AxisLaws."""
+        return self._honest.denominator_floors
+
+
+def law_asks(change: Callable[[list[float], int], None]) -> Step:
+    """Falsify what the law asks for, on one axis."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.cycle.law = _Falsified(run.cycle.law, change, axis)
+
+    return once(act)
+
+
+def set_to(value: float) -> Callable[[list[float], int], None]:
+    """What `law_asks` makes of one axis' force: this value, N."""
+
+    def change(asked: list[float], axis: int) -> None:
+        asked[axis] = value
+
+    return change
+
+
+def filter_nan(run: LockstepRun, axis: int) -> None:
+    """The axis' estimated velocity is no number any more."""
+    run.cycle.filters[axis].velocity = math.nan
+
+
+def bend(position_widths: float, speeds: float) -> Step:
+    """Displace the setpoint by so many travel widths, its velocity by so many speed limits."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        limits = run.rig.axes[axis_name(run, axis)].limits
+        width = limits.position[1] - limits.position[0]
+        setpoints = run.cycle.setpoints
+        if setpoints.trajectory is not None:
+            position, velocity = position_widths * width, speeds * limits.speed
+            displaced = Displaced(setpoints.trajectory, len(run.rig.axes), axis, position, velocity)
+            setpoints.follow(displaced, setpoints.origin)
+
+    return once(act)
+
+
+def says_enabled(run: LockstepRun, axis: int) -> None:
+    """The drive says that it is enabled, whatever it is told."""
+    drive = run.stage.drives[axis]
+    drive.taps.append(lambda sample: replace(sample, status=sample.status | int(DriveStatus.ENABLED)))
+    if run.stage.nodes:  # they tell their own state
+        _, enabled = DriveState.OPERATION_ENABLED.value
+        run.stage.nodes[axis].dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
+
+
+def jam(run: LockstepRun, axis: int) -> None:
+    """The axis is held by more force than any drive has."""
+    run.stage.jam(axis, 1e4)
+
+
+def torque_constant(run: LockstepRun, axis: int) -> None:
+    """The drive's force is 30 % more than it is told."""
+    run.stage.drives[axis].gain = 1.3
+
+
+def queue_full(run: LockstepRun, axis: int) -> None:
+    """The host's transmit queue takes nothing any more."""
+    run.host.queue_length = 0
+
+
+def babble(can_id: int) -> Step:
+    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        now = run.wire.now_ns
+        run.wire.inject(WireFault(FaultKind.BABBLE, from_ns=now, can_id=can_id, period_ns=25_000, length=0))
+
+    return once(act)
+
+
+def drop_out(run: LockstepRun, axis: int) -> None:
+    """The drive is enabled no more, and says so, without a fault."""
+    drive = run.stage.drives[axis]
+    drive.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
+    if run.stage.nodes:  # they tell their own state
+        run.stage.nodes[axis].switch_off()
+
+
+def overruns(slots: int, last: int = 10_000) -> Step:
+    """The control process misses `slots` slots before every tick up to tick `last`."""
+
+    def step(run: LockstepRun, axis: int, k: int) -> None:
+        if k <= last:
+            run.skip(slots)
+
+    return step
+
+
+def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
+    """Put a foreign frame made from the axis' latest answer into the host's receive queue."""
+
+    def step(run: LockstepRun, axis: int, k: int) -> None:
+        answers = run.cycle.protocol.messages(run.rig.period_ns)
+        can_id = next(m.can_id for m in answers if m.after is not None and m.sender == f"axis {axis}")
+        for frame in list(run.received):
+            if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
+                run.received.append(make(frame))
+                break
+
+    return step
+
+
+def withdrawn(name: str) -> Step:
+    """A grant (hil.cycle.tick.Tick) is taken back."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.grants[name] = False
+
+    return once(act)
+
+
+def stop_signal(run: LockstepRun, axis: int) -> None:
+    """SIGTERM."""
+    run.stop = True

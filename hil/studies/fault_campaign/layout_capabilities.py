@@ -1,0 +1,99 @@
+"""What a frame layout gives the detectors to work with, and so what nobody can ask of a rig that uses it.
+
+The one place where the campaign tells layouts apart: a trial names the means its fault takes to be told from the truth
+(`Trial.needs`), or to be played at all (`Trial.only`).
+"""
+
+from enum import Flag, auto
+from typing import NamedTuple
+
+from drivers.frame import Frame
+from drivers.frame_length import INTERMISSION, frame_bits
+from drivers.protocols.base import HostProtocol
+from hil.virtual.lockstep import LockstepRun
+
+BABBLE = Frame(0x7FF, b"")  # what a babbling node sends that disturbs least: the shortest frame, less urgent than ours
+TRAFFIC_TICKS = 20  # over which the bus' load is taken
+
+
+class Means(Flag):
+    """Properties of a layout on a rig."""
+
+    SEQUENCE = auto()
+    CHECKSUM = auto()
+    CAUSE = auto()
+    ROOM = auto()
+    NODES = auto()
+
+
+NONE = Means(0)
+
+
+class Text(NamedTuple):
+    """For people: what the means is, what is missing without it, and what follows."""
+
+    means: str
+    lacking: str
+    follows: str
+
+
+TEXTS: dict[Means, Text] = {
+    Means.SEQUENCE: Text(
+        "an answer says which command it answers",
+        "no sequence number",
+        "an answer that is late by whole periods passes for a prompt one, once the gap it left is over: the loop then "
+        "runs on old positions, and only a following error, a speed or a diverging filter may tell. A frame that comes "
+        "twice is taken twice, which changes nothing",
+    ),
+    Means.CHECKSUM: Text(
+        "frames carry a checksum besides CAN's own",
+        "no checksum",
+        "damage that CAN's own checksum lets through (in a drive's or a gateway's memory) is believed for the tick it "
+        "lasts: a position within the speed bound, a torque within the drive's own limit, a drive state as it reads",
+    ),
+    Means.CAUSE: Text(
+        "every answer says what is wrong with its drive",
+        "no cause in the status",
+        "a drive's fault is seen as soon as elsewhere, and answered the same; that its watchdog or its encoder was the "
+        "cause comes in a message of its own, later or never, so the fault that latches is drive_fault",
+    ),
+    Means.ROOM: Text(
+        "beside our own traffic the bus has room for safety.flood_frames frames a tick",
+        "no room for a flood",
+        "a node that babbles with frames less urgent than all of ours is not seen: it delays ours by one short frame "
+        "and displaces none. One more urgent than ours stops the rig under every layout",
+    ),
+}
+
+
+def has_nodes(layout: str) -> bool:
+    """Whether the drives are CANopen nodes."""
+    return layout == "cia402"
+
+
+def fixed_means(protocol: HostProtocol) -> Means:
+    """Those that follow from the layout alone."""
+    # A statusword says FAULT; why, an emergency message does.
+    means = Means.NODES if has_nodes(protocol.name) else Means.CAUSE
+    means |= Means.SEQUENCE if protocol.sequence_modulus else NONE
+    return means | (Means.CHECKSUM if protocol.checksum else NONE)
+
+
+def idle_bits_ns(run: LockstepRun) -> int:
+    """Time per tick in which the bus is free, ns, from the traffic of the next ticks. The run is used up."""
+    start, busy = run.index, run.wire.busy_ns
+    while run.index < start + TRAFFIC_TICKS:
+        run.tick()
+    return run.rig.period_ns - (run.wire.busy_ns - busy) // TRAFFIC_TICKS
+
+
+def has_room(run: LockstepRun) -> bool:
+    """Whether a babbling node can get so many frames through that they count as a flood. The run is used up."""
+    bits, _ = frame_bits(BABBLE)
+    duration_ns = run.wire.nominal_ns[bits + INTERMISSION]
+    return idle_bits_ns(run) // duration_ns >= run.rig.safety.flood_frames
+
+
+def lacking_text(means: Means) -> str:
+    """'no checksum, no sequence number', in the order of TEXTS; empty for none."""
+    return ", ".join(text.lacking for one, text in TEXTS.items() if one & means)

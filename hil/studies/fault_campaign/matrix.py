@@ -1,0 +1,289 @@
+"""Every trial from every checkpoint: each cell starts from an exact copy of the run, made by fork()."""
+
+import functools
+import os
+import pickle
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from drivers.protocols.base import DriveStatus
+from hil.control.estimator.gains import per_axis
+from hil.cycle.fault_monitor import REACTIONS, Fault, Reaction
+from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
+from hil.cycle.tick import CommandKind
+from hil.rig.schema import RigConfig, build_rig
+from hil.studies.fault_campaign.catalogue import TRIALS
+from hil.studies.fault_campaign.checkpoints import Checkpoint, Voyage, bring_to, checkpoints
+from hil.studies.fault_campaign.layout_capabilities import NONE, Means, fixed_means, has_nodes, has_room, lacking_text
+from hil.studies.fault_campaign.trial import Trial, ticks, watchdog
+
+HORIZON = 75  # ticks a cell is watched after a detection was due: a damped stop takes 50
+DRIVES_REACT = 3  # ticks from the gate's zero to drives that have let go, two lost frames included
+
+ENABLED = int(DriveStatus.ENABLED)
+Outcome = TypeVar("Outcome")
+
+
+@dataclass
+class Cell:
+    """Outcome of one trial at one checkpoint on one axis.
+
+    detection_ticks: -1 where nothing was detected. lacking: why the layout cannot tell this fault from the truth, so
+    that less is demanded; empty where it can.
+    """
+
+    rig: str
+    layout: str
+    checkpoint: str
+    trial: str
+    axis: str
+    passed: bool
+    why: str
+    fault: str
+    reaction: str
+    detection_ticks: int
+    peak_force_after: float
+    end: str
+    lacking: str
+
+
+def will_move(run: Voyage, axis: int, ticks: int) -> bool:
+    """Whether the task takes the axis so far within `ticks` that standing still must break its following limit."""
+    setpoints, limits = run.cycle.setpoints, list(run.rig.axes.values())[axis].limits
+    if setpoints.trajectory is None or run.cycle.state is not State.ACTIVE:
+        return False
+    now = setpoints.task_ns
+    times = now + np.arange(0, ticks, 5, dtype=np.int64) * run.rig.period_ns
+    reference = setpoints.trajectory.sample(np.repeat(times[:, None], len(run.rig.axes), axis=1))
+    travelled = np.abs(reference.position[:, axis] - reference.position[0, axis])
+    allowed = limits.following_error * (1.0 + np.abs(reference.velocity[:, axis]) / limits.speed)
+    return bool((travelled > 1.5 * allowed).any())
+
+
+def due_faults(trial: Trial, run: Voyage, axis: int) -> tuple[Fault, ...]:
+    """The trial's faults, where one of them must be detected from here; none where it need not."""
+    if trial.benign or not trial.certain or run.cycle.state not in trial.armed:
+        return ()
+    if trial.following_only and run.cycle.setpoints.trajectory is None:
+        return ()
+    if trial.moving_only and not will_move(run, axis, ticks(trial.within, run.rig)):
+        return ()
+    return trial.faults
+
+
+def expected_end(trial: Trial, state: State, *, unready: bool) -> set[State]:
+    """Where the state machine may be at the end of a cell without a latched fault that began in `state`."""
+    connected = {State.CONNECTED} if unready else {State.CONNECTED, State.READY}
+    settled = {State.STOPPING: {State.READY}, State.CONNECTED: connected}
+    if trial.command is not None:
+        event = {CommandKind.ESTOP: Event.ESTOP, CommandKind.ACTIVATE: Event.ACTIVATE}.get(trial.command)
+        event = event or {CommandKind.RESET: Event.RESET, CommandKind.STOP: Event.STOP}[trial.command]
+        state = TABLE.get((state, event), state)
+    return settled.get(state, {state})
+
+
+class Watch:
+    """What is seen of a run after the injection. Ticks count from there; -1: never.
+
+    detected: a fault latched. zero: from then on no drive applies a force. left: from then on the state permits no
+    torque. released: from then on no drive is enabled, nor applies a force. peak: greatest force after the detection.
+    """
+
+    def __init__(self, run: Voyage) -> None:
+        self._run = run
+        self._before = run.cycle.fault
+        self.detected = self.zero = self.left = self.released = -1
+        self.peak = 0.0
+
+    def look(self, k: int) -> None:
+        """After tick `k`."""
+        run = self._run
+        applied = max(map(abs, run.stage.applied_force))
+        enabled = any(drive.status & ENABLED for drive in run.stage.drives)
+        if self.detected < 0 and run.cycle.fault not in (Fault.NONE, self._before):
+            self.detected = k
+        if self.detected >= 0:
+            self.peak = max(self.peak, applied)
+        self.zero = _since(self.zero, k, not applied)
+        self.released = _since(self.released, k, not applied and not enabled)
+        self.left = _since(self.left, k, run.cycle.state not in TORQUE_STATES)
+
+
+def _since(before: int, k: int, holds: bool) -> int:
+    if not holds:
+        return -1
+    return k if before < 0 else before
+
+
+def judge(trial: Trial, began: State, due: tuple[Fault, ...], run: Voyage, seen: Watch, *, unready: bool) -> str:
+    """Why the cell failed that began in state `began`; empty where it passed."""
+    state, fault = run.cycle.state, run.cycle.fault
+    if run.stop:
+        return _judge_release(trial, run, seen) if state is State.SHUTDOWN else f"ended {state.name}, not SHUTDOWN"
+    if seen.detected < 0:
+        if due and began is not State.STOPPING:
+            return f"none of {', '.join(f.name for f in due)} detected"
+        ends = trial.ends(run) if trial.ends else expected_end(trial, began, unready=unready)
+        if state not in ends:
+            return f"ended {state.name}, expected {' or '.join(sorted(s.name for s in ends))}"
+        return _judge_release(trial, run, seen)
+    if fault not in trial.faults:
+        return f"latched {fault.name}, which this trial must not cause"
+    within = ticks(trial.within, run.rig)
+    if due and seen.detected > within:
+        return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
+    if due and REACTIONS[fault] < trial.demand:
+        return f"{fault.name} reacts with {REACTIONS[fault].name}, at least {trial.demand.name} is demanded"
+    latched = State.ESTOP if began is State.ESTOP else State.FAULT
+    if state is not latched:
+        return f"{fault.name} latched, yet the run ended {state.name}"
+    return _judge_zero(fault, run, seen) or _judge_release(trial, run, seen)
+
+
+def _judge_zero(fault: Fault, run: Voyage, seen: Watch) -> str:
+    stop_ticks = round(run.rig.safety.stop_s * 1e9 / run.rig.period_ns)
+    allowed = {Reaction.STOP: stop_ticks + 1, Reaction.SILENT: watchdog(run.rig)}.get(
+        REACTIONS[fault], watchdog(run.rig) if fault is Fault.TRANSMIT_BLOCKED else 1
+    ) + DRIVES_REACT
+    if seen.zero < 0:
+        return f"{fault.name}: the drives never came to zero"
+    took = seen.zero - seen.detected
+    if took > allowed:
+        return f"{fault.name}: the drives were at zero {took} ticks after detection, allowed {allowed}"
+    return ""
+
+
+def _judge_release(trial: Trial, run: Voyage, seen: Watch) -> str:
+    """Where no torque is permitted, no drive may be enabled: it would hold its brake open."""
+    if seen.left < 0:
+        return ""
+    allowed = DRIVES_REACT + ticks(trial.slack, run.rig)
+    if seen.released < 0:
+        return f"{run.cycle.state.name}, yet a drive is enabled or applies a force"
+    if seen.released - seen.left > allowed:
+        return f"the drives let go {seen.released - seen.left} ticks after torque was forbidden, allowed {allowed}"
+    return ""
+
+
+def run_cell(trial: Trial, point: Checkpoint, axis: int, run: Voyage) -> Cell:
+    """Inject and watch. The run is used up."""
+    seen, why, began = Watch(run), "", run.cycle.state
+    due = due_faults(trial, run, axis)
+    unready = began is State.CONNECTED and trial.unready is not None and trial.unready(run, axis)
+    last = (
+        (ticks(trial.within, run.rig) if due else 0)
+        + ticks(trial.slack, run.rig)
+        + ticks(trial.watch, run.rig)
+        + HORIZON
+    )
+    run.asks = trial.command
+    try:
+        k = -1
+        while (k := k + 1) < (last if seen.detected < 0 else seen.detected + HORIZON + 1):  # seen late: time to stop
+            trial.step(run, axis, k)
+            run.tick()
+            seen.look(k)
+        why = judge(trial, began, due, run, seen, unready=unready)
+    except Exception:
+        why = traceback.format_exc(limit=-3).strip().replace("\n", " | ")
+    fault = run.cycle.fault
+    return Cell(
+        rig=run.rig.name,
+        layout=run.rig.bus.protocol,
+        checkpoint=point.name,
+        trial=trial.name,
+        axis=run.rig.axis_names[axis] if trial.per_axis else "-",
+        passed=not why,
+        why=why,
+        fault=fault.name.lower() if fault else "",
+        reaction=REACTIONS[fault].name.lower() if fault else "",
+        detection_ticks=seen.detected,
+        peak_force_after=seen.peak,
+        end=run.cycle.state.name,
+        lacking=lacking_text(trial.lacking),
+    )
+
+
+def in_fork(work: Callable[[], Outcome]) -> Outcome:
+    """Result of `work()` in a forked copy of this process; the process itself is left untouched."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        try:
+            with os.fdopen(writer, "wb") as stream:
+                pickle.dump(work(), stream)
+        finally:
+            os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as stream:
+        data = stream.read()
+    os.waitpid(child, 0)
+    outcome: Outcome = pickle.loads(data)
+    return outcome
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Work for one process: a rig (as a document, so that it travels), a checkpoint, and which cells (trial, axis) to
+    try there.
+    """
+
+    document: dict[str, Any]
+    base_dir: str
+    point: Checkpoint
+    cells: tuple[tuple[int, int], ...]
+
+
+def _playable(rig: RigConfig, trial: Trial) -> bool:
+    """Whether the trial's fault is there at all under the rig's layout."""
+    return not trial.only & Means.NODES or has_nodes(rig.bus.protocol)
+
+
+def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
+    """One leg per checkpoint with all its cells, or with every `stride`-th of the whole campaign."""
+    document = rig.model_dump(mode="json")
+    cells = [
+        (index, axis)
+        for index, trial in enumerate(TRIALS)
+        if _playable(rig, trial)
+        for axis in range(len(rig.axes) if trial.per_axis else 1)
+    ]
+    result = []
+    for offset, point in enumerate(checkpoints(rig)):
+        chosen = tuple(cell for number, cell in enumerate(cells) if (number + offset) % stride == 0)
+        result.append(Leg(document, str(base_dir), point, chosen))
+    return result
+
+
+def displaced(rig: RigConfig) -> RigConfig:
+    """The rig with its axes a twentieth of the travel off zero, where it does not say itself where they begin: every
+    axis then has a way home and an approach.
+    """
+    if any(per_axis(rig.plant.initial_position, len(rig.axes))):
+        return rig
+    document = rig.model_dump(mode="json")
+    document["plant"]["initial_position"] = [
+        0.05 * (high - low) for low, high in (a.limits.position for a in rig.axes.values())
+    ]
+    return build_rig(document)
+
+
+def means_of(run: Voyage) -> Means:
+    """What the run's layout gives the detectors; the run itself is left untouched."""
+    return fixed_means(run.cycle.protocol) | (Means.ROOM if in_fork(lambda: has_room(run)) else NONE)
+
+
+def sail(leg: Leg) -> list[Cell]:
+    """Bring one run to the leg's checkpoint and try every cell from there, each in a fork."""
+    run = bring_to(build_rig(leg.document), Path(leg.base_dir), leg.point)
+    means, cells = means_of(run), []
+    for index, axis in leg.cells:
+        trial = TRIALS[index].over(means)
+        cells.append(in_fork(functools.partial(run_cell, trial, leg.point, axis, run)))
+    return cells

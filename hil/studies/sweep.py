@@ -1,0 +1,342 @@
+"""`hil sweep`: thousands of plants with seeded parameters under one rig, in arrays, over all cores or a cluster.
+
+A plant's parameters follow from the seed and its number alone, and a batch's arithmetic does not depend on how plants
+are dealt to workers: the same numbers come out of one core, of many, and of a dask.distributed cluster. The worst
+plants are saved as rig files; `hil sim` on one of them gives the same error, bit for bit, and the sweep checks that.
+"""
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from random import Random
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import tomlkit
+import typer
+
+from hil.cli.output import writable, write_json
+from hil.cli.processes import worker_pool
+from hil.control.laws import LAWS
+from hil.control.laws.base import Array
+from hil.control.trajectories import make_trajectory
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.usable import usable
+from hil.virtual.batch import FIRST_ON_TASK, BatchRun
+from hil.virtual.lockstep import LockstepRun, simulate
+from sim_plant.physics.stage import Truth
+
+CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
+MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # ranges of the scales
+DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.05), (0.0, 0.2)  # as fractions of the nominal Coulomb friction
+STARTUP_LIMIT = 1000  # ticks
+CONNECT_TIMEOUT_S = 10
+
+
+class Job(NamedTuple):
+    """A chunk of plants: rig (as JSON), seed of the sweep, first plant's number, how many, ticks, first steady tick,
+    whether with ripple and Stribeck friction."""
+
+    rig: str
+    seed: int
+    first: int
+    plants: int
+    ticks: int
+    steady: int
+    hard: bool
+
+
+class Figures(NamedTuple):
+    """Per plant and axis, (plants, n_axes): largest and RMS error (m), peak force and chatter (N)."""
+
+    max_error: Array
+    rms_error: Array
+    peak_force: Array
+    chatter: Array
+
+
+def plant_parameters(rig: RigConfig, seed: int, number: int, hard: bool) -> dict[str, Any]:
+    """[plant] keys of plant `number`: a function of the arguments alone. hard: with ripple and Stribeck."""
+    random = Random(f"{seed}/{number}")
+    coulomb = rig.plant.coulomb
+    keys: dict[str, Any] = {
+        "mass_scale": random.uniform(*MASS),
+        "friction_scale": random.uniform(*FRICTION),
+        "modelling_error": [random.uniform(*DELTA) * value for value in coulomb],
+    }
+    if hard:
+        keys["ripple_amplitude"] = [random.uniform(*RIPPLE) * value for value in coulomb]
+        keys["stribeck_scale"] = [random.uniform(*STRIBECK) for _ in coulomb]
+    return keys
+
+
+def plant_rig(rig: RigConfig, seed: int, number: int, hard: bool) -> RigConfig:
+    """The rig with that plant, and a wire whose timing does not depend on payloads."""
+    plant = rig.plant.model_copy(update=plant_parameters(rig, seed, number, hard))
+    return rig.model_copy(update={"plant": plant, "wire": rig.wire.model_copy(update={"stuffing": "worst"})})
+
+
+def run_chunk(job: Job) -> Figures:
+    """All ticks of a chunk of plants. What a worker does, here or on another machine."""
+    rig = RigConfig.model_validate_json(job.rig)
+    n = len(rig.axes)
+    plants = [plant_rig(rig, job.seed, job.first + index, job.hard).plant for index in range(job.plants)]
+    batch = BatchRun(rig, Truth.stack([Truth.from_config(plant, n, rig.axis_names) for plant in plants]))
+    largest, squares, peak, changes = (np.zeros((job.plants, n)) for _ in range(4))
+    last = np.zeros((job.plants, n))
+    scratch = np.zeros((job.plants, n))
+    with np.errstate(all="ignore"):
+        for tick in range(job.ticks):
+            last[...] = batch.force
+            batch.tick()
+            if tick < job.steady:
+                continue
+            np.abs(batch.error, out=scratch)
+            np.maximum(largest, scratch, out=largest)
+            np.multiply(scratch, scratch, out=scratch)
+            np.add(squares, scratch, out=squares)
+            np.abs(batch.force, out=scratch)
+            np.maximum(peak, scratch, out=peak)
+            if tick > job.steady:
+                np.subtract(batch.force, last, out=scratch)
+                np.multiply(scratch, scratch, out=scratch)
+                np.add(changes, scratch, out=changes)
+    steady = job.ticks - job.steady
+    return Figures(largest, np.sqrt(squares / steady), peak, np.sqrt(changes / max(steady - 1, 1)))
+
+
+def startup_ticks(rig: RigConfig, base_dir: Path) -> int:
+    """Ticks of a single run before the rig becomes ACTIVE. Raises RigError where it does not."""
+    run = LockstepRun(rig, base_dir)
+    for _ in range(STARTUP_LIMIT):
+        run.tick()
+        if run.activated_at >= 0:
+            return run.activated_at
+    raise RigError([f"{rig.name}: not ACTIVE within {STARTUP_LIMIT} ticks of lockstep; try `hil sim`"])
+
+
+def jobs(
+    rig: RigConfig, base_dir: Path, plants: int, seconds: float, seed: int, hard: bool = False, workers: int = 1
+) -> list[Job]:
+    """The sweep's chunks, at least one for each worker. Raises RigError where `seconds` leave no steady window, or for
+    a layout it cannot batch."""
+    if rig.bus.protocol != "stage_fd" or rig.wire.jitter or rig.wire.drop_probability:
+        raise RigError(
+            ["hil sweep batches the layout stage_fd on a wire without jitter and loss (bus.protocol, [wire])"]
+        )
+    single = plant_rig(rig, seed, 0, hard)
+    steady_from = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
+    ticks = round(seconds * 1e9 / rig.period_ns) - startup_ticks(single, base_dir)
+    steady = FIRST_ON_TASK + steady_from // rig.period_ns
+    if steady >= ticks:
+        raise RigError([f"--seconds {seconds:g}: the steady window begins at {steady * rig.period_ns * 1e-9:.3f} s"])
+    document = rig.model_dump_json()
+    chunk = min(CHUNK, math.ceil(plants / workers))
+    return [
+        Job(document, seed, first, min(chunk, plants - first), ticks, steady, hard) for first in range(0, plants, chunk)
+    ]
+
+
+class Crew(NamedTuple):
+    """Who runs the jobs. run: gives their results, in order. size: how many run at a time."""
+
+    run: Callable[[Sequence[Job]], Iterator[Figures]]
+    size: int
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Crew]:
+    """A crew of so many processes of this machine."""
+    with worker_pool(workers) as pool:
+        yield Crew(lambda work: pool.map(run_chunk, work), workers)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Crew]:
+    """The workers of a dask.distributed cluster, which need this package installed. Raises RigError."""
+    try:
+        from distributed import Client  # type: ignore[attr-defined,unused-ignore]
+    except ImportError:
+        raise RigError(["--scheduler needs the extra: pip install 'hil[cluster]'"]) from None
+    connect: Any = Client
+    try:
+        client = connect(address, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError) as error:
+        raise RigError([f"--scheduler {address}: {error}"]) from None
+
+    def run(work: Sequence[Job]) -> Iterator[Figures]:
+        for future in client.map(run_chunk, work, pure=False):
+            yield future.result()
+
+    with client:
+        yield Crew(run, max(1, sum(client.ncores().values())))
+
+
+def collect(results: Iterable[Figures], done: Callable[[int], None]) -> Figures:
+    """One Figures over all plants, in order."""
+    parts = []
+    for part in results:
+        parts.append(part)
+        done(len(part.max_error))
+    return Figures(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def save_worst(
+    rig_file: Path, rig: RigConfig, seed: int, hard: bool, numbers: Sequence[int], folder: Path
+) -> list[Path]:
+    """Rig files of those plants, complete and commented as the original."""
+    paths = []
+    for number in numbers:
+        document = tomlkit.parse(rig_file.read_text(encoding="utf-8"))
+        for table, values in overridden(plant_rig(rig, seed, number, hard)).items():
+            section: Any = document.setdefault(table, tomlkit.table())
+            for key, value in values.items():
+                section[key] = value
+        document["rate_hz"] = rig.rate_hz
+        path = folder / f"{rig.law.name}-plant-{number}.toml"
+        path.write_text(tomlkit.dumps(document), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def overridden(single: RigConfig) -> dict[str, dict[str, Any]]:
+    """What such a rig file holds that the original may not: plant, law, task and wire as they were run."""
+    tables = {"plant": single.plant, "task": single.task, "wire": single.wire}
+    dumped = {name: model.model_dump(exclude_none=True, exclude_unset=True) for name, model in tables.items()}
+    dumped["law"] = single.law.model_dump()
+    return dumped
+
+
+def reproduce(path: Path, seconds: float, expected: Array) -> bool:
+    """Whether `hil sim` on a saved rig gives the largest errors expected, bit for bit."""
+    rig = load_rig(path)
+    report, _ = simulate(rig, path.parent, seconds)
+    largest: list[float] = [axis["max_error"] for axis in report.axes.values()]
+    return bool(largest == expected.tolist())
+
+
+def plot(path: Path, rig: RigConfig, figures: Figures) -> None:
+    """Distributions of the largest and RMS error, one curve per axis (PNG)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained", sharey=True)
+    share = np.arange(1, len(figures.max_error) + 1) / len(figures.max_error)
+    for panel, values, label in zip(axes, (figures.max_error, figures.rms_error), ("largest", "RMS"), strict=True):
+        for index, name in enumerate(rig.axis_names):
+            panel.step(np.sort(np.maximum(values[:, index], 1e-12)) * 1e6, share, where="post", label=name)
+        panel.set_xscale("log")
+        panel.set_xlabel(f"{label} error, µm (µrad)")
+        panel.grid(alpha=0.3)
+    axes[0].set_ylabel("share of plants at or below")
+    axes[0].legend()
+    figure.suptitle(f"{rig.name}, {rig.law.name}: {len(figures.max_error)} plants")
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+
+
+def summary(rig: RigConfig, figures: Figures) -> dict[str, Any]:
+    """Quantiles per axis, SI."""
+
+    def quantiles(values: Array) -> dict[str, float]:
+        return {f"p{q:g}": float(np.quantile(values, q / 100)) for q in (50, 90, 99, 100)}
+
+    return {
+        name: {key: quantiles(values[:, index]) for key, values in figures._asdict().items()}
+        for index, name in enumerate(rig.axis_names)
+    }
+
+
+def worst_plants(figures: Figures, count: int) -> list[int]:
+    """Numbers of the plants with the largest error on any axis, worst first."""
+    scaled = np.nan_to_num(figures.max_error, nan=math.inf)
+    order = np.argsort(-(scaled / np.maximum(np.median(scaled, axis=0), 1e-12)).max(axis=1), kind="stable")
+    return [int(number) for number in order[:count]]
+
+
+def sweep(
+    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
+    plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
+    laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
+    seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
+    hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
+    workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
+    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
+    output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
+    ] = "",
+) -> None:
+    """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
+    from rich.console import Console
+
+    base = load_rig(rig_file, overrides or ())
+    console = Console(stderr=json_target == "-")
+    output.mkdir(parents=True, exist_ok=True)
+    names = (
+        list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]
+    )
+    document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
+    with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
+        for name in names:
+            rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
+            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
+            figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
+            plot(output / f"{name}.png", rig, figures)
+            chosen = worst_plants(figures, worst)
+            paths = save_worst(rig_file, rig, seed, hard, chosen, output)
+            cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
+            document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
+            _show(console, rig, document["laws"][name], output / f"{name}.png")
+    if json_target:
+        write_json(document, json_target)
+
+
+def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Figures, float]:
+    """All jobs under a progress bar: what they found, and plants times ticks per second."""
+    from rich.progress import Progress
+
+    plants = sum(job.plants for job in work)
+    started = time.perf_counter()
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(title, total=plants)
+        figures = collect(crew.run(work), lambda count: bar.update(task, advance=count))
+    return figures, plants * work[0].ticks / (time.perf_counter() - started)
+
+
+def _case(path: Path, seconds: float, number: int, figures: Figures) -> dict[str, Any]:
+    error = figures.max_error[number]
+    return {
+        "rig": str(path),
+        "plant": number,
+        "max_error": error.tolist(),
+        "reproduced": reproduce(path, seconds, error),
+    }
+
+
+def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) -> None:
+    from rich.table import Table
+
+    from hil.cli.output import metres
+
+    title = f"{rig.name}, {rig.law.name}: {found['plant_ticks_per_s'] / 1e6:.2f} million plant-ticks/s"
+    table = Table("axis", "error", "median", "90 %", "99 %", "worst", title=title, title_justify="left")
+    for name, figures in found["axes"].items():
+        for key in ("max_error", "rms_error"):
+            values = [metres(figures[key][q], rig.axes[name].kind) for q in ("p50", "p90", "p99", "p100")]
+            table.add_row(name, key.removesuffix("_error"), *values)
+    console.print(table)
+    console.print(f"distributions: {picture}")
+    for case in found["worst"]:
+        verdict = (
+            "reproduced singly, bit for bit" if case["reproduced"] else "NOT reproduced (a fault stops the single run)"
+        )
+        console.print(f"plant {case['plant']}: {case['rig']}: {verdict}", soft_wrap=True)

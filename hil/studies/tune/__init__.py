@@ -1,0 +1,1 @@
+"""Search for a law's gains on many plants at once."""

@@ -1,0 +1,275 @@
+"""Many candidates for one axis' gains, each on many trials at once: one batch of arrays (candidates, trials, 1).
+
+As hil/virtual/batch.py, with three differences: every plant has a reference of its own, so that tasks of all kinds run
+side by side; a command can be late (jitter) or lost; and one axis runs alone, as axes do not interact. References are
+worked out once and serve every generation of a search.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.belief import blank_inputs, force_limits, rig_model
+from hil.control.estimator.gains import MotionFilter, design_gains, per_axis
+from hil.control.laws import LAWS
+from hil.control.laws.base import Array, LawInputs, Model, Reference
+from hil.control.setpoints import nominal_net_force
+from hil.control.trajectories import Trajectory, make_trajectory
+from hil.control.trajectories.base import Times
+from hil.rig.schema import RigConfig
+from hil.virtual.batch import Bounds
+from sim_plant.physics.stage import Stage, Truth
+
+LOST = 1.0  # m: error of a candidate that diverged
+STAMP_NS = 1_000  # the drives' clock
+STEADY_TICK = 5  # commands before this one arrive and on time: the axes are being enabled
+
+
+class Trial(NamedTuple):
+    """A task on a plant under a disturbance, and what counts as good there.
+
+    task: overrides of the rig's own. mass, friction: scales of the plant's; error: on top of its friction, as a part of
+    the force limit.
+    jitter: s, delay of a command, uniform in [0, 2 jitter]. loss: part of commands that never arrive. good: error in
+    encoder counts, the largest one met or, with `rms`, its RMS.
+    """
+
+    name: str
+    task: Mapping[str, Any]
+    good: float
+    mass: float = 1.0
+    friction: float = 1.0
+    error: float = 0.0
+    jitter: float = 0.0
+    loss: float = 0.0
+    rms: bool = False
+
+
+class Figures(NamedTuple):
+    """Of every candidate and trial (candidates, trials): largest and RMS error, m; RMS change of force a tick, N."""
+
+    largest: Array
+    rms: Array
+    chatter: Array
+
+
+class Schedule:
+    """When commands arrive, (ticks + 1, trials) ns, and which do not; drawn from `seed`, so the same for every rig.
+    Trials of the same jitter have the same delays, so that their plants can move together, and trials of the same loss
+    lose the same commands: one lost just where a figure reverses costs any law friction T^2 / m, and says nothing of
+    gains.
+    """
+
+    def __init__(self, trials: Sequence[Trial], ticks: int, period_ns: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        shape = (ticks + 1, len(trials))
+        self.jitter = jitter = np.array([trial.jitter for trial in trials])
+        loss = np.array([trial.loss for trial in trials])
+        delay = rng.random(shape)[:, _first_alike(jitter)] * (2e9 * jitter)
+        lost = rng.random(shape)[:, _first_alike(loss)] < loss
+        lost[1:] &= ~lost[:-1]  # two in a row may be a fault, and then no law matters
+        lost[:STEADY_TICK] = False
+        self.lost = lost
+        self.delay = np.rint(delay / STAMP_NS).astype(np.int64) * STAMP_NS
+        self.arrival = self.delay + np.arange(ticks + 1)[:, None] * period_ns
+        self.latency = np.array([round(trial.jitter * 1e9) for trial in trials])
+        self.regular = not self.delay.any()
+
+
+def _first_alike(values: Array) -> Any:
+    """For each of (n,) values, where the first one equal to it is."""
+    _, first, alike = np.unique(values, return_index=True, return_inverse=True)
+    return first[alike]
+
+
+class _Table:
+    """Position and velocity of every trial's reference at given task times, arrays (ticks, 1, trials, 1)."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], times: Times, axis: int, n_axes: int) -> None:
+        shape = (len(times), 1, len(trajectories), 1)
+        self.position, self.velocity = np.empty(shape), np.empty(shape)
+        for index, trajectory in enumerate(trajectories):
+            column = np.repeat(times[:, index, None], n_axes, axis=1)
+            reference = trajectory.sample(column)
+            self.position[:, 0, index, 0] = reference.position[:, axis]
+            self.velocity[:, 0, index, 0] = reference.velocity[:, axis]
+
+    def fill(self, reference: Reference, tick: int) -> None:
+        reference.position, reference.velocity = self.position[tick], self.velocity[tick]
+
+
+class Rehearsal:
+    """One axis of a rig on a set of trials, from activation on; figures of its ticks `first` <= tick < `last`, which
+    None takes from every trial's own task: from where its statistics begin until it ends.
+    """
+
+    def __init__(
+        self, rig: RigConfig, axis: int, trials: Sequence[Trial], first: int | None, last: int | None, seed: int
+    ) -> None:
+        n = len(rig.axes)
+        self._rig, self._axis = rig, axis
+        self._period = rig.period_ns * 1e-9
+        pick = slice(axis, axis + 1)
+        whole = rig_model(rig)
+        self.model = Model(*(getattr(whole, field.name)[pick] for field in fields(Model)))
+        self.limit = np.array([[*rig.axes.values()][axis].limits.force])
+        gains, _ = design_gains(rig)
+        self._gains = list(gains[:, pick])
+        self._limits = [force_limits(rig)[axis]]
+        self._belief = [*rig.axes.values()][axis].encoder_resolution
+        self._resolution = float(per_axis(rig.plant.encoder_resolution, n)[axis])
+        initial = per_axis(rig.plant.initial_position, n)
+        self._initial = float(initial[axis])
+        self._truths = [self._truth(trial, pick) for trial in trials]
+        origin = np.rint(initial / self._resolution) * self._belief
+        tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
+        paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns) for task in tasks]
+        self._window = (
+            np.array([path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]),
+            np.array([(path.duration_ns or 0) // rig.period_ns + 1 if last is None else last for path in paths]),
+        )
+        self._ticks = ticks = int(self._window[1].max())
+        self.schedule = schedule = Schedule(trials, ticks, rig.period_ns, seed)
+        # Instants of the samples, and the regular grid on which forces are expected to begin, from one tick before the
+        # first; the task's clock starts in tick 1, where commands are expected at the latency.
+        starts = schedule.latency + rig.period_ns
+        grid = np.arange(-1, ticks + 1)[:, None] * rig.period_ns + schedule.latency - starts
+        self._grid = _Table(paths, grid, axis, n)
+        self._samples = self._grid if schedule.regular else _Table(paths, self._instants() - starts, axis, n)
+
+    def _truth(self, trial: Trial, pick: slice) -> Truth:
+        plant = self._rig.plant
+        change = {
+            "mass_scale": plant.mass_scale * trial.mass,
+            "friction_scale": plant.friction_scale * trial.friction,
+            "modelling_error": np.add(plant.modelling_error, trial.error * self.limit[0]).tolist(),
+        }
+        whole = Truth.from_config(plant.model_copy(update=change), len(self._rig.axes), self._rig.axis_names)
+        return Truth(**{name: getattr(whole, name)[pick] for name in Truth.__dataclass_fields__})
+
+    def _instants(self) -> Times:
+        """Of the sample that tick k works on, (ticks + 2, trials) ns: where command k - 1 arrived, or should have."""
+        schedule, period = self.schedule, self._rig.period_ns
+        instants = np.empty((self._ticks + 2, schedule.lost.shape[1]), dtype=np.int64)
+        instants[0] = schedule.arrival[0] - period
+        instants[1:] = schedule.arrival
+        for tick in range(1, self._ticks + 2):
+            lost = schedule.lost[tick - 1]
+            instants[tick, lost] = instants[tick - 1, lost] + period
+        return instants
+
+    def run(self, law: str, gains: Mapping[str, Array], fixed: Mapping[str, Any] | None = None) -> Figures:
+        """gains: (candidates,) each; fixed: words, and what all candidates share. Figures (candidates, trials)."""
+        candidates = next(iter(gains.values())).size
+        shape = (candidates, len(self._truths), 1)
+        columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
+        each = LAWS[law](self.model, self._period, self.limit, **columns, **(fixed or {}))
+        return _Run(self, each, _Plants(self, candidates), shape).figures()
+
+
+class _Plants:
+    """Stages of all candidates and trials: one for every jitter."""
+
+    def __init__(self, of: Rehearsal, candidates: int) -> None:
+        jitter = of.schedule.jitter
+        self._groups = [np.flatnonzero(jitter == each) for each in np.unique(jitter)]
+        self._stages = []
+        for group in self._groups:
+            truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
+            self._stages.append(Stage(truth, np.full(truth.shape, of._initial)))
+        self._arrival = of.schedule.arrival
+        self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)
+
+    def advance(self, tick: int, force: Array) -> None:
+        """From the arrival of command tick - 1 to that of command tick, under `force` (N)."""
+        for group, stage in zip(self._groups, self._stages, strict=True):
+            duration = int(self._arrival[tick, group[0]] - self._arrival[tick - 1, group[0]])
+            stage.advance(duration, force[:, group])
+            self.position[:, group] = stage.position
+
+
+class _Run:
+    """The state of one batch while it runs."""
+
+    def __init__(self, rehearsal: Rehearsal, law: Any, plants: _Plants, shape: tuple[int, ...]) -> None:
+        self._of, self._law, self._stage = rehearsal, law, plants
+        self._filter = MotionFilter(rehearsal._gains, rehearsal.model.mass)
+        self._bounds = Bounds(rehearsal._limits)
+        self._inputs: LawInputs = blank_inputs((1, 1, 1))
+        zero = np.zeros(shape)
+        self._net = [zero, zero]  # last, before
+        self._force, self._force_before, self._applied = zero, zero, zero
+        self._error = zero
+        self._instants = rehearsal._instants()
+
+    def figures(self) -> Figures:
+        of = self._of
+        shape = self._force.shape
+        largest, squares, changes = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        first, last = (ticks[:, None] for ticks in of._window)
+        with np.errstate(all="ignore"):
+            for tick in range(of._ticks):
+                before = self._force
+                self._tick(tick)
+                counts = (first <= tick) & (tick < last)
+                if counts.any():
+                    largest = np.where(counts, np.maximum(largest, np.abs(self._error)), largest)
+                    squares += np.where(counts, self._error * self._error, 0.0)
+                    changes += np.where(counts, (self._force - before) ** 2, 0.0)
+        count = last - first
+        bad = ~(largest < LOST)
+        largest = np.where(bad, LOST, np.maximum(largest, 1e-12))
+        rms = np.where(bad, LOST, np.sqrt(squares / count))
+        return Figures(largest[..., 0], rms[..., 0], np.where(bad, LOST, np.sqrt(changes / count))[..., 0])
+
+    def _tick(self, tick: int) -> None:
+        of, inputs, stage = self._of, self._inputs, self._stage
+        self._times(tick)
+        self._estimate()
+        if tick == 0:
+            self._filter.reseed(self._measured)
+            self._law.reset(self._measured, of.model.gravity)
+        self._reference(tick)
+        inputs.position, inputs.force_before, inputs.force_last = self._measured, self._force_before, self._force
+        self._filter.tell(inputs)
+        asked = self._law.force(inputs)
+        fresh = inputs.fresh != 0.0
+        self._error = np.where(fresh, stage.position - inputs.sample.position, self._error)
+        self._force_before = self._force
+        self._force = self._bounds.limit(asked, self._force, self._measured)
+        net = nominal_net_force(self._force, of.model, inputs.mean_velocity, inputs.mean_sign)
+        self._net = [net, self._net[0]]
+        if tick:  # until the first command arrives the brakes hold the stage
+            stage.advance(tick, self._applied)
+        sent = self._force.astype(np.float32).astype(np.float64)
+        self._applied = np.where(of.schedule.lost[tick][:, None], self._applied, sent)
+
+    def _times(self, tick: int) -> None:
+        of, inputs, instants = self._of, self._inputs, self._instants
+        before = instants[tick - 1] if tick else instants[0] - of._rig.period_ns
+        start = tick * of._rig.period_ns + of.schedule.latency
+        inputs.sample_interval = ((instants[tick] - before) * 1e-9)[None, :, None]
+        inputs.ahead = ((start - instants[tick]) * 1e-9)[None, :, None]
+        lost = of.schedule.lost[tick - 1] if tick else np.zeros(len(start), bool)
+        inputs.fresh = np.where(lost, 0.0, 1.0)[None, :, None]
+        inputs.answered = inputs.fresh
+
+    def _estimate(self) -> None:
+        of, motion, inputs = self._of, self._filter, self._inputs
+        measured = np.rint(self._stage.position / of._resolution) * of._belief
+        motion.correct(self._net[1], inputs.sample_interval, measured, inputs.fresh)
+        self._measured = np.where(inputs.fresh != 0.0, measured, motion.position)
+        motion.look_ahead(self._net[0], inputs.ahead)
+
+    def _reference(self, tick: int) -> None:
+        of, inputs = self._of, self._inputs
+        of._samples.fill(inputs.sample, tick)
+        of._grid.fill(inputs.start, tick + 1)
+        of._grid.fill(inputs.end, tick + 2)
+        period, start, end = of._period, inputs.start, inputs.end
+        inputs.mean_velocity = (end.position - start.position) / period
+        inputs.mean_acceleration = (end.velocity - start.velocity) / period
+        total = np.abs(start.velocity) + np.abs(end.velocity)
+        inputs.mean_sign = (start.velocity + end.velocity) / np.maximum(total, 1e-300)

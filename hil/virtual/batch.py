@@ -1,0 +1,121 @@
+"""Many plants under one rig in one array: the cycle's own arithmetic without frames, faults and states.
+
+A plant's error here equals that of `hil sim` on a rig file with the same [plant], bit for bit, unless a fault stops
+the single run: filter, setpoints, law, force limits, encoder rounding, the command's 32-bit force and the stage are the
+same code, called in the same order. All plants share the task, the sampling instants and the start at rest.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.belief import force_limits, rig_model
+from hil.control.estimator.gains import MotionFilter, design_gains, per_axis
+from hil.control.laws import make_law
+from hil.control.laws.base import Array, Law, axis_inputs
+from hil.control.laws.coupled import gather
+from hil.control.setpoints import Setpoints, nominal_net_force
+from hil.control.trajectories import make_trajectory, task_repeat
+from hil.cycle.gate import ForceLimits
+from hil.rig.schema import RigConfig
+from sim_plant.physics.stage import Stage, Truth
+
+FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
+
+
+def rig_law(rig: RigConfig) -> Law:
+    """The law the rig file names, with its gains."""
+    limit = np.array([axis.limits.force for axis in rig.axes.values()])
+    repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
+    return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit, repeat)
+
+
+class Bounds:
+    """hil.cycle.gate.limit_force for many plants at once; a test holds the two equal. Arrays (n_axes,)."""
+
+    def __init__(self, limits: Sequence[ForceLimits]) -> None:
+        self._force, self._low, self._high, self._step = (np.array(values) for values in zip(*limits, strict=True))
+
+    def limit(self, request: Array, previous: Array, position: Array) -> Array:
+        """Bounded force (plants, n_axes), N."""
+        limited: Array = np.maximum(request, previous - self._step)
+        np.minimum(limited, previous + self._step, out=limited)
+        np.minimum(limited, self._force * (position < self._high), out=limited)
+        np.maximum(limited, -self._force * (position > self._low), out=limited)
+        return limited
+
+
+class BatchRun:
+    """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the rig becomes ACTIVE.
+
+    error: true position less setpoint at the samples' instant of the latest tick (m). force: let out in it (N).
+    Both (plants, n_axes); the next tick writes into the error's array.
+    """
+
+    def __init__(self, rig: RigConfig, truth: Truth) -> None:
+        n = len(rig.axes)
+        shape = truth.shape
+        self.rig = rig
+        self.index = 0
+        self._period_ns = rig.period_ns
+        self._model = rig_model(rig)
+        gains, _ = design_gains(rig)
+        self._filter = MotionFilter(list(gains), self._model.mass)
+        self._bounds = Bounds(force_limits(rig))
+        axes = rig.axes.values()
+        self._law = rig_law(rig)
+        self._belief = np.array([axis.encoder_resolution for axis in axes])
+        self._resolution = per_axis(rig.plant.encoder_resolution, n)
+        initial = per_axis(rig.plant.initial_position, n)
+        self._stage = Stage(truth, np.zeros(shape) + initial)
+        self._origin = np.rint(initial / self._resolution) * self._belief
+        # What all plants have in common, on floats as in the cycle.
+        self._shared = [axis_inputs() for _ in range(n)]
+        for x in self._shared:
+            x.fresh = 1.0
+            x.sample_interval = x.ahead = self._period_ns * 1e-9
+        self._setpoints = Setpoints(self._shared, rig.period_ns)
+        zero = np.zeros(shape)
+        self._net_last, self._net_before = zero, zero
+        self._force_last, self._measured, self._applied = zero, zero, zero
+        self.force, self.error = zero, np.zeros(shape)
+
+    def tick(self) -> None:
+        """One control period of every plant."""
+        now, n = self.index * self._period_ns, len(self.rig.axes)
+        self._estimate()
+        self._setpoints.update([now - self._period_ns] * n, [now] * n)
+        if self.index == 0:
+            self._engage()
+        elif self.index == 1:
+            rig = self.rig
+            self._setpoints.follow(make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns), [now] * n)
+            self._setpoints.update([now - self._period_ns] * n, [now] * n)
+        self._act()
+        if self.index:  # until the first command arrives the brakes hold the stage
+            self._stage.advance(self._period_ns, self._applied)
+        self._applied = self.force.astype(np.float32).astype(np.float64)
+        self.index += 1
+
+    def _estimate(self) -> None:
+        motion, interval = self._filter, self._period_ns * 1e-9
+        self._measured = np.rint(self._stage.position / self._resolution) * self._belief
+        motion.correct(self._net_before, interval, self._measured)
+        motion.look_ahead(self._net_last, interval)
+
+    def _engage(self) -> None:
+        self._filter.reseed(self._measured)
+        self._setpoints.hold(self._origin.tolist())
+        self._law.reset(self._measured, self._model.gravity)
+
+    def _act(self) -> None:
+        inputs = gather(self._shared)
+        inputs.position = self._measured
+        self._filter.tell(inputs)
+        inputs.force_before, inputs.force_last = self._force_last, self.force
+        requested = self._law.force(inputs)
+        np.subtract(self._stage.position, inputs.sample.position, out=self.error)
+        self._force_last = self.force
+        self.force = self._bounds.limit(requested, self.force, self._measured)
+        self._net_before = self._net_last
+        self._net_last = nominal_net_force(self.force, self._model, inputs.mean_velocity, inputs.mean_sign)

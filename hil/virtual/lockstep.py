@@ -1,0 +1,283 @@
+"""The cycle against the emulated stage over the simulated wire, in exact virtual time: the tick alone advances the
+clock.
+
+Same protocol, wire, drives, plant and cycle as a live run; same bytes every time, on any machine.
+"""
+
+import hashlib
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import ECHO, Frame
+from drivers.wire.faults import Random, WireFault
+from drivers.wire.wire import Wire
+from hil.cycle.state_machine import State
+from hil.cycle.step import ControlCycle
+from hil.cycle.tick import CommandKind, CycleResult, OperatorCommand, Tick
+from hil.rig.schema import RigConfig
+from hil.virtual.figures_of_merit import axis_statistics
+from sim_plant.emulator import EmulatedStage
+from sim_plant.scenario.injector import Injector
+from sim_plant.scenario.language import Scenario
+
+Observer = Callable[[Tick, Sequence[Frame], CycleResult], None]
+Operator = Callable[["LockstepRun", int], Sequence[CommandKind]]
+
+_TRACE_HEAD = struct.Struct("<qHH")
+_TRACE_FRAME = struct.Struct("<qIBB")
+_TRACE_PARTS = 1000  # hashed at once
+_COMMAND_LIFE_NS = 100_000_000
+
+
+def activate_when_ready(run: "LockstepRun", index: int) -> Sequence[CommandKind]:
+    """The operator of an ordinary run: activates as soon as the rig is READY, once."""
+    return (CommandKind.ACTIVATE,) if run.cycle.state is State.READY and run.activated_at < 0 else ()
+
+
+class LockstepRun:
+    """One run. Advance it tick by tick with `tick`, or whole with `run`.
+
+    operator: says which commands arrive in a tick. observer: called with every tick's inputs and result, before the
+    wire moves on.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        base_dir: Path,
+        *,
+        operator: Operator = activate_when_ready,
+        observer: Observer | None = None,
+        wire_faults: Sequence[WireFault] = (),
+        scenario: Scenario | None = None,
+    ) -> None:
+        self.rig = rig
+        self.base_dir = base_dir
+        self.cycle = ControlCycle(rig, base_dir)
+        self._operator = operator
+        self._observer = observer
+        axes = list(rig.axes.values())
+        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, [axis.rated_force for axis in axes], base_dir)
+        self.wire = Wire.from_config(rig.bus, rig.wire)
+        for fault in wire_faults:
+            self.wire.inject(fault)
+        self.received: list[Frame] = []  # by the host since the last tick
+        self._echo_id = self.cycle.protocol.echo_id
+        self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
+        self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
+        self._axis_nodes = {name: self.wire.attach(name, None, fifo=False) for name in rig.axis_names}
+        self.injector = Injector(scenario, self.stage, self.wire, rig.period_ns) if scenario else None
+        self._active_since = -1  # tick in which the present ACTIVE began
+        self._jitter = Random(rig.wire.seed ^ 0x6A697474)
+        self._jitter_ns = round(rig.wire.jitter * 1e9)
+        self._command_sequence = 0
+        self._trace: list[bytes] = []  # not hashed yet
+        self._hashed = hashlib.sha256()
+        self.index = 0
+        self.activated_at = -1  # tick of the first ACTIVE
+        self.stop = False
+        self._true = self.stage.sampled  # of the samples the latest tick worked on
+        self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
+
+    def _to_drives(self, frame: Frame) -> None:
+        if frame.can_id == self._echo_id:
+            self.received.append(frame._replace(flags=frame.flags | ECHO))
+        answers = self.stage.on_frame(frame)
+        for answer in answers:
+            self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+
+    def skip(self, slots: int) -> None:
+        """Let `slots` periods pass without a tick: the control process was held up."""
+        self.index += slots
+        self.wire.advance(self.index * self.rig.period_ns)
+        for unasked in self.stage.advance(self.index * self.rig.period_ns):
+            self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
+
+    def restart(self) -> None:
+        """The control process has ended and another one begins: it has heard nothing and remembers nothing."""
+        self.cycle = ControlCycle(self.rig, self.base_dir)
+        self.received.clear()
+
+    def tick(self) -> CycleResult:
+        """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
+        now = self.index * self.rig.period_ns
+        tick = Tick(self.index, now, now, self.host.counters(), self._commands(now), stop=self.stop, **self.grants)
+        frames = self.received.copy()
+        self.received.clear()
+        result = self.cycle.step(tick, frames)
+        if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
+            self.activated_at = self.index
+        self._true = self.stage.sampled
+        self._send(result.frames, now)
+        self._note(frames, result.frames)
+        if self._observer:
+            self._observer(tick, frames, result)
+        if self.injector:
+            self.injector.observe(now, self.cycle.state.name, self._phase())
+        self.skip(1)
+        return result
+
+    def _phase(self) -> str:
+        """Name of the task's phase; empty outside ACTIVE."""
+        trajectory = self.cycle.setpoints.trajectory
+        if self.cycle.state is not State.ACTIVE or trajectory is None:
+            self._active_since = -1
+            return ""
+        if self._active_since < 0:
+            self._active_since = self.index
+        return trajectory.phase_names[trajectory.phase_at((self.index - self._active_since) * self.rig.period_ns)]
+
+    def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
+        commands = []
+        for kind in self._operator(self, self.index):
+            self._command_sequence += 1
+            commands.append(OperatorCommand(kind, self._command_sequence, now + _COMMAND_LIFE_NS))
+        return tuple(commands)
+
+    def _send(self, frames: Sequence[Frame], now: int) -> None:
+        if self._jitter_ns:
+            now += self._jitter.below(2 * self._jitter_ns + 1)
+        for frame in frames:
+            self.host.send(frame, now)
+
+    def _note(self, received: Sequence[Frame], sent: Sequence[Frame]) -> None:
+        """Add a tick's frames to what is hashed."""
+        trace = self._trace
+        trace.append(_TRACE_HEAD.pack(self.index, len(received), len(sent)))
+        for frames in (received, sent):
+            for can_id, data, flags, stamp in frames:
+                trace.append(_TRACE_FRAME.pack(stamp, can_id, flags, len(data)))
+                trace.append(data)
+        if len(trace) > _TRACE_PARTS:
+            self._hash()
+
+    def _hash(self) -> None:
+        self._hashed.update(b"".join(self._trace))
+        self._trace.clear()
+
+    @property
+    def trace_sha256(self) -> str:
+        """Hash over every frame received and sent so far, with its tick."""
+        self._hash()
+        return self._hashed.hexdigest()
+
+    @property
+    def true_position(self) -> NDArray[np.float64]:
+        """Position (m) of the samples the latest tick worked on, before the encoder, (n_axes,)."""
+        return np.array(self._true[0])
+
+    @property
+    def true_velocity(self) -> NDArray[np.float64]:
+        """The same for velocity, m/s."""
+        return np.array(self._true[1])
+
+
+@dataclass
+class SimReport:
+    """What `hil sim` prints and writes; SI units."""
+
+    rig: str
+    law: str
+    gains: dict[str, Any]
+    rate_hz: float
+    ticks: int
+    realtime_factor: float
+    steady_from_s: float
+    axes: dict[str, dict[str, float]]
+    state: str
+    faults: dict[str, int]
+    trace_sha256: str
+    samples_lost: int = 0
+    wire_busy: float = 0.0
+    overrides: list[str] = field(default_factory=list)
+
+
+def simulate(
+    rig: RigConfig,
+    base_dir: Path,
+    seconds: float,
+    *,
+    progress: Callable[[int], None] | None = None,
+    observer: Observer | None = None,
+    scenario: Scenario | None = None,
+) -> tuple[SimReport, "Traces"]:
+    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
+    every sample.
+    """
+    run = LockstepRun(rig, base_dir, observer=observer, scenario=scenario)
+    ticks = round(seconds * 1e9 / rig.period_ns)
+    traces = Traces(ticks, len(rig.axes))
+    started = time.perf_counter()
+    for index in range(ticks):
+        run.tick()
+        traces.take(index, run)
+        if progress and index % 1000 == 0:
+            progress(index)
+    elapsed = time.perf_counter() - started
+    first = steady_from(run, ticks)
+    report = SimReport(
+        rig=rig.name,
+        law=rig.law.name,
+        gains=rig.law.effective_gains(),
+        rate_hz=rig.rate_hz,
+        ticks=ticks,
+        realtime_factor=seconds / elapsed,
+        steady_from_s=first * rig.period_ns * 1e-9,
+        axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
+        state=run.cycle.state.name,
+        faults=_faults_of(run),
+        trace_sha256=run.trace_sha256,
+        samples_lost=run.cycle.inbox.lost,
+        wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
+    )
+    return report, traces
+
+
+def _faults_of(run: LockstepRun) -> dict[str, int]:
+    """Ticks each fault was seen in; and the one that holds the run in FAULT, where it was latched without having been
+    looked for: a law's request that is not finite, drives that never enable.
+    """
+    seen = {name: count for name, count in run.cycle.monitor.named_counts().items() if count}
+    latched = run.cycle.fault
+    return seen if not latched else {latched.name.lower(): 1} | seen
+
+
+def steady_from(run: LockstepRun, ticks: int) -> int:
+    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for
+    that.
+    """
+    trajectory = run.cycle.setpoints.trajectory
+    if run.activated_at < 0 or trajectory is None:
+        return 0
+    first = run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns
+    return int(first) if first < ticks else (run.activated_at + ticks) // 2
+
+
+class Traces:
+    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
+    and force let out.
+    """
+
+    def __init__(self, ticks: int, n_axes: int) -> None:
+        shape = (ticks, n_axes)
+        self.error = np.full(shape, np.nan)
+        self.setpoint = np.full(shape, np.nan)
+        self.velocity_error = np.full(shape, np.nan)
+        self.force = np.zeros(shape)
+
+    def take(self, index: int, run: LockstepRun) -> None:
+        """Note the tick just run."""
+        cycle = run.cycle
+        self.force[index] = cycle.gate.force
+        if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
+            return
+        self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
+        self.error[index] = run.true_position - setpoint
+        self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity

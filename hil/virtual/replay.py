@@ -1,0 +1,169 @@
+"""`hil replay`: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from google.protobuf.message import DecodeError
+from rich.console import Console
+
+from drivers.frame import Frame
+from hil.cli.output import writable, write_json
+from hil.cycle.record import MAX_RECEIVED
+from hil.cycle.step import ControlCycle
+from hil.rig.provenance import rig_of_run
+from hil.rig.schema import RigConfig, RigError
+from hil.telemetry import codec
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.recorder import Recording, RecordingError
+
+_LARGEST = 2**60  # ns: 36 years of a monotonic clock
+
+
+@dataclasses.dataclass
+class Replayed:
+    """What came of it. different: ticks whose sent frames differ from the recorded ones in any byte."""
+
+    recording: str
+    rig: str
+    rig_hash: str
+    recorded_version: str
+    ticks: int = 0
+    different: int = 0
+    first_different: int | None = None  # tick index
+    frames: int = 0
+    gap_at: int | None = None  # ring index at which ticks are missing; the cycle's state is unknown from there on
+    truncated: bool = False
+    other_law: str | None = None
+    other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
+
+
+def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    try:
+        return ControlCycle(rig, base_dir)
+    except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
+        raise RigError([f"rig {rig.name}: {error}"]) from None
+
+
+class _Comparison:
+    """Runs a second rig over the same ticks; how its force differs, in open loop: the stage did not feel it."""
+
+    def __init__(self, rig: RigConfig, base_dir: Path) -> None:
+        self._names = rig.axis_names
+        self._cycle = _new_cycle(rig, base_dir)
+        self._squares = np.zeros(len(self._names))
+        self._largest = np.zeros(len(self._names))
+        self._ticks = 0
+        self.law = rig.law.name
+
+    def step(self, recorded: codec.RecordedTick, force: np.ndarray) -> None:
+        n = len(self._names)
+        other = self._cycle.step(recorded.tick, recorded.received).record["force"][:n]
+        difference = np.abs(other - force[:n])
+        self._squares += difference**2
+        np.maximum(self._largest, difference, out=self._largest)
+        self._ticks += 1
+
+    def result(self) -> dict[str, dict[str, float]]:
+        rms = np.sqrt(self._squares / max(self._ticks, 1))
+        return {
+            name: {"rms": float(rms[axis]), "max": float(self._largest[axis])} for axis, name in enumerate(self._names)
+        }
+
+
+def _check(step: codec.RecordedTick) -> None:
+    """Raise ValueError where a number is larger than a control process can have met: its cycle need not bear that."""
+    tick, frames = step.tick, step.received
+    if len(frames) > MAX_RECEIVED or any(len(frame.data) > 64 or frame.flags > 0xFF for frame in frames):
+        raise ValueError(f"the frames received in tick {tick.index}")
+    numbers = (tick.index, tick.scheduled_ns, tick.now_ns, *tick.port, *(frame.timestamp_ns for frame in frames))
+    if max(map(abs, numbers)) > _LARGEST:
+        raise ValueError(f"the times or counters of tick {tick.index}")
+
+
+def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
+    """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
+    for item in recording:
+        if item.topic == "traffic":
+            try:
+                ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+                for step in ticks:
+                    _check(step)
+            except (DecodeError, ValueError, IndexError, RuntimeError) as error:
+                raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
+            yield from ticks
+
+
+def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:
+    """What of frames goes over the wire."""
+    return [(frame.can_id, bytes(frame.data), frame.flags) for frame in frames]
+
+
+def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
+    """Replay a recording as far as it goes. Raises RecordingError, RigError."""
+    recording = Recording(path)
+    meta = recording.metadata
+    with ExitStack() as stack:
+        rig, base_dir = stack.enter_context(rig_of_run(meta))
+        report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
+        cycle = _new_cycle(rig, base_dir)
+        other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
+        for step in steps(recording):
+            if step.ring != report.ticks:
+                report.gap_at = report.ticks
+                break
+            result = cycle.step(step.tick, step.received)
+            report.ticks += 1
+            report.frames += len(step.sent)
+            if bytes_of(result.frames) != bytes_of(step.sent):
+                report.different += 1
+                if report.first_different is None:
+                    report.first_different = step.tick.index
+            if other:
+                other.step(step, result.record["force"])
+        if other:
+            report.other_law, report.other_force = other.law, other.result()
+    report.truncated = recording.truncated
+    return report
+
+
+def _show(report: Replayed, console: Console) -> None:
+    verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
+    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
+    if report.first_different is not None:
+        console.print(f"the first tick that differs is {report.first_different}")
+    if report.gap_at is not None:
+        console.print(f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there")
+    if report.truncated:
+        console.print("the recording was cut short or is damaged: replayed as far as it is whole")
+    for name, row in (report.other_force or {}).items():
+        console.print(f"  {report.other_law} would differ on {name} by {row['rms']:.3g} RMS, {row['max']:.3g} at most")
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
+    law: Annotated[str, typer.Option(help="also show what this law would have asked for")] = "",
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="the same with key=value over the rig")] = None,
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
+    ] = "",
+) -> None:
+    """Exit status 0: every byte is the same; 1: some differ or nothing could be replayed."""
+    changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
+    try:
+        report = replay_run(recording, changes)
+    except RecordingError as error:
+        print(f"hil replay: {error}", file=sys.stderr)
+        raise typer.Exit(1) from None
+    _show(report, Console(stderr=json_target == "-"))
+    if json_target:
+        document: dict[str, Any] = dataclasses.asdict(report)
+        write_json(document, json_target)
+    if report.different or not report.ticks:
+        raise typer.Exit(1)

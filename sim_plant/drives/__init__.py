@@ -1,0 +1,1 @@
+"""The emulated servo drives: encoder, torque, state machine, watchdog; CiA 402 nodes."""

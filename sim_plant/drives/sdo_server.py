@@ -1,0 +1,103 @@
+"""SDO server of CiA 301, 7.2.4: expedited and segmented transfers both ways, with abort codes. No block transfer."""
+
+from drivers.protocols.canopen.cia301 import SDO, Abort
+from sim_plant.drives.object_dictionary import MAX_STRING, ObjectDictionary, SdoAbort
+
+_EMPTY = bytes(4)
+
+
+class SdoServer:
+    """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer."""
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self._index = 0
+        self._subindex = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget an unfinished transfer."""
+        self._download: bytearray | None = None
+        self._announced: int | None = None
+        self._upload: bytes | None = None
+        self._toggle = 0
+
+    def on_request(self, request: bytes) -> bytes | None:
+        """The 8-byte answer to an 8-byte request; None where it needs none. Never raises."""
+        command, index, subindex, data = SDO.unpack(request)
+        specifier = command >> 5
+        try:
+            if specifier == 1:
+                return self._start_download(command, index, subindex, data)
+            if specifier == 0:
+                return self._continue_download(command, request[1:])
+            if specifier == 2:
+                return self._start_upload(index, subindex)
+            if specifier == 3:
+                return self._continue_upload(command)
+            if specifier == 4:
+                self.reset()
+                return None
+            self._index, self._subindex = index, subindex
+            raise SdoAbort(Abort.COMMAND)
+        except SdoAbort as refusal:
+            self.reset()
+            return SDO.pack(0x80, self._index, self._subindex, int(refusal.code).to_bytes(4, "little"))
+
+    def _open(self, index: int, subindex: int) -> None:
+        self.reset()
+        self._index, self._subindex = index, subindex
+
+    def _start_download(self, command: int, index: int, subindex: int, data: bytes) -> bytes:
+        self._open(index, subindex)
+        entry = self._dictionary.entry(index, subindex)
+        sized = command & 0x01
+        if command & 0x02:  # expedited
+            unused = command >> 2 & 3 if sized else 4 - min(entry.layout.size, 4) if entry.layout else 0
+            self._dictionary.write(index, subindex, data[: 4 - unused])
+        else:
+            if not entry.writable:
+                raise SdoAbort(Abort.READ_ONLY)
+            self._announced = int.from_bytes(data, "little") if sized else None
+            if (self._announced or 0) > MAX_STRING:
+                raise SdoAbort(Abort.OUT_OF_MEMORY)
+            self._download = bytearray()
+        return SDO.pack(0x60, index, subindex, _EMPTY)
+
+    def _continue_download(self, command: int, data: bytes) -> bytes:
+        if self._download is None:
+            raise SdoAbort(Abort.COMMAND)
+        self._check_toggle(command)
+        self._download += data[: 7 - (command >> 1 & 7)]
+        if len(self._download) > MAX_STRING:
+            raise SdoAbort(Abort.OUT_OF_MEMORY)
+        if command & 0x01:  # last segment
+            if self._announced not in (None, len(self._download)):
+                raise SdoAbort(Abort.LENGTH)
+            self._dictionary.write(self._index, self._subindex, bytes(self._download))
+            self.reset()
+        return bytes((0x20 | command & 0x10, 0, 0, 0, 0, 0, 0, 0))
+
+    def _start_upload(self, index: int, subindex: int) -> bytes:
+        self._open(index, subindex)
+        data = self._dictionary.read(index, subindex)
+        if 1 <= len(data) <= 4:
+            return SDO.pack(0x43 | (4 - len(data)) << 2, index, subindex, data)
+        self._upload = data
+        return SDO.pack(0x41, index, subindex, len(data).to_bytes(4, "little"))
+
+    def _continue_upload(self, command: int) -> bytes:
+        if self._upload is None:
+            raise SdoAbort(Abort.COMMAND)
+        self._check_toggle(command)
+        segment, self._upload = self._upload[:7], self._upload[7:]
+        last = 0x01 if not self._upload else 0
+        head = command & 0x10 | (7 - len(segment)) << 1 | last
+        if last:
+            self.reset()
+        return bytes((head,)) + segment.ljust(7, b"\0")
+
+    def _check_toggle(self, command: int) -> None:
+        if command >> 4 & 1 != self._toggle:
+            raise SdoAbort(Abort.TOGGLE)
+        self._toggle ^= 1

@@ -1,0 +1,1 @@
+"""The emulated mechanics: axes, friction, membranes."""

@@ -1,0 +1,1 @@
+"""Scripted misbehaviour: the language of fault scenarios, and who carries them out."""

@@ -1,0 +1,215 @@
+"""Scripted misbehaviour of the emulated stage and of its bus: a small language in TOML, usable from Python alike.
+
+    [[fault]]
+    kind = "encoder_jump"     # what; see KINDS
+    axis = "x"                # whose; without it: every axis
+    at_phase = "dwell"        # when: at_s, at_tick, at_state or at_phase (the latter two with after_s, occurrence)
+    duration_ticks = 3        # how long: duration_s or duration_ticks; without: until the end of the run
+    value = 5e-6              # how much, in the unit KINDS gives
+
+Kinds named wire_... go to drivers/wire/wire.py (FaultKind there explains them) and take its keys: node, receiver,
+can_id, count, delay_s, bit, period_s, length. Faults begin and end at their exact instants; everything random comes
+from `seed`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from drivers.toml_file import TomlError, read_toml, shown
+from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
+
+WIRE_PREFIX = "wire_"
+_WIRE_KEYS = ("node", "receiver", "can_id", "count", "delay_s", "bit", "period_s", "length")
+_TRIGGERS = ("at_s", "at_tick", "at_state", "at_phase")
+
+
+class Kind(NamedTuple):
+    """What a kind does; `value`'s unit ("": takes none), its default (None: must be given) and allowed range."""
+
+    text: str
+    unit: str = ""
+    default: float | None = None
+    low: float = 0.0
+    high: float = 0.0
+
+
+KINDS: dict[str, Kind] = {
+    "encoder_silent": Kind("the drive does not answer"),
+    "encoder_stuck": Kind("the count stays where it is"),
+    "encoder_jump": Kind("the count is off by value", "m or rad", None, -1e3, 1e3),
+    "encoder_glitch": Kind("single counts are off by value, with `probability` each", "m or rad", None, -1e3, 1e3),
+    "encoder_noise": Kind("uniform noise within +-value on every count", "m or rad", None, 0.0, 1e3),
+    "encoder_extreme": Kind("the most negative count there is: what a NaN becomes in an integer"),
+    "encoder_fault": Kind("the drive says that its encoder cannot be trusted"),
+    "drive_fault": Kind("the drive finds a fault and latches it; for the duration it comes back after every reset"),
+    "drive_watchdog": Kind("the drive's watchdog trips"),
+    "wrong_sequence": Kind("answers carry a sequence number off by value", "counts", 1.0, -65535, 65535),
+    "bad_checksum": Kind("one payload bit is wrong, with `probability` per frame; the CAN CRC is right"),
+    "garbage": Kind("random payload bytes"),
+    "stale_feedback": Kind("answers repeat those of value ticks before", "ticks", 3.0, 1, 1000),
+    "duplicate_feedback": Kind("every answer comes twice"),
+    "reordered_feedback": Kind("answers of neighbouring ticks swap places"),
+    "clock_jump": Kind("the drive's clock is off by value", "s", None, -1.0, 1.0),
+    "torque_constant": Kind("force is value times what was asked for", "ratio", None, -2.0, 10.0),
+    "axis_jam": Kind("value of additional dry friction", "N or N m", 1e4, 0.0, 1e9),
+    "push": Kind("an external force", "N or N m", None, -1e6, 1e6),
+}
+KINDS |= {WIRE_PREFIX + kind.value: Kind(f"see FaultKind.{kind.name} in drivers/wire/faults.py") for kind in FaultKind}
+
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Seconds = Annotated[float, Field(ge=0, le=1e6)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
+
+
+class FaultConfig(BaseModel):
+    """One [[fault]]."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    kind: str
+    axis: str | None = None
+    at_s: Seconds | None = None
+    at_tick: Count | None = None
+    at_state: str | None = None
+    at_phase: str | None = None
+    after_s: Seconds = 0.0  # from the beginning of the state or phase
+    occurrence: Annotated[int, Field(ge=1, le=1_000_000)] = 1  # of the state or phase, counted from the run's start
+    duration_s: Positive | None = None
+    duration_ticks: Annotated[int, Field(ge=1, le=10**9)] | None = None
+    value: float | None = None
+    probability: Annotated[float, Field(gt=0, le=1)] = 1.0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    node: str | None = None
+    receiver: str | None = None
+    can_id: Annotated[int, Field(ge=0, lt=2**32)] | None = None
+    count: Annotated[int, Field(ge=0, le=2**31)] | None = None
+    delay_s: Seconds | None = None
+    bit: Annotated[int, Field(ge=-1, le=1000)] | None = None
+    period_s: Positive | None = None
+    length: Annotated[int, Field(ge=0, le=8)] | None = None
+
+    @property
+    def on_wire(self) -> bool:
+        """Whether drivers/wire/wire.py carries it out."""
+        return self.kind.startswith(WIRE_PREFIX)
+
+    @property
+    def amount(self) -> float:
+        """`value`, or the kind's default."""
+        default = KINDS[self.kind].default
+        return self.value if self.value is not None else (default or 0.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "FaultConfig":
+        problems = _problems(self)
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+def _problems(fault: FaultConfig) -> list[str]:
+    if fault.kind not in KINDS:
+        return [f"kind = '{fault.kind}': not known; allowed: {', '.join(KINDS)}"]
+    problems = []
+    given = [key for key in _TRIGGERS if getattr(fault, key) is not None]
+    if len(given) != 1:
+        problems.append(f"needs exactly one of {', '.join(_TRIGGERS)}; has {', '.join(given) or 'none'}")
+    if fault.duration_s is not None and fault.duration_ticks is not None:
+        problems.append("has both duration_s and duration_ticks; at most one is allowed")
+    if given and given[0] in ("at_s", "at_tick") and (fault.after_s or fault.occurrence != 1):
+        problems.append(f"after_s and occurrence belong to at_state and at_phase, not to {given[0]}")
+    return problems + _value_problems(fault) + _wire_problems(fault)
+
+
+def _value_problems(fault: FaultConfig) -> list[str]:
+    kind = KINDS[fault.kind]
+    if fault.value is None:
+        needed = kind.unit and kind.default is None
+        return [f"kind = '{fault.kind}' needs value ({kind.unit}, {kind.low:g} to {kind.high:g})"] if needed else []
+    if not kind.unit:
+        return [f"value = {fault.value}: kind '{fault.kind}' takes none"]
+    if not kind.low <= fault.value <= kind.high:
+        return [f"value = {fault.value}: allowed {kind.low:g} to {kind.high:g} ({kind.unit})"]
+    return []
+
+
+def _wire_problems(fault: FaultConfig) -> list[str]:
+    stray = [key for key in _WIRE_KEYS if getattr(fault, key) is not None]
+    if not fault.on_wire:
+        return [f"{key} belongs to the wire_... kinds, not to '{fault.kind}'" for key in stray]
+    if fault.axis is not None:
+        return [f"axis = '{fault.axis}': the wire_... kinds take `node` (an axis' name, or 'host') instead"]
+    try:
+        wire_fault(fault, 0, FOREVER_NS)
+    except ValueError as error:
+        return [str(error)]
+    return []
+
+
+def wire_fault(fault: FaultConfig, from_ns: int, until_ns: int) -> WireFault:
+    """The fault in the terms of drivers/wire/wire.py. Raises ValueError naming key, value and allowed range."""
+    kind = FaultKind(fault.kind.removeprefix(WIRE_PREFIX))
+    given = {key: getattr(fault, key) for key in ("node", "receiver", "can_id", "count", "bit", "length")}
+    times = {"delay_ns": fault.delay_s, "period_ns": fault.period_s}
+    given |= {key: round(value * 1e9) for key, value in times.items() if value is not None}
+    arguments = {key: value for key, value in given.items() if value is not None}
+    return WireFault(kind, from_ns, until_ns, probability=fault.probability, **arguments)
+
+
+class Scenario(BaseModel):
+    """A whole scenario file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    description: str = ""
+    fault: list[FaultConfig] = []
+
+    def check(self, axis_names: Sequence[str], states: Sequence[str] = (), phases: Sequence[str] = ()) -> None:
+        """Raise ScenarioError for a name that the rig does not have; states or phases empty: not checked."""
+        nodes = [*axis_names, "host", "drives"]
+        problems = []
+        for number, fault in enumerate(self.fault):
+            known = (
+                ("axis", fault.axis, axis_names),
+                ("at_state", fault.at_state, states),
+                ("at_phase", fault.at_phase, phases),
+                ("node", fault.node if fault.kind != "wire_babble" else None, nodes),
+                ("receiver", fault.receiver, nodes),
+            )
+            problems += [
+                f"fault {number + 1}: {key} = '{name}': not known; allowed: {', '.join(names)}"
+                for key, name, names in known
+                if name is not None and names and name not in names
+            ]
+        if problems:
+            raise ScenarioError(problems)
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; `problems` holds one line per problem."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = list(problems)
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario file. Raises ScenarioError with every problem."""
+    try:
+        return Scenario.model_validate(read_toml(path))
+    except OSError as error:
+        raise ScenarioError([f"{path}: {error.strerror or error}"]) from None
+    except TomlError as error:
+        raise ScenarioError([f"{path}: {error}"]) from None
+    except ValidationError as error:
+        raise ScenarioError([f"{path}: {line}" for line in _describe(error)]) from None
+
+
+def _describe(error: ValidationError) -> list[str]:
+    lines = []
+    for item in error.errors():
+        where = ".".join(str(part + 1) if isinstance(part, int) else part for part in item["loc"]) or "scenario"
+        value = item["input"]
+        lines.append(f"{where}{'' if isinstance(value, dict) else f' = {shown(value)}'}: {item['msg']}")
+    return lines
