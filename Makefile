@@ -51,7 +51,7 @@ mutants: setup  ## branch coverage and every mutant of the gate and the state ma
 	@tests/mutation/mutants.sh
 
 hashes: setup  ## a run of TICKS (10^6) has one hash: idle, loaded, other hash seeds, old processors, Python 3.11 to 3.13
-	@$(BIN)/python -m tests.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"
+	@$(BIN)/python -m tests.support.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"
 
 profile: setup  ## where a tick's time goes, function by function; see docs/what-costs-what.md
 	@$(BIN)/hil bench profile

@@ -9,7 +9,8 @@ from hypothesis import settings
 
 from hil.rig.schema import RigConfig, load_rig
 from hil.virtual.invariants import Invariants
-from tests.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
+from tests.support.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
+from tests.support.paths import RIGS
 
 if TYPE_CHECKING:
     from hil.virtual.lockstep import LockstepRun
@@ -18,8 +19,6 @@ __all__ = ["pytest_collection_modifyitems", "pytest_configure", "pytest_terminal
 
 settings.register_profile("repository", deadline=None, derandomize=True)
 settings.load_profile("repository")
-
-RIGS = Path(__file__).parent.parent / "deploy" / "rigs"
 
 
 @pytest.fixture(autouse=True)

@@ -66,7 +66,7 @@ $PYTHON - "$root" <<'INNER'
 import sys
 from pathlib import Path
 
-from hil.install import system_files
+from hil.operate.install import system_files
 
 for name, content in system_files("/usr/bin/hil", packaged=True).items():
     path = Path(sys.argv[1], name)

@@ -2,7 +2,7 @@
 
 cantools interprets its description of a message at every call (1 to 4 us). Here the description is read once: a message
 of whole bytes becomes a `struct.Struct`, any other a few shifts and masks. Both work on raw values, before the
-DBC's factor and offset. tests/test_protocols.py holds them equal to cantools' own encode and decode.
+DBC's factor and offset. tests/drivers/protocols/test_protocols.py holds them equal to cantools' own encode and decode.
 """
 
 import struct

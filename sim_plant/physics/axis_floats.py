@@ -4,7 +4,8 @@ It costs two thirds of the general ones where friction is all that acts, a third
 
 A lockstep run and the live emulator spend their time here, one axis at a time, where an array of one costs more than
 the arithmetic. Every operation comes in the order it has in axis.py, friction.py and cell.py, so that the bits are the
-same (tests/test_stage.py compares them with the batch); events, which are rare, are left to `advance_piece` there.
+same (tests/sim_plant/test_stage.py compares them with the batch); events, which are rare, are left to `advance_piece`
+there.
 """
 
 from collections.abc import Callable

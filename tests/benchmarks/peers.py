@@ -183,8 +183,6 @@ def canopen_pdos() -> Iterator[Tick]:
     import can
     import canopen
 
-    from drivers.protocols import cia402
-
     context = get_context("spawn")
     ready = context.Event()
     drives = context.Process(target=_answer_sync, args=(ready,), daemon=True)
@@ -193,7 +191,7 @@ def canopen_pdos() -> Iterator[Tick]:
     network = canopen.Network()
     nodes: list[Any] = []
     for number in range(1, AXES + 1):
-        node = canopen.RemoteNode(number, str(Path(cia402.__file__).with_suffix(".eds")))
+        node = canopen.RemoteNode(number, str(EDS))
         network.add_node(node)
         _map(node.tpdo[1], 0x180 + number, 0x6064, 0x6041)
         _map(node.rpdo[1], 0x200 + number, 0x6071)

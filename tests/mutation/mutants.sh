@@ -8,7 +8,7 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 export PATH=$bin:$PATH PYTHONDONTWRITEBYTECODE=1 COVERAGE_FILE=$scratch/coverage
 python -m coverage run --branch --include=hil/cycle/gate.py,hil/cycle/state_machine.py -m pytest -q -p no:cacheprovider \
-    tests/test_gate.py tests/test_state_machine.py
+    tests/cycle/test_gate.py tests/cycle/test_state_machine.py
 python -m coverage report --fail-under=100 -m
 mkdir "$scratch/tree"
 git ls-files -z drivers hil tests pyproject.toml | xargs -0 cp --parents -t "$scratch/tree"

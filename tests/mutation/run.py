@@ -19,7 +19,7 @@ from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import WorkDB, use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
-TESTS = ["tests/test_gate.py", "tests/test_state_machine.py"]
+TESTS = ["tests/cycle/test_gate.py", "tests/cycle/test_state_machine.py"]
 OPTIONS = ["-x", "-q", "--no-header", "--noconftest", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark"]
 TIMEOUT_S = 120  # of a mutant that never ends; an honest run takes a second
 

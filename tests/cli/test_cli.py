@@ -1,0 +1,42 @@
+"""The command line before any command has begun."""
+
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+# A shell's background jobs start with SIGINT ignored, and their children with them.
+AT_A_TERMINAL = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+BUILD = ROOT / "deploy" / "debian" / "build.sh"
+
+
+@pytest.mark.parametrize("module", ["typer", "numpy"])  # of the command line itself; of the command asked for
+def test_a_ctrl_c_during_the_imports_ends_quietly(tmp_path: Path, module: str) -> None:
+    (tmp_path / f"{module}.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    result = subprocess.run(
+        [sys.executable, "-c", f"{AT_A_TERMINAL}; from hil.__main__ import main; main()", "run", "rig.toml"],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
+
+
+def test_the_packages_script_does_nothing_when_a_worker_process_reads_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (line,) = (line for line in BUILD.read_text().splitlines() if line.endswith('> "$root/opt/hil/bin/hil"'))
+    script = tmp_path / "hil"
+    subprocess.run(["bash", "-c", line.replace("$root/opt/hil/bin", str(tmp_path))], check=True)
+    monkeypatch.setattr(sys, "argv", ["hil", "--version"])
+    runpy.run_path(str(script), run_name="__mp_main__")
+    assert capsys.readouterr().out == ""
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(script), run_name="__main__")
+    assert capsys.readouterr().out.startswith("hil ")

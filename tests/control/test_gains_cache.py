@@ -1,0 +1,125 @@
+"""A filter's design is made once and kept for the next process, which trusts it where nobody else can have written."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hil.control.estimator import gains_cache as design_store
+from hil.control.estimator.gains import design_gains
+from hil.control.estimator.gains_cache import keep, recall
+from hil.rig.schema import RigConfig
+from tests.support.paths import ROOT
+
+PARAMETERS = json.dumps([{"mass": 0.5, "period": 1e-3}])
+DESIGN = [[[0.9, 1000.0, -3e5], 7e-15]]
+RIG = ROOT / "deploy" / "rigs" / "paper.toml"
+
+# what a control process does at its start; afterwards no child could be started any more
+START = """
+import json, sys
+from pathlib import Path
+from hil.rig.schema import load_rig
+from hil.control.estimator.gains import design_gains
+if sys.argv[2] == "no child":
+    sys.executable = "/nonexistent"
+gains, variance = design_gains(load_rig(Path(sys.argv[1])))
+assert "filterpy" not in sys.modules
+print(json.dumps([gains.tolist(), variance.tolist()]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "hil" / "designs"
+
+
+def only_file(directory: Path) -> Path:
+    (path,) = directory.iterdir()
+    return path
+
+
+def start(child: str) -> str:
+    words = [sys.executable, "-c", START, str(RIG), child]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout
+
+
+def test_the_second_process_has_the_first_ones_design(paper: RigConfig, directory: Path) -> None:
+    first = start("a child")
+    assert only_file(directory).stat().st_mode & 0o077 == 0
+    assert start("no child") == first
+    gains, variance = design_gains(paper)  # by filterpy, here
+    assert json.loads(first) == [gains.tolist(), variance.tolist()]
+
+
+def test_what_is_asked_must_be_the_same() -> None:
+    assert recall(PARAMETERS) is None
+    keep(PARAMETERS, DESIGN)
+    assert recall(PARAMETERS) == DESIGN
+    assert recall(json.dumps([{"mass": 0.50000001, "period": 1e-3}])) is None
+
+
+def test_other_code_or_packages_make_another_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    keep(PARAMETERS, DESIGN)
+    monkeypatch.setattr(design_store, "version", lambda name: "0")
+    assert recall(PARAMETERS) is None
+
+
+@given(st.integers(0, 10**6), st.integers(1, 255))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_file_is_no_design(directory: Path, place: int, change: int) -> None:
+    keep(PARAMETERS, DESIGN)
+    path = only_file(directory)
+    content = bytearray(path.read_bytes())
+    content[place % len(content)] ^= change
+    path.write_bytes(content)
+    assert recall(PARAMETERS) is None
+    path.write_bytes(content[: place % len(content)])
+    assert recall(PARAMETERS) is None
+
+
+def test_where_others_may_write_nothing_is_read_or_kept(directory: Path) -> None:
+    keep(PARAMETERS, DESIGN)
+    directory.chmod(0o770)
+    assert recall(PARAMETERS) is None
+    only_file(directory).unlink()
+    keep(PARAMETERS, DESIGN)
+    assert list(directory.iterdir()) == []
+
+
+def test_a_link_to_another_directory_is_not_followed(directory: Path, tmp_path: Path) -> None:
+    directory.parent.mkdir(parents=True)
+    directory.symlink_to(tmp_path)
+    keep(PARAMETERS, DESIGN)
+    assert recall(PARAMETERS) is None
+    assert not list(tmp_path.glob("*.json"))
+
+
+def test_where_nothing_can_be_kept_nothing_fails(directory: Path) -> None:
+    directory.parent.parent.write_text("a file in its place")
+    keep(PARAMETERS, DESIGN)
+    assert recall(PARAMETERS) is None
+
+
+def test_a_service_keeps_it_in_the_directory_systemd_gives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "service"))
+    keep(PARAMETERS, DESIGN)
+    assert recall(PARAMETERS) == DESIGN
+    assert only_file(tmp_path / "service" / "designs")
+
+
+def test_the_oldest_go(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design_store, "MOST_KEPT", 3)
+    for number in range(5):
+        keep(json.dumps([{"mass": number + 1.0}]), DESIGN)
+        for path in directory.iterdir():
+            os.utime(path, ns=(0, path.stat().st_mtime_ns - 10**9))  # all the others are older
+    kept = [recall(json.dumps([{"mass": number + 1.0}])) is not None for number in range(5)]
+    assert kept == [False, False, True, True, True]

@@ -1,0 +1,136 @@
+"""The sampled-data check: the paper's gains fail at 1 kHz, ours do not, and the poles are those of the equations."""
+
+import numpy as np
+import pytest
+
+from hil.belief import rig_model
+from hil.control.estimator.gains import design_gains
+from hil.control.stability import (
+    check_stability,
+    finite_difference_lowest_rate,
+    finite_difference_poles,
+    margins,
+    pulse_response,
+    realise_poles,
+    refuse_unstable,
+)
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.studies.tune.objective import margins_of
+from tests.support.paths import ROOT
+
+RIG = ROOT / "deploy" / "rigs" / "paper.toml"
+PAPER = [(0.022180, 3000.0, 20.0, 1296.0), (0.011386, 3500.0, 25.0, 2842.0)]
+PAPERS_GAINS = ["law.gains.kp=[3000, 3500]", "law.gains.kd=[20, 25]"]
+
+
+@pytest.mark.parametrize(("mass", "kp", "kd", "lowest"), PAPER)
+def test_the_papers_gains_are_stable_only_from_their_lowest_rate_on(
+    mass: float, kp: float, kd: float, lowest: float
+) -> None:
+    assert finite_difference_lowest_rate(mass, kp, kd) == pytest.approx(lowest, rel=0.02)
+    assert max(map(abs, finite_difference_poles(mass, kp, kd, 1e-3))) > 1.0
+    assert max(map(abs, finite_difference_poles(mass, kp, kd, 0.95 / lowest))) < 1.0
+
+
+def pd_poles(rig: RigConfig, kp: float, kd: float, axis: int) -> list[complex]:
+    """By hand: plant [e, v], force under way, and the rig's filter [e, v, d] with its prediction over one period."""
+    mass, t = float(rig_model(rig).mass[axis]), rig.period_ns * 1e-9
+    k1, k2, k3 = design_gains(rig)[0][:, axis]
+    a, b = np.array([[1.0, t], [0.0, 1.0]]), np.array([t * t / 2, t]) / mass
+    f = np.block([[a, -b[:, None]], [np.zeros((1, 2)), np.ones((1, 1))]])
+    b3, gain = np.append(b, 0.0), np.array([k1, k2, k3])
+    # z = [plant at the sample, force in the last interval u1, filter before its update], all at the new sample
+    h = np.array([1.0, 0.0, 0.0])
+    update = np.eye(3) - np.outer(gain, h)
+    ahead = f @ update
+    row = -np.array([kp, kd, 0.0])
+    m = np.zeros((6, 6))
+    m[:2, :2], m[:2, 2] = a, b
+    m[2, 0] = row @ f @ gain
+    m[2, 2] = row @ b3
+    m[2, 3:] = row @ ahead
+    m[3:, 0] = f @ gain
+    m[3:, 2] = b3
+    m[3:, 3:] = ahead
+    return sorted((complex(z) for z in np.linalg.eigvals(m)), key=abs, reverse=True)
+
+
+def test_realised_poles_of_the_rigs_loop_are_those_of_its_equations() -> None:
+    rig = load_rig(RIG, ["law.gains.kp=[2000, 1000]", "law.gains.kd=[9, 5]"])
+    report = check_stability(rig)
+    for axis, (name, kp, kd) in enumerate([("x", 2000.0, 9.0), ("y", 1000.0, 5.0)]):
+        expected = pd_poles(rig, kp, kd, axis)
+        found = report.axes[name].poles
+        assert abs(found[0]) == pytest.approx(abs(expected[0]), abs=1e-4)
+        assert abs(found[2]) == pytest.approx(abs(expected[2]), abs=1e-3)
+
+
+def test_gain_margin_is_where_the_loop_turns_unstable() -> None:
+    rig = load_rig(RIG, ["law.gains.kp=[2000, 1000]", "law.gains.kd=[9, 5]"])
+    axis = check_stability(rig).axes["x"]
+    assert axis.gain_margin is not None
+    assert axis.phase_margin_deg is not None
+    assert 20 < axis.phase_margin_deg < 80
+    # A plant lighter than believed is a higher loop gain: just inside and just outside the margin.
+    inside, _ = pulse_response(rig, 2000, 0.97 * axis.gain_margin)
+    outside, _ = pulse_response(rig, 2000, 1.03 * axis.gain_margin)
+    assert np.abs(inside[-100:, 0]).max() < 1e-3
+    assert not np.abs(outside[-100:, 0]).max() < 1e3
+
+
+def test_a_law_that_has_not_settled_yet_has_its_margin_all_the_same() -> None:
+    """A slow integrator still takes up friction when the pulse comes; that is no part of the loop's answer."""
+    slow, plain = (
+        check_stability(load_rig(RIG, changes)).axes["x"]
+        for changes in (
+            ["law.name=pid", "law.gains.kp=1400", "law.gains.kd=8", "law.gains.ki=3000"],
+            ["law.gains.kp=1400", "law.gains.kd=8"],
+        )
+    )
+    assert slow.gain_margin == pytest.approx(plain.gain_margin, rel=0.02)
+
+
+def test_a_loop_that_circles_for_ever_is_unstable_though_it_forgets_a_pulse() -> None:
+    """Friction's sign taken over a width in which it drives more than the law damps."""
+    gains = ["law.gains.kp=1930", "law.gains.kd=6.3", "law.gains.sign_width={}"]
+    for width in (0.0451, 0.0454, 0.0457):
+        report = check_stability(load_rig(RIG, ["law.name=computed-torque", *(g.format(width) for g in gains)]))
+        assert not report.axes["x"].stable
+    assert check_stability(load_rig(RIG, ["law.name=computed-torque", *(g.format(0.002) for g in gains)])).stable
+
+
+@pytest.mark.parametrize("law", load_rig(RIG).law.tuned)
+def test_every_tuned_law_of_the_rig_has_the_textbooks_margins(law: str) -> None:
+    rig = load_rig(RIG, [f"law.name={law}"])
+    refuse_unstable(rig)
+    for axis in check_stability(rig).axes.values():
+        margins = margins_of(axis)
+        assert margins.gain_db >= 6.0
+        assert margins.phase_deg >= 30.0
+
+
+def test_an_unstable_loop_is_refused_by_axis_and_pole() -> None:
+    with pytest.raises(RigError, match="unstable on axis 'y' at 1000 Hz"):
+        refuse_unstable(load_rig(RIG, PAPERS_GAINS))
+
+
+def test_a_force_that_alternates_unseen_between_samples_is_found() -> None:
+    """Damping far too high: every sample falls on a node of the position, only the speed shows it."""
+    rig = load_rig(RIG, ["law.gains.kp=[2000, 1000]", "law.gains.kd=[90, 5]"])
+    report = check_stability(rig)
+    assert not report.axes["x"].stable
+    assert report.axes["y"].stable
+
+
+def test_poles_and_margins_of_a_known_loop() -> None:
+    """S of L = 0.5 / (z - 0.5): pole at 0, no crossing of -1 upwards before gain 3."""
+    answer = np.zeros(64)
+    z_pole, loop_gain = 0.5, 0.5
+    state = 0.0
+    for k in range(64):  # y = d - L y
+        answer[k] = (1.0 if k == 0 else 0.0) - state
+        state = z_pole * state + loop_gain * answer[k]
+    assert abs(realise_poles(answer + 0.0)[0]) < 1e-6
+    up, down, _ = margins(answer)
+    assert up is None or up == pytest.approx(3.0, rel=0.05)
+    assert down is None

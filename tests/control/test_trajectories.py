@@ -1,0 +1,160 @@
+"""Trajectories: exact in time, smooth where they must be, the same bits for one instant or a thousand."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
+from hil.control.trajectories.displaced import Displaced
+from hil.control.trajectories.segments import Segments
+from hil.rig.schema import InjectionConfig, TaskConfig, load_rig
+from tests.support.paths import RIGS
+
+MS = 1_000_000
+PERIOD = MS
+CIRCLE = TaskConfig(kind="circle", axes=["x", "y"], radius=0.5, frequency_hz=0.5, approach_s=2.0)
+LISSAJOUS = TaskConfig(kind="lissajous", axes=["x", "y"], radius=0.01, frequency_hz=0.3, ratio=3, phase=0.7)
+MOVES = TaskConfig(kind="point_to_point", axes=["y"], target=[0.2], move_s=0.5, dwell_s=0.25)
+HOLD = TaskConfig()
+
+
+def injection_task() -> TaskConfig:
+    return load_rig(RIGS / "microscope.toml").task
+
+
+def trajectories() -> list[Trajectory]:
+    start = np.array([0.03, -0.02])
+    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in (CIRCLE, LISSAJOUS, MOVES, HOLD)]
+    injection = make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
+    return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
+
+
+NAMES = ["circle", "lissajous", "moves", "hold", "injection", "displaced"]
+
+
+@pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
+def test_one_instant_and_a_batch_agree_bit_for_bit(trajectory: Trajectory) -> None:
+    n = trajectory.sample(np.zeros((1, 2), np.int64)).position.shape[-1] if trajectory._n == 2 else 4
+    times = np.random.default_rng(1).integers(-MS, 20_000 * MS, size=(200, n))
+    batch = trajectory.sample(times)
+    for row, each in enumerate(times):
+        single = trajectory.sample(each)
+        for name in ("position", "velocity", "acceleration"):
+            assert np.array_equal(getattr(single, name), getattr(batch, name)[row])
+
+
+@pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
+def test_velocity_and_acceleration_are_the_derivatives_of_position(trajectory: Trajectory) -> None:
+    n = trajectory._n
+    h = 50_000  # ns
+    times = np.random.default_rng(2).integers(MS, 20_000 * MS, size=(300, n))
+    before, here, after = (trajectory.sample(times + shift) for shift in (-h, 0, h))
+    step = h * 1e-9
+    scale = 1.0 + np.abs(here.acceleration).max()
+    slope = (after.position - before.position) / (2 * step)
+    assert np.abs(slope - here.velocity).max() < 1e-6 * scale
+    bend = (after.velocity - before.velocity) / (2 * step)
+    assert np.abs(bend - here.acceleration).max() < 0.02 * scale  # jerk may step at a join; acceleration may not
+
+
+def test_before_its_start_a_trajectory_stands_at_its_start() -> None:
+    for trajectory in trajectories():
+        early = trajectory.sample(np.full((1, trajectory._n), -5 * MS))
+        begin = trajectory.sample(np.zeros((1, trajectory._n), np.int64))
+        assert np.array_equal(early.position, begin.position)
+        assert not early.velocity.any()
+
+
+def test_circle_is_the_papers_after_the_approach() -> None:
+    circle = make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD)
+    t = 3.3
+    sample = circle.sample(np.full((1, 2), round(t * 1e9)))
+    assert sample.position[0] == pytest.approx([0.5 * math.cos(math.pi * t), 0.5 * math.sin(math.pi * t)], abs=1e-14)
+    assert circle.phase_names[circle.phase_at(round(t * 1e9))] == "figure"
+
+
+def test_circle_reverses_exactly_on_the_grid_after_a_day() -> None:
+    circle = make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD)
+    day = 86_400 * 1_000 * MS
+    assert circle.sample(np.full((1, 2), day)).velocity[0, 0] == 0.0
+    assert circle.sample(np.full((1, 2), day)).position[0, 0] == 0.5
+
+
+@given(st.floats(0.001, 1000.0), st.integers(0, 10**14))
+@settings(max_examples=60)
+def test_any_frequency_keeps_its_phase(frequency: float, t_ns: int) -> None:
+    task = CIRCLE.model_copy(update={"frequency_hz": frequency})
+    trajectory = make_trajectory(task, ["x", "y"], np.zeros(2), PERIOD)
+    sample = trajectory.sample(np.full((1, 2), t_ns + 10**10))
+    assert np.hypot(*sample.position[0]) == pytest.approx(0.5, rel=1e-12)
+
+
+def test_start_elsewhere_is_blended_without_a_jump() -> None:
+    circle = make_trajectory(CIRCLE, ["x", "y"], np.array([0.1, -0.3]), PERIOD)
+    times = np.arange(0, 2_100 * MS, MS)
+    path = circle.sample(np.stack([times, times], axis=1))
+    assert path.position[0].tolist() == [0.1, -0.3]
+    assert np.abs(np.diff(path.position, axis=0)).max() < 3e-3  # no step larger than the fastest millisecond
+
+
+def test_injection_is_fastest_at_contact_and_rests_in_the_cell() -> None:
+    task = injection_task()
+    plan = task.injection
+    assert plan is not None
+    trajectory = make_trajectory(task, ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
+    assert trajectory.duration_ns is not None
+    times = np.arange(0, trajectory.duration_ns, MS // 4)
+    path = trajectory.sample(np.repeat(times[:, None], 4, axis=1))
+    phases = np.array([trajectory.phase_at(int(t)) for t in times])
+    names = trajectory.phase_names
+    struck = (phases == names.index("strike")) | (phases == names.index("pierce"))
+    speed = np.abs(path.velocity[:, 2])
+    assert speed[struck].max() == pytest.approx(plan.contact_speed, rel=1e-6)
+    fastest = np.flatnonzero(struck & (speed == speed[struck].max()))[0]
+    assert path.position[fastest, 2] == pytest.approx(plan.contact[2], abs=1e-6)
+    assert not speed[phases == names.index("dwell")].any()
+    cells = np.unique(path.position[phases == names.index("dwell"), 0].round(9))
+    assert len(cells) == plan.cells
+    end = trajectory.sample(np.full((1, 4), trajectory.duration_ns + MS))
+    assert end.position[0].tolist() == plan.home
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("contact_speed", 1.0, "contact_speed = 1.0 m/s"),
+        ("contact", [0.0, 0.0, 0.0, 0.0], "contact"),
+        ("end", None, "must differ from start"),
+    ],
+)
+def test_an_impossible_injection_names_key_value_and_range(key: str, value: object, message: str) -> None:
+    task = injection_task()
+    assert task.injection is not None
+    changed = task.injection.model_copy(update={key: task.injection.start if value is None else value})
+    broken = task.model_copy(update={"injection": InjectionConfig.model_validate(changed.model_dump())})
+    with pytest.raises(ValueError, match=message):
+        make_trajectory(broken, ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
+
+
+def test_a_long_plan_is_begun_without_working_it_out_again() -> None:
+    """It begins in a tick, with the drives just enabled: five thousand segments took a fifth of a second there."""
+    task = injection_task()
+    assert task.injection is not None
+    row = task.injection.model_copy(update={"cells": 1000})
+    begin = plan_task(task.model_copy(update={"injection": row}), ["x", "y", "z", "theta"], PERIOD)
+    here, elsewhere = begin(row.home), begin([1e-4] * 4)
+    assert isinstance(here, Segments)
+    assert isinstance(elsewhere, Segments)
+    assert here.segments[0] is not elsewhere.segments[0]
+    assert all(mine is other for mine, other in zip(here.segments[1:], elsewhere.segments[2:], strict=True))
+    assert elsewhere.at(0, 0)[0] == 1e-4
+
+
+def test_what_repeats_says_so() -> None:
+    assert task_repeat(CIRCLE, ["x", "y"], PERIOD) == (2_000 * MS, 2_000 * MS)
+    assert task_repeat(MOVES, ["x", "y"], PERIOD) == (1_500 * MS, 0)
+    assert task_repeat(HOLD, ["x", "y"], PERIOD) is None
+    assert task_repeat(injection_task(), ["x", "y", "z", "theta"], PERIOD) is None

@@ -1,0 +1,507 @@
+"""The local bus: everyone but the sender hears a frame; who dies vanishes; who stops reading harms only himself."""
+
+import asyncio
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.bus import local_bus, local_medium
+from drivers.bus.local_bus import LocalBus, from_message, to_message
+from drivers.bus.local_medium import FIRST_DEPTH, LocalMedium, channel_dir
+from drivers.bus.port import Port, PortCounters, PortError, open_port
+from drivers.config import BusConfig
+from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
+from drivers.frame_bytes import to_bytes
+from tests.support.local_member import HELLO, PING, PONG, STOP
+from tests.support.paths import ROOT
+
+PATIENCE_S = 20.0  # only a failing test waits this long
+
+OpenPort = Callable[..., Port]
+
+
+@pytest.fixture
+def join() -> Iterator[OpenPort]:
+    """Opens ports on the local bus "can0" and closes them at the end."""
+    ports: list[Port] = []
+
+    def open_local(role: str = "host", *, fd: bool = True, **keywords: int) -> Port:
+        config = BusConfig(interface="local", **keywords)
+        ports.append(open_port(config, role=role, fd=fd))  # type: ignore[arg-type]
+        return ports[-1]
+
+    yield open_local
+    for port in ports:
+        port.close()
+
+
+@pytest.fixture
+def member() -> Iterator[Callable[[str], "subprocess.Popen[str]"]]:
+    """Starts member processes on "can0"; none outlives the test."""
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(manner: str) -> "subprocess.Popen[str]":
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-m", "tests.support.local_member", "can0", manner],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                cwd=ROOT,
+            )
+        )
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def take(port: Port) -> list[tuple[int, bytes]]:
+    return [(frame.can_id, frame.data) for frame in port.drain(time.monotonic_ns())]
+
+
+def wait_for(port: Port, can_id: int, number: int = 1) -> Frame:
+    """The next frame with this identifier, or the last of the next `number`; fails the test when they do not come."""
+    deadline = time.monotonic() + PATIENCE_S
+    poll = select.poll()
+    poll.register(port.fileno(), select.POLLIN)
+    found: list[Frame] = []
+    while len(found) < number:
+        if time.monotonic() > deadline:
+            pytest.fail(f"{len(found)} of {number} frames {can_id:#x} within {PATIENCE_S} s")
+        poll.poll(100)
+        found += [frame for frame in port.drain(time.monotonic_ns()) if frame.can_id == can_id]
+    return found[-1]
+
+
+def test_everyone_but_the_sender_hears_a_frame(join: OpenPort) -> None:
+    first, second, third = join(), join("device"), join("device")
+    assert second.send(Frame(0x123, bytes(24), FD | BRS))
+    for other in (first, third):
+        (frame,) = other.drain(time.monotonic_ns())
+        assert frame._replace(timestamp_ns=0) == Frame(0x123, bytes(24), FD | BRS)
+        assert 0 < frame.timestamp_ns <= time.monotonic_ns()
+    assert take(second) == []
+
+
+@pytest.mark.parametrize("senders", [2, 3, 7])
+def test_frames_of_several_senders_come_out_in_the_order_in_which_they_were_sent(join: OpenPort, senders: int) -> None:
+    host, devices = join(), [join("device") for _ in range(senders)]
+    assert take(host) == []  # takes them in
+    for number in range(12):
+        devices[number % senders].send(Frame(0x100 + number, b""))
+    assert [can_id for can_id, _ in take(host)] == [0x100 + number for number in range(12)]
+
+
+def test_a_lone_sender_is_told_that_nobody_acknowledged(join: OpenPort) -> None:
+    port = join()
+    assert port.send(Frame(1, b""))
+    assert port.counters() == PortCounters(sent=1, errors=1, no_ack=1)
+
+
+def test_a_member_hears_what_is_sent_after_it_has_joined_and_nothing_from_before(join: OpenPort) -> None:
+    sender = join()
+    sender.send(Frame(1, b"before"))
+    late = join()
+    sender.send(Frame(1, b"after"))
+    assert take(late) == [(1, b"after")]
+
+
+def test_a_member_that_leaves_is_noticed_by_the_next_frame(join: OpenPort) -> None:
+    stays, leaves = join(), join()
+    leaves.send(Frame(2, b"goodbye"))
+    leaves.close()
+    stays.send(Frame(1, b""))
+    assert take(stays) == [(2, b"goodbye")]
+    assert stays.counters().no_ack == 1
+
+
+def test_channels_are_separate_buses(join: OpenPort) -> None:
+    here, there = join(channel="can0"), join(channel="can1")
+    here.send(Frame(1, b""))
+    assert take(there) == []
+
+
+def test_nothing_is_left_behind_and_nobody_else_may_enter(join: OpenPort) -> None:
+    ports = [join(), join()]
+    directory = channel_dir("can0")
+    assert len(list(directory.glob("*.sock"))) == 2
+    assert directory.stat().st_mode & 0o077 == 0
+    for port in ports:
+        port.close()
+    assert list(directory.glob("*.sock")) == []
+
+
+def test_a_path_too_long_for_a_socket_address_works_too(
+    join: OpenPort, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / ("long" * 40)))
+    first, second = join(), join()
+    first.send(Frame(1, b"x"))
+    assert take(second) == [(1, b"x")]
+
+
+STEPS = st.lists(st.tuples(st.sampled_from(["join", "leave", "send"]), st.integers(0, 7)), max_size=40)
+_names = count()
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(STEPS)
+def test_whoever_joins_or_leaves_each_frame_reaches_exactly_the_others(steps: list[tuple[str, int]]) -> None:
+    config = BusConfig(interface="local", channel=f"steps{next(_names)}")
+    members: list[Port] = []
+    expected: dict[Port, list[tuple[int, bytes]]] = {}
+    for number, (what, which) in enumerate(steps):
+        if what == "join" and len(members) < 6:
+            members.append(open_port(config, role="host", fd=False))
+            expected[members[-1]] = []
+        elif members and what == "leave":
+            port = members.pop(which % len(members))
+            assert sorted(take(port)) == expected.pop(port)
+            port.close()
+        elif members:
+            sender = members[which % len(members)]
+            assert sender.send(Frame(number, b"data"))
+            for port in members:
+                if port is not sender:
+                    expected[port].append((number, b"data"))
+    for port in members:
+        assert sorted(take(port)) == expected[port]  # numbered in the order of sending
+        assert port.counters().overflow == 0
+        port.close()
+
+
+def test_a_full_member_loses_frames_alone_and_is_told_how_many(join: OpenPort) -> None:
+    sender, reads, sleeps = join(), join(receive_limit=32), join("device", transmit_queue=16)
+    take(sender)  # the greetings, with the depths
+    for number in range(300):
+        assert sender.send(Frame(0x100, number.to_bytes(2, "little")))
+        assert take(reads) == [(0x100, number.to_bytes(2, "little"))]
+    assert sender.counters() == PortCounters(sent=300)
+    assert reads.counters() == PortCounters(received=300)
+    kept = take(sleeps)
+    assert kept == [(0x100, number.to_bytes(2, "little")) for number in range(16)]
+    sender.send(Frame(0x101, b""))  # behind two notices, as one can tell of 255 losses
+    assert take(sleeps) == [(0x101, b"")]
+    assert sleeps.counters() == PortCounters(received=17, errors=2, overflow=284)
+
+
+def test_a_bus_of_full_members_refuses_a_frame_like_a_full_transmit_queue(join: OpenPort) -> None:
+    sender, device = join(), join("device", transmit_queue=10)
+    take(sender)
+    assert [sender.send(Frame(1, b"")) for _ in range(13)] == [True] * 10 + [False] * 3
+    assert sender.counters() == PortCounters(sent=10, refused=3)
+    assert not sender.purge()
+    assert len(take(device)) == 10
+    assert sender.purge()
+    assert sender.send(Frame(1, b""))
+
+
+@pytest.mark.parametrize("reader_joins_first", [True, False])
+def test_a_queue_is_as_deep_as_its_reader_asked_for_though_it_has_never_read(
+    join: OpenPort, reader_joins_first: bool
+) -> None:
+    if reader_joins_first:
+        reader, sender = join("device", transmit_queue=30), join()
+    else:
+        sender, reader = join(), join("device", transmit_queue=30)
+    assert sum(sender.send(Frame(1, b"")) for _ in range(100)) == 30 - reader_joins_first  # the sender's greeting
+    assert len(take(reader)) == 30 - reader_joins_first
+
+
+def test_a_greeting_that_comes_late_is_followed_when_the_queue_runs_full() -> None:
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    link = local_medium.Link(here)
+    assert sum(link.deliver(to_bytes(Frame(1, b""))) for _ in range(50)) == FIRST_DEPTH
+    local_medium.Link(there).greet(30)
+    assert sum(link.deliver(to_bytes(Frame(2, b""))) for _ in range(50)) == 30 - FIRST_DEPTH - 1  # one is the notice
+    link.close()
+    there.close()
+
+
+def test_the_two_halves_of_a_rig_meet_across_processes(join: OpenPort, member: Callable[[str], object]) -> None:
+    host = join()
+    member("echo")
+    wait_for(host, HELLO)
+    host.send(Frame(PING, b"here"))
+    assert wait_for(host, PONG).data == b"here"
+
+
+def test_a_killed_member_vanishes(join: OpenPort, member: "Callable[[str], subprocess.Popen[str]]") -> None:
+    host, witness = join(), join()
+    victim = member("echo")
+    wait_for(host, HELLO)
+    directory = channel_dir("can0")
+    assert len(list(directory.glob(f"{victim.pid}-*.sock"))) == 1
+    victim.kill()
+    victim.wait()
+    witness.close()
+    host.send(Frame(PING, b""))
+    assert host.counters().no_ack == 1  # nobody left
+    newcomer = join()
+    assert list(directory.glob(f"{victim.pid}-*.sock")) == []  # swept by the next to join
+    newcomer.send(Frame(1, b"just us"))
+    assert take(host) == [(1, b"just us")]
+
+
+def test_a_stopped_process_stalls_nobody_and_learns_what_it_missed(
+    join: OpenPort, member: "Callable[[str], subprocess.Popen[str]]"
+) -> None:
+    host = join()
+    lame, lively = member("count"), member("echo")
+    wait_for(host, HELLO, 2)
+    os.kill(lame.pid, signal.SIGSTOP)
+    os.waitpid(lame.pid, os.WUNTRACED)
+    total = 400
+    for number in range(total):
+        assert host.send(Frame(PING, number.to_bytes(2, "little")))
+        assert wait_for(host, PONG).data == number.to_bytes(2, "little")
+    os.kill(lame.pid, signal.SIGCONT)
+    while lame.poll() is None:  # its queue is full of old frames until it has read them
+        host.send(Frame(STOP, b""))
+        take(host)
+    assert lively.wait(PATIENCE_S) == 0
+    assert lame.stdout is not None
+    received, lost = map(int, lame.stdout.read().split())
+    assert received + lost >= total
+    assert lost >= total - 2 * 32  # twice its receive limit may wait
+
+
+def test_a_member_stopped_while_joining_is_named_as_the_reason(join: OpenPort, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local_medium, "JOIN_TIMEOUT_S", 0.05)
+    with (
+        local_medium._locked(channel_dir("can0")),
+        pytest.raises(PortError, match=r"another process has been joining this bus for 0\.05 s; is one stopped"),
+    ):
+        join()
+
+
+def test_a_member_that_waits_answers_a_knock_before_who_knocks_has_joined(join: OpenPort) -> None:
+    """It may have precedence on the core on which the other is joining: waking for nothing would keep that one out."""
+    waits = join("device")
+    poll = select.poll()
+    poll.register(waits.fileno(), select.POLLIN)
+    (door,) = channel_dir("can0").glob("*.sock")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as joining:
+        joining.connect(str(door))  # the first thing that joining does; counting up is the last
+        assert poll.poll(0)
+        assert take(waits) == []
+        assert not poll.poll(0)
+        joining.send(to_bytes(Frame(1, b"in")))
+        assert take(waits) == [(1, b"in")]
+        waits.send(Frame(2, b"out"))
+        assert joining.recv(100) == to_bytes(Frame(2, b"out"))
+
+
+def test_a_local_bus_can_be_rebound(join: OpenPort) -> None:
+    host, device = join(), join("device")
+    assert host.rebind()
+    host.send(Frame(1, b""))
+    assert take(device) == [(1, b"")]
+    assert host.counters() == PortCounters(sent=1)
+
+
+# --- the python-can interface
+
+
+@pytest.fixture
+def buses() -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    with (
+        can.Bus(interface="local", channel="can0", fd=True) as one,
+        can.Bus(interface="local", channel="can0", fd=True) as two,
+    ):
+        yield one, two
+
+
+def test_python_can_finds_the_interface_by_its_name(buses: tuple[can.BusABC, can.BusABC]) -> None:
+    one, two = buses
+    assert isinstance(one, LocalBus)
+    assert one.protocol is can.CanProtocol.CAN_FD
+    one.send(can.Message(arbitration_id=0x123, data=[1, 2, 3], is_extended_id=False))
+    message = two.recv(PATIENCE_S)
+    assert message is not None
+    assert (message.arbitration_id, bytes(message.data), message.is_rx) == (0x123, b"\x01\x02\x03", True)
+    assert abs(message.timestamp - time.time()) < PATIENCE_S
+    assert two.recv(0) is None
+    assert {"interface": "local", "channel": "can0"} in can.detect_available_configs("local")
+
+
+def test_port_and_python_can_share_a_bus(join: OpenPort, buses: tuple[can.BusABC, can.BusABC]) -> None:
+    port = join()
+    buses[0].send(can.Message(arbitration_id=5, data=bytes(16), is_fd=True, bitrate_switch=True, is_extended_id=False))
+    (frame,) = port.drain(time.monotonic_ns())
+    assert frame._replace(timestamp_ns=0) == Frame(5, bytes(16), FD | BRS)
+    port.send(Frame(0x18FF0102 | EXTENDED, b"abc"))
+    received = buses[0].recv(PATIENCE_S)
+    assert received is not None
+    assert (received.arbitration_id, received.is_extended_id, received.is_fd) == (0x18FF0102, True, False)
+
+
+@given(
+    st.integers(0, 0x1FFFFFFF),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from(FD_LENGTHS).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
+)
+def test_frames_and_python_can_messages_are_the_same_thing(
+    identifier: int, extended: bool, brs: bool, data: bytes
+) -> None:
+    can_id = identifier | EXTENDED if extended else identifier & 0x7FF
+    frame = Frame(can_id, data, FD | BRS if brs else FD)
+    assert from_message(to_message(frame, 0.0)) == frame
+    classic = Frame(can_id | REMOTE, b"")
+    assert from_message(to_message(classic, 0.0)) == classic
+
+
+def test_filters_hold(buses: tuple[can.BusABC, can.BusABC]) -> None:
+    one, two = buses
+    two.set_filters([{"can_id": 0x200, "can_mask": 0x7F0}])
+    for can_id in (0x100, 0x201, 0x210, 0x20F):
+        one.send(can.Message(arbitration_id=can_id, is_extended_id=False))
+    received = [two.recv(PATIENCE_S), two.recv(PATIENCE_S), two.recv(0)]
+    assert [message and message.arbitration_id for message in received] == [0x201, 0x20F, None]
+
+
+def test_a_classic_member_neither_sees_nor_sends_fd_frames(buses: tuple[can.BusABC, can.BusABC]) -> None:
+    long = can.Message(arbitration_id=1, data=bytes(12), is_fd=True, is_extended_id=False)
+    with can.Bus(interface="local", channel="can0") as classic:
+        buses[0].send(long)
+        buses[0].send(can.Message(arbitration_id=2, is_extended_id=False))
+        message = classic.recv(PATIENCE_S)
+        assert message is not None
+        assert message.arbitration_id == 2
+        with pytest.raises(can.CanOperationError, match="without fd=True"):
+            classic.send(long)
+
+
+def test_own_messages_are_received_when_asked_for() -> None:
+    with can.Bus(interface="local", channel="can0", receive_own_messages=True) as bus:
+        bus.send(can.Message(arbitration_id=7, is_extended_id=False))
+        message = bus.recv(PATIENCE_S)
+        assert message is not None
+        assert (message.arbitration_id, message.is_rx) == (7, False)
+
+
+def test_a_full_queue_raises_as_with_socketcan(buses: tuple[can.BusABC, can.BusABC]) -> None:
+    message = can.Message(arbitration_id=1, is_extended_id=False)
+    for _ in range(local_bus.RECEIVE_QUEUE):
+        with contextlib.suppress(can.CanOperationError):
+            buses[0].send(message)
+    with pytest.raises(can.CanOperationError, match="Transmit buffer full"):
+        buses[0].send(message, timeout=0.01)
+    assert buses[1].recv(0) is not None
+    assert buses[1].recv(0) is not None
+    buses[0].send(message)  # takes two places: it is preceded by the notice of what was lost
+
+
+def test_a_notifier_thread_and_an_asyncio_notifier_get_every_message(
+    buses: tuple[can.BusABC, can.BusABC], join: OpenPort
+) -> None:
+    sent = list(range(50))
+
+    def burst() -> None:
+        for number in sent:
+            buses[0].send(can.Message(arbitration_id=number, is_extended_id=False), timeout=PATIENCE_S)
+
+    heard: list[int] = []
+    complete = threading.Event()
+
+    def listen(message: can.Message) -> None:
+        heard.append(message.arbitration_id)
+        if len(heard) == len(sent):
+            complete.set()
+
+    with can.Notifier(buses[1], [listen], timeout=0.1):
+        burst()
+        assert complete.wait(PATIENCE_S)
+    assert heard == sent
+
+    async def by_event_loop() -> list[int]:
+        reader = can.AsyncBufferedReader()
+        with can.Notifier(buses[1], [reader], loop=asyncio.get_running_loop()):
+            burst()
+            return [(await asyncio.wait_for(reader.get_message(), PATIENCE_S)).arbitration_id for _ in sent]
+
+    assert asyncio.run(by_event_loop()) == sent
+
+
+def send_all(bus: can.BusABC, total: int, done: threading.Event) -> None:
+    for number in range(total):
+        bus.send(can.Message(arbitration_id=number, is_extended_id=False), timeout=PATIENCE_S)
+    while not done.is_set():  # a loss is told along with a later frame
+        with contextlib.suppress(can.CanOperationError):
+            bus.send(can.Message(arbitration_id=STOP, is_extended_id=False))
+
+
+def receive_all(bus: can.BusABC, total: int, heard: list[int]) -> None:
+    lost = 0
+    while len(heard) + lost < total:
+        message = bus.recv(PATIENCE_S)
+        assert message is not None
+        if message.is_error_frame:
+            lost += message.data[5]
+        elif message.arbitration_id != STOP:
+            heard.append(message.arbitration_id)
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_threads_may_send_and_receive_at_once_while_members_come_and_go() -> None:
+    total = 1500
+    done = threading.Event()
+
+    def come_and_go() -> None:
+        while not done.is_set():
+            LocalMedium("can0", depth=8).close()
+
+    with (
+        can.ThreadSafeBus(interface="local", channel="can0") as one,
+        can.ThreadSafeBus(interface="local", channel="can0") as two,
+    ):
+        heard: list[list[int]] = [[], []]
+        receivers = [
+            threading.Thread(target=receive_all, args=(bus, total, numbers))
+            for bus, numbers in zip((one, two), heard, strict=True)
+        ]
+        others = [threading.Thread(target=send_all, args=(bus, total, done)) for bus in (one, two)]
+        others.append(threading.Thread(target=come_and_go))
+        for thread in [*receivers, *others]:
+            thread.start()
+        for thread in receivers:
+            thread.join(PATIENCE_S)
+        done.set()
+        for thread in others:
+            thread.join(PATIENCE_S)
+        for numbers in heard:
+            assert numbers
+            assert numbers == sorted(set(numbers))  # none twice, none out of order
+
+
+def test_a_closed_bus_says_so_and_can_be_closed_again() -> None:
+    bus = can.Bus(interface="local", channel="can0")
+    bus.shutdown()
+    bus.shutdown()
+    for use in (bus.recv, bus.fileno, lambda: bus.send(can.Message())):
+        with pytest.raises(can.CanOperationError, match="closed bus"):
+            use()
+
+
+def test_a_bus_that_cannot_be_joined_is_an_initialization_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", "/proc/nowhere")
+    with pytest.raises(can.CanInitializationError, match=r"local bus 'can0': runtime directory /proc/nowhere"):
+        can.Bus(interface="local", channel="can0")

@@ -1,0 +1,289 @@
+"""The loop: what becomes of torque that waits for the wire; who lost a slot, has the rig file changed, what systemd is
+told.
+"""
+
+import os
+import resource
+import socket
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from drivers.bus.port import BusState, Port
+from drivers.frame import ERROR, Frame
+from drivers.frame_bytes import to_bytes
+from hil.cycle.fault_monitor import Fault
+from hil.live import run as daemon
+from hil.live.loop import ControlLoop, MissLedger
+from hil.live.pacing import Pacer
+from hil.live.systemd import Notifier
+from hil.live.watched_file import WatchedFile
+from hil.rig.schema import load_rig
+from tests.drivers.bus.test_port import Cable
+from tests.support.paths import ROOT
+
+PAPER = ROOT / "deploy" / "rigs" / "paper.toml"
+PERIOD = 1_000_000
+NO_ACK = to_bytes(Frame(ERROR | 0x020, bytes(8)))
+BUS_OFF = to_bytes(Frame(ERROR | 0x040, bytes(8)))
+
+
+class UnpoweredDrives:
+    """Media of a bus where nobody acknowledges: what is sent waits; each frame earns an `answer`."""
+
+    def __init__(self, answer: bytes, purges: list[bool]) -> None:
+        self.answer = answer
+        self.purges = purges  # what the coming recalls will say
+        self.waiting: list[bytes] = []
+        self.recalls = 0
+
+    def open(self) -> Cable:
+        drives, (near, far) = self, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+        class Medium(Cable):
+            def transmit(self, packet: bytes) -> bool:
+                drives.waiting.append(packet)
+                far.send(drives.answer)
+                return True
+
+            def purge(self) -> bool:
+                drives.recalls += 1
+                done = drives.purges.pop(0) if drives.purges else True
+                if done:
+                    drives.waiting.clear()
+                return done
+
+        return Medium(near, far)
+
+
+def loop_beside(
+    drives: UnpoweredDrives,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *overrides: str,
+    stage_clock: Callable[[], int] = time.monotonic_ns,
+) -> AbstractContextManager[ControlLoop]:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(
+        daemon, "open_port", lambda *_, fd, **__: Port(drives.open, fd=fd, receive_limit=32), raising=True
+    )
+    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local", *overrides])
+    return daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), stage_clock)
+
+
+def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ticks: int, *overrides: str):
+    with loop_beside(drives, tmp_path, monkeypatch, *overrides) as loop:
+        loop.pacer.start()
+        for _ in range(ticks):
+            loop._tick()
+            loop.ticks += 1
+        loop.parts.ring.close()
+    return loop
+
+
+def test_commands_that_nobody_acknowledged_are_recalled_before_the_drives_get_power(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(NO_ACK, purges=[])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=10)
+    assert loop.parts.cycle.fault is Fault.NO_ACK
+    assert (drives.recalls, drives.waiting) == (1, [])
+
+
+def test_a_recall_that_failed_is_tried_until_nothing_waits(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(NO_ACK, purges=[False, False])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)
+    assert loop.parts.cycle.fault is Fault.NO_ACK
+    assert (drives.recalls, drives.waiting) == (3, [])
+
+
+def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path, monkeypatch):
+    drives = UnpoweredDrives(BUS_OFF, purges=[])
+    loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)
+    assert loop.parts.cycle.fault is Fault.BUS_OFF
+    assert loop.parts.port.counters().state is BusState.BUS_OFF
+    assert drives.recalls == 0
+
+
+def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkeypatch):
+    ahead = [
+        run_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch, 50, f"timing.wake_ahead_s={most}").pacer.ahead_ns
+        for most in (0, 100e-9, 5e-5)
+    ]
+    assert ahead[:2] == [0, 100]
+    assert 100 < ahead[2] <= 50_000
+
+
+def slots_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: list[int], ticks: list[tuple[int, int]]):
+    """(own, the host's). late: CPU time, ns, at each wake beyond its time. ticks: (time, CPU time) of each, ns."""
+    now, cpu, wakes, works = 0, 0, iter(late), iter([part for work in ticks for part in (work, *[(0, 0)] * 5)])
+
+    def pass_time(ns: int, cpu_ns: int) -> int:
+        nonlocal now, cpu
+        now, cpu = now + ns, cpu + cpu_ns
+        return now
+
+    def sleep_until(instant: int) -> None:
+        pass_time(max(instant - now, 0), 0)
+        stall = next(wakes, 0)
+        pass_time(stall, stall)
+
+    drives = UnpoweredDrives(NO_ACK, [])
+    # Each tick reads the stages' clock six times.
+    with loop_beside(drives, tmp_path, monkeypatch, stage_clock=lambda: pass_time(*next(works))) as loop:
+        loop.cpu_clock = lambda: cpu
+        loop.pacer = Pacer(PERIOD, now=lambda: now, sleep_until=sleep_until)
+        loop.pacer.start()
+        for _ in range(len(ticks)):
+            loop._tick()
+        loop.parts.ring.close()
+    return loop.ledger.own, loop.ledger.host
+
+
+def test_a_tick_answers_for_what_it_computed_and_not_for_the_wait_before_it(tmp_path, monkeypatch):
+    quick = (50_000, 50_000)
+    computed = [quick, (2_500_000, 2_500_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [], computed) == (2, 0)
+    interrupted = [quick, (2_500_000, 50_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [], interrupted) == (0, 2)
+    # A host that stops the core inside the wait and is believed to have computed there; the tick then ends late.
+    stalled = [quick, (700_000, 50_000), quick, quick]
+    assert slots_lost(tmp_path, monkeypatch, [0, 450_000, 0], stalled) == (0, 1)
+    assert slots_lost(tmp_path, monkeypatch, [0, 2_450_000, 450_000, 0], stalled) == (0, 4)
+
+
+@pytest.fixture
+def ledger():
+    made = MissLedger(PERIOD)
+    yield made
+    made.close()
+
+
+def test_a_slot_lost_without_using_the_core_is_the_hosts(ledger):
+    ledger.book(2, overrun=2, cpu_ns=60_000, sleeps=10**9)
+    assert (ledger.own, ledger.host, ledger.longest) == (0, 2, 2)
+
+
+def test_a_slot_lost_by_computing_is_our_own(ledger):
+    ledger.book(3, overrun=3, cpu_ns=2_500_000, sleeps=10**9)
+    assert (ledger.own, ledger.host, ledger.longest) == (2, 1, 3)
+
+
+def test_a_slot_lost_by_waiting_for_something_is_our_own(ledger):
+    ledger.take_stock(0)
+    for _ in range(3):
+        time.sleep(0.001)  # gives up the core; no pacing sleep accounts for it
+    ledger.book(1, overrun=1, cpu_ns=0, sleeps=0)
+    assert (ledger.own, ledger.host) == (1, 0)
+
+
+def test_a_late_wake_is_the_hosts_even_when_the_thread_waited_for_something_before(ledger):
+    ledger.take_stock(0)
+    time.sleep(0.001)
+    time.sleep(0.001)
+    ledger.book(4, overrun=0, cpu_ns=9_000_000, sleeps=0)
+    assert (ledger.own, ledger.host) == (0, 4)
+
+
+def test_pacing_sleeps_are_not_taken_for_blocking(ledger, monkeypatch):
+    """The kernel's counters are played: this thread, unlike the loop's, has others to wait for."""
+    major_faults, voluntary_switches = 7, 14  # their places in the structure
+    usage = [0] * 16
+    monkeypatch.setattr(resource, "getrusage", lambda who: resource.struct_rusage(usage))
+    ledger.take_stock(100)
+    usage[voluntary_switches] += 3
+    assert not ledger.take_stock(103)
+    usage[voluntary_switches] += 4
+    assert ledger.take_stock(106)
+    usage[major_faults] += 1
+    assert ledger.take_stock(106)
+    assert not ledger.take_stock(106)
+
+
+def test_totals_add_up_and_the_longest_loss_is_kept(ledger):
+    for skipped in (1, 4, 2):
+        ledger.book(skipped, overrun=skipped, cpu_ns=0, sleeps=10**9)
+    assert (ledger.own + ledger.host, ledger.longest) == (7, 4)
+
+
+def test_a_file_that_is_touched_or_written_back_has_not_changed(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text("a = 1")
+    watched = WatchedFile(path)
+    assert watched.unchanged()
+    os.utime(path, (1, 1))
+    assert watched.unchanged()
+    path.write_text("a = 2")
+    assert not watched.unchanged()
+    assert not watched.unchanged()
+    path.write_text("a = 1")
+    assert watched.unchanged()
+
+
+@pytest.mark.parametrize("how", ["a pipe nobody writes to", "a file of a terabyte", "a directory"])
+def test_whatever_takes_the_place_of_the_rig_file_holds_the_loop_up_no_longer_than_a_look(tmp_path, how):
+    path = tmp_path / "rig.toml"
+    path.write_text("a = 1")
+    watched = WatchedFile(path)
+    path.unlink()
+    if how == "a pipe nobody writes to":
+        os.mkfifo(path)
+    elif how == "a directory":
+        path.mkdir()
+    else:
+        path.write_text("a = 1")
+        os.truncate(path, 2**40)  # all holes; reading it would take minutes and all memory
+    assert not watched.unchanged()
+
+
+@pytest.mark.parametrize("how", ["replace", "remove", "same size and time"])
+def test_every_way_of_changing_a_file_is_seen(tmp_path, how):
+    path = tmp_path / "rig.toml"
+    path.write_text("a = 1")
+    os.utime(path, (1, 1))
+    watched = WatchedFile(path)
+    if how == "replace":
+        (tmp_path / "new").write_text("a = 2")
+        os.replace(tmp_path / "new", path)
+    elif how == "remove":
+        path.unlink()
+    else:
+        path.write_text("a = 2")
+        os.utime(path, (1, 1))
+    assert not watched.unchanged()
+
+
+def test_without_systemd_nothing_is_sent():
+    notifier = Notifier({})
+    assert not notifier.send("READY=1")
+    assert notifier.watchdog_s == 0
+    notifier.close()
+
+
+def test_datagrams_reach_a_path_or_an_abstract_socket(tmp_path):
+    for address, bound in ((str(tmp_path / "n"), str(tmp_path / "n")), (f"@hil-{os.getpid()}", f"\0hil-{os.getpid()}")):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+            listener.bind(bound)
+            notifier = Notifier({"NOTIFY_SOCKET": address})
+            assert notifier.send("READY=1", "STATUS=x")
+            assert listener.recv(100) == b"READY=1\nSTATUS=x"
+            notifier.close()
+
+
+def test_a_notification_never_waits_and_a_dead_manager_is_no_error(tmp_path):
+    path = str(tmp_path / "n")
+    notifier = Notifier({"NOTIFY_SOCKET": path})
+    assert not notifier.send("WATCHDOG=1")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(path)
+        sent = 0
+        while notifier.send("WATCHDOG=1"):  # until the queue is full; a blocking socket would hang here
+            sent += 1
+        assert sent > 0
+    notifier.close()
+
+
+def test_the_watchdog_of_another_process_is_not_ours():
+    assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_s == 0
+    assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 2

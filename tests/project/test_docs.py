@@ -1,0 +1,20 @@
+"""The pages made from tables in code say what the code says."""
+
+import re
+
+from docs.make_pages import FOLDER, faults_page, states_page
+from hil.cycle.fault_monitor import RULES, Fault
+from tests.support.paths import ROOT
+
+
+def test_the_pages_are_up_to_date() -> None:
+    assert (FOLDER / "states.md").read_text() == states_page()
+    assert (FOLDER / "faults.md").read_text() == faults_page()
+
+
+def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:
+    assert set(RULES) == set(Fault) - {Fault.NONE}
+    code = "".join((ROOT / "hil" / name).read_text() for name in ("cycle/fault_monitor.py", "cycle/step.py"))
+    body = code[code.index("class FaultMonitor") :] + code[code.index("_STATUS_FAULTS = (") : code.index("_BAD_STATUS")]
+    unseen = [fault.name for fault in RULES if not re.search(rf"Fault\.{fault.name}\b", body)]
+    assert unseen == []

@@ -1,0 +1,336 @@
+"""The fault campaign: a sample of it here, all of it in the slow lane; over every frame layout, and what each of them
+cannot tell; and proof that a broken safety core makes it fail.
+"""
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drivers.frame import Frame
+from drivers.protocols.base import Sample
+from drivers.protocols.canopen.master import Master
+from hil.cli.app import main
+from hil.cli.exit_status import EXIT_CONFIG
+from hil.cycle.damped_stop import DampedStop
+from hil.cycle.fault_monitor import REACTIONS, Fault, FaultMonitor, Reaction
+from hil.cycle.gate import TorqueGate
+from hil.cycle.inbox import Inbox
+from hil.cycle.state_machine import TABLE, Event, State
+from hil.cycle.step import ControlCycle
+from hil.cycle.tick import CommandKind
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.studies.fault_campaign.catalogue import TRIALS
+from hil.studies.fault_campaign.checkpoints import READY, RESTING, Checkpoint, Voyage, active, bring_to
+from hil.studies.fault_campaign.command import campaign
+from hil.studies.fault_campaign.layout_capabilities import Means, fixed_means
+from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, in_fork, legs, run_cell, sail
+from sim_plant.drives.servo import ServoDrive
+from tests.support.paths import RIGS
+
+STRIDE = 4  # about a thousand cells of the two rigs
+THIN = 16  # over the layouts they do not have
+
+
+def rig_of(name: str, layout: str = "stage_fd") -> RigConfig:
+    return displaced(load_rig(RIGS / f"{name}.toml", [f"bus.protocol={layout}"]))
+
+
+def thin(layout: str) -> list[Leg]:
+    """A slice of the microscope's start, rest and first motion."""
+    return legs(rig_of("microscope", layout), RIGS, stride=THIN)[: len(RESTING) + 2]
+
+
+LEGS = [leg for name in ("microscope", "paper") for leg in legs(rig_of(name), RIGS, stride=STRIDE)]
+OTHERS = [leg for layout in ("stage_classic", "cia402") for leg in thin(layout)]
+
+
+def name_of(leg: Leg) -> str:
+    return f"{leg.document['name']}, {leg.document['bus']['protocol']}, {leg.point.name}"
+
+
+@pytest.mark.parametrize("leg", LEGS + OTHERS, ids=map(name_of, LEGS + OTHERS))
+def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(leg: Leg) -> None:
+    failed = [f"{cell.trial} / {cell.axis}: {cell.why}" for cell in sail(leg) if not cell.passed]
+    assert failed == []
+
+
+def test_the_sample_has_a_thousand_cells() -> None:
+    assert sum(len(leg.cells) for leg in LEGS) >= 1000
+
+
+@pytest.mark.slow
+def test_the_whole_campaign_passes_on_every_rig_we_ship() -> None:
+    cells = campaign(sorted(RIGS.glob("*.toml")), 1, os.cpu_count() or 1, lambda done, total: None)
+    assert [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed] == []
+    assert len(cells) > 6000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["stage_classic", "cia402"])
+def test_the_whole_campaign_passes_over_the_layouts_they_do_not_have(layout: str) -> None:
+    rigs = [RIGS / "microscope.toml", RIGS / "paper.toml"]
+    cells = campaign(rigs, 1, os.cpu_count() or 1, lambda done, total: None, [f"bus.protocol={layout}"])
+    assert [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed] == []
+    assert len(cells) > 5000
+
+
+@pytest.mark.parametrize(
+    ("layout", "means"),
+    [
+        ("stage_fd", Means.SEQUENCE | Means.CHECKSUM | Means.CAUSE),
+        ("stage_classic", Means.SEQUENCE | Means.CHECKSUM | Means.CAUSE),
+        ("cia402", Means.NODES),
+    ],
+)
+def test_what_a_layout_gives_is_what_its_frames_show(layout: str, means: Means) -> None:
+    """Held against the frames: an answer with any one bit inverted, and one of the tick before last."""
+    run = bring_to(rig_of("microscope", layout), RIGS, READY)
+    assert fixed_means(run.cycle.protocol) == means
+    protocol, modulus = run.cycle.protocol, run.cycle.protocol.sequence_modulus
+    answers = [frame for frame in run.received if isinstance(protocol.decode(frame), Sample)]
+    assert len(answers) == len(run.rig.axes)
+    for answer in answers:
+        value, length = int.from_bytes(answer.data, "little"), len(answer.data)
+        damaged = [answer._replace(data=(value ^ 1 << bit).to_bytes(length, "little")) for bit in range(8 * length)]
+        believed = [isinstance(protocol.decode(frame), Sample) for frame in damaged]
+        assert any(believed) is not (Means.CHECKSUM in means)
+    run.on(2)
+    inbox = Inbox(protocol, 100)
+    inbox.collect(answers, run.cycle.sent_sequence)
+    assert any(inbox.fresh) is not (Means.SEQUENCE in means)
+    assert (modulus > 0) is (Means.SEQUENCE in means)
+
+
+def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair() -> None:
+    began = {}
+    for layout in ("stage_fd", "cia402"):
+        run = Voyage(rig_of("microscope", layout), RIGS)
+        run.ready()
+        began[layout] = run.index
+        assert run.cycle.state is State.READY
+        run.asks = CommandKind.ACTIVATE
+        run.tick()
+        assert run.cycle.state is State.ACTIVE
+    assert began["stage_fd"] < 100 < began["cia402"]
+
+
+def test_a_rig_that_is_never_ready_is_told_so_and_not_sailed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.studies.fault_campaign.checkpoints.PATIENCE", 50)
+    with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
+        bring_to(rig_of("microscope", "cia402"), RIGS, READY)
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("bus.protocol=cia401", "bus.protocol"),
+        ("safety.stop_s=7", "safety.stop_s"),
+        ("axes.x.rated_force=2e5", "rated forces"),  # which no shared RPDO carries
+    ],
+)
+def test_an_override_that_does_not_fit_is_refused_as_everywhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], override: str, says: str
+) -> None:
+    words = ["faults", str(RIGS / "microscope.toml"), "--set", "bus.protocol=cia402", "--set", override]
+    monkeypatch.setattr("sys.argv", ["hil", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == EXIT_CONFIG
+    assert says in capsys.readouterr().err
+
+
+def cell(
+    trial_name: str, point: Checkpoint, sabotage: Callable[[], None] = lambda: None, layout: str = "stage_fd"
+) -> Cell:
+    rig = rig_of("paper", layout)
+    (trial,) = [trial for trial in TRIALS if trial.name == trial_name]
+    run = bring_to(rig, RIGS, point)
+    sabotage()
+    return in_fork(lambda: run_cell(trial, point, 0, run))
+
+
+ON_THE_WAY = active("approach", 1000)
+
+
+def test_a_campaign_reruns_bit_for_bit() -> None:
+    assert cell("encoder silent", ON_THE_WAY) == cell("encoder silent", ON_THE_WAY)
+
+
+def never(*arguments: object, **keywords: object) -> None:
+    return None
+
+
+def react(patch: pytest.MonkeyPatch, fault: Fault, reaction: Reaction) -> None:
+    changed = [reaction if number == fault else honest for number, honest in enumerate(REACTIONS)]
+    patch.setattr("hil.cycle.fault_monitor.REACTIONS", changed)
+    patch.setattr("hil.studies.fault_campaign.matrix.REACTIONS", changed)
+
+
+Break = Callable[[pytest.MonkeyPatch], None]
+
+
+def open_gate(self: TorqueGate, sequence: int, reset: bool = False) -> list[Frame]:
+    return self.release(np.ones(2), np.zeros(2), permitted=True, sequence=sequence)
+
+
+def unlimited(request: float, *others: object) -> float:
+    return request
+
+
+def always(*arguments: object) -> bool:
+    return True
+
+
+def believed(*arguments: object) -> bool:
+    return False
+
+
+def reset_unasked(self: ControlCycle, *, reset: bool) -> None:
+    RECONNECT(self, reset=True)
+
+
+RECONNECT = ControlCycle._reconnect
+NOT_SILENT = property(believed, never)
+BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
+    (
+        "the gate lets torque out in every state",
+        lambda m: m.setattr(TorqueGate, "zero", open_gate),
+        "drive fault bit",
+        ON_THE_WAY,
+        "enable 3 in FAULT",
+    ),
+    (
+        "the gate forgets to clamp",
+        lambda m: m.setattr("hil.cycle.gate.limit_force", unlimited),
+        "law asks for 1e9",
+        ON_THE_WAY,
+        "must not let it pass",
+    ),
+    (
+        "the gate takes NaN for a number",
+        lambda m: m.setattr(TorqueGate, "finite", staticmethod(always)),
+        "law asks for NaN",
+        ON_THE_WAY,
+        "",
+    ),
+    (
+        "silence is not noticed",
+        lambda m: m.setattr(FaultMonitor, "check_samples", never),
+        "encoder silent",
+        ON_THE_WAY,
+        "detected",
+    ),
+    (
+        "bus errors are not noticed",
+        lambda m: m.setattr(FaultMonitor, "check_bus", never),
+        "bus-off",
+        READY,
+        "ENCODER_DEAD",
+    ),
+    (
+        "any jump is believed",
+        lambda m: m.setattr(FaultMonitor, "implausible", believed),
+        "encoder jump",
+        READY,
+        "detected",
+    ),
+    (
+        "motion is not watched",
+        lambda m: m.setattr(FaultMonitor, "check_motion", never),
+        "setpoint too fast",
+        ON_THE_WAY,
+        "detected",
+    ),
+    (
+        "sequence numbers are not looked at",
+        lambda m: m.setattr(Inbox, "_reject", never),
+        "duplicates",
+        ON_THE_WAY,
+        "detected",
+    ),
+    (
+        "a row of the fault table is too mild",
+        lambda m: react(m, Fault.DRIVE_FAULT, Reaction.STOP),
+        "drive fault bit",
+        ON_THE_WAY,
+        "at least ZERO is demanded",
+    ),
+    (
+        "a row of the fault table only counts",
+        lambda m: react(m, Fault.INTERFACE_DOWN, Reaction.COUNT),
+        "interface down",
+        READY,
+        "",
+    ),
+    (
+        "a row of the state table leads back to ACTIVE",
+        lambda m: m.setitem(TABLE, (State.ACTIVE, Event.FAULT_ZERO), State.ACTIVE),
+        "drive fails",
+        ON_THE_WAY,
+        "",
+    ),
+    (
+        "a damped stop pushes on",
+        lambda m: m.setattr(DampedStop, "over", believed),
+        "operator stops",
+        ON_THE_WAY,
+        "STOPPING",
+    ),
+    (
+        "R4 goes on sending",
+        lambda m: m.setattr(ControlCycle, "silent", NOT_SILENT, raising=False),
+        "bus-off",
+        ON_THE_WAY,
+        "silence",
+    ),
+    (
+        "a process that starts again resets the drives unasked",
+        lambda m: m.setattr(ControlCycle, "_reconnect", reset_unasked),
+        "started again, the drives have tripped",
+        ON_THE_WAY,
+        "ended READY, expected CONNECTED",
+    ),
+]
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.parametrize(("what", "sabotage", "trial", "point", "says"), BROKEN, ids=[row[0] for row in BROKEN])
+def test_a_broken_safety_core_fails_the_campaign_and_it_says_where(
+    monkeypatch: pytest.MonkeyPatch, what: str, sabotage: Break, trial: str, point: Checkpoint, says: str
+) -> None:
+    assert cell(trial, point).passed, "the honest core passes"
+    outcome = cell(trial, point, lambda: sabotage(monkeypatch))
+    assert not outcome.passed
+    assert outcome.trial == trial
+    assert outcome.checkpoint == point.name
+    assert says in outcome.why
+
+
+def test_over_cia402_a_master_that_disables_nobody_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cell("operator stops", ON_THE_WAY, layout="cia402").passed
+    outcome = cell(
+        "operator stops", ON_THE_WAY, lambda: monkeypatch.setattr(Master, "_controlwords", never), layout="cia402"
+    )
+    assert not outcome.passed
+    assert "enable 3 in READY" in outcome.why
+
+
+@pytest.mark.replaces_methods
+def test_a_drive_that_stays_enabled_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its force is zero as it is told; it holds its brake open all the same."""
+
+    def obey(self: ServoDrive, force: float, enable: bool, *rest: object) -> bool:
+        return honest(self, force, True, *rest)  # type: ignore[arg-type]
+
+    honest = ServoDrive.on_command
+    outcome = cell("operator stops", ON_THE_WAY, lambda: monkeypatch.setattr(ServoDrive, "on_command", obey))
+    assert "latched DRIVE_STAYS_ENABLED" in outcome.why
+    monkeypatch.setattr(ServoDrive, "on_command", honest)
+
+    def unseen() -> None:
+        monkeypatch.setattr(ServoDrive, "on_command", obey)
+        monkeypatch.setattr(FaultMonitor, "check_released", never)
+
+    assert "READY, yet a drive is enabled" in cell("operator stops", ON_THE_WAY, unseen).why

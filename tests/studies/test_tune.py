@@ -1,0 +1,512 @@
+"""Batches, sweeps, tuning and comparison: one arithmetic, whoever runs it."""
+
+import shlex
+from io import StringIO
+from itertools import pairwise
+from pathlib import Path
+from shutil import copy
+from typing import Any
+
+import numpy as np
+import pytest
+import tomlkit
+from rich.console import Console
+from typer.testing import CliRunner
+
+from hil.cli.app import build_app
+from hil.control.stability import check_stability, refuse_unstable
+from hil.rig.schema import RigError, load_rig
+from hil.studies.compare.command import LEARNING, case_rig, cases, disturbances, run_case
+from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
+from hil.studies.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from hil.studies.tune.command import front, rounded, search, write_gains
+from hil.studies.tune.objective import (
+    NO_MARGINS,
+    SPACE,
+    Bench,
+    Knob,
+    Margins,
+    at_rate,
+    knob_scale,
+    margins_of,
+    space_of,
+    trials,
+)
+from hil.studies.tune.rehearsal import Rehearsal, Trial
+from hil.virtual.batch import BatchRun
+from hil.virtual.invariants import Invariants
+from hil.virtual.lockstep import LockstepRun, simulate
+from sim_plant.physics.stage import Truth
+from tests.support.paths import RIGS
+
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
+QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
+
+
+@pytest.mark.parametrize(
+    ("rig_file", "law"),
+    [(PAPER, "pd-feedforward"), (PAPER, "structured-kalman"), (PAPER, "slotine-li"), (MICROSCOPE, "")],
+)
+def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str) -> None:
+    """Protocol, wire, drives and cycle on one side, arrays on the other: the same error and force in every tick."""
+    changes = ["wire.stuffing=worst"] + ([f"law.name={law}", "plant.modelling_error=0.3"] if law else [])
+    rig = load_rig(rig_file, changes)
+    single = LockstepRun(rig, rig_file.parent, observer=Invariants(rig, rig_file.parent).observe)
+    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
+    batch = BatchRun(rig, Truth.stack([truth, truth]))
+    while single.activated_at < 0:
+        single.tick()
+    batch.tick()
+    for _ in range(700):
+        single.tick()
+        batch.tick()
+        error = single.true_position - [x.sample.position for x in single.cycle.inputs]
+        for member in range(2):
+            assert np.array_equal(batch.error[member], error)
+            assert batch.force[member].tolist() == single.cycle.gate.force
+
+
+def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    document = rig.model_dump_json()
+    whole = run_chunk(Job(document, 5, 0, 6, 500, 320, True))
+    with processes(2) as crew:
+        parts = list(crew.run([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)]))
+    for together, first, second in zip(whole, *parts, strict=True):
+        assert np.array_equal(together, np.concatenate([first, second]))
+
+
+def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    work = jobs(rig, RIGS, 3, 0.7, seed=9)
+    figures = run_chunk(work[0])
+    (saved,) = save_worst(PAPER, rig, 9, False, [2], tmp_path)
+    assert reproduce(saved, 0.7, figures.max_error[2])
+    assert not reproduce(saved, 0.7, figures.max_error[1])
+    assert load_rig(saved).plant == plant_rig(rig, 9, 2, False).plant
+    assert "# The stage of Xu" in saved.read_text()
+
+
+def test_a_sweep_without_a_steady_window_is_refused() -> None:
+    with pytest.raises(RigError, match="steady window begins"):
+        jobs(load_rig(PAPER), RIGS, 10, 3.0, seed=1)
+    with pytest.raises(RigError, match="stage_fd"):
+        jobs(load_rig(PAPER, ["wire.jitter=1e-5"]), RIGS, 10, 20.0, seed=1)
+
+
+@pytest.mark.parametrize("rig_file", [PAPER, MICROSCOPE])
+def test_every_law_can_be_tuned_and_points_turn_back_into_gains(rig_file: Path) -> None:
+    rig = load_rig(rig_file)
+    for law in SPACE:
+        space = space_of(rig, law)
+        for axis in range(len(rig.axes)):
+            bench = Bench(load_rig(rig_file, [f"law.name={law}"]), law, axis, [Trial("own", {}, 4.0)])
+            points = np.random.default_rng(1).random((3, len(space)))
+            gains = bench.gains(points)
+            for candidate in range(3):
+                one = {name: float(values[candidate]) for name, values in gains.items()}
+                assert bench.point(one) == pytest.approx(points[candidate], abs=1e-9)
+
+
+@pytest.mark.parametrize("law", ["structured-kalman", "slotine-li"])
+def test_a_rehearsal_equals_a_batch_bit_for_bit(law: str) -> None:
+    """One axis of many candidates beside other tasks, or both axes of one plant: the same errors."""
+    rig = load_rig(PAPER, [*QUICK, f"law.name={law}"])
+    truth = Truth.from_config(rig.plant, 2, rig.axis_names)
+    batch = BatchRun(rig, Truth.stack([truth]))
+    largest = np.zeros(2)
+    for tick in range(600):
+        batch.tick()
+        if tick >= 200:
+            largest = np.maximum(largest, np.abs(batch.error[0]))
+    for axis in range(2):
+        chosen = [Trial("own", {}, 4.0), Trial("other", {"radius": 0.02}, 4.0), Trial("late", {}, 4.0, jitter=5e-5)]
+        rehearsal = Rehearsal(rig, axis, chosen[:2], 200, 600, 1)
+        known = rig.law.effective_gains()
+        gains = {key: np.full(2, float(np.broadcast_to(value, (2,))[axis])) for key, value in known.items()}
+        gains = gains or {"rate": np.full(2, 0.15 / 1e-3)}
+        figures = rehearsal.run(law, gains)
+        assert np.all(figures.largest[:, 0] == largest[axis])
+        assert np.all(figures.largest[:, 1] != largest[axis])
+        late = Rehearsal(rig, axis, chosen, 200, 600, 1).run(law, gains)
+        assert np.all(late.largest[:, :2] == figures.largest)
+        assert np.all(late.largest[:, 2] != figures.largest[:, 0])
+
+
+def test_late_and_lost_commands_in_a_rehearsal_are_those_of_the_wire() -> None:
+    """Not the same numbers, as the wire draws its own, but the same size: what is tuned for is what happens."""
+    changes = ["law.name=structured-kalman", "task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5"]
+    rig = load_rig(PAPER, changes)
+    trials = [Trial("late", {}, 1.0, jitter=5e-5), Trial("lost", {}, 1.0, loss=0.01)]
+    gains = {key: np.array([values[0]]) for key, values in rig.law.effective_gains().items()}
+    rehearsed = Rehearsal(rig, 0, trials, 1000, 4000, 1).run("structured-kalman", gains).rms[0]
+    for index, change in enumerate(("wire.jitter=5e-5", "wire.drop_probability=0.005")):
+        report, _ = simulate(load_rig(PAPER, [*changes, change]), RIGS, 4.0)
+        assert 0.5 < report.axes["x"]["rms_error"] / rehearsed[index] < 2.0
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_a_search_lowers_the_cost_and_never_loses_its_start() -> None:
+    rig = load_rig(PAPER, ["task.radius=0.01", "task.frequency_hz=4", "task.approach_s=0.2", "law.gains.kp=300"])
+    bench = Bench(rig, "pd-feedforward", 1, [Trial("own", {}, 4.0), Trial("light", {}, 4.0, 0.8, 1.3)])
+    before = bench.run(bench.known()[None]).cost[0]
+    best, met = search(bench, 8, 3, 1, lambda outcome: None)
+    after = bench.run(best[None]).cost[0]
+    assert after < before
+    trade = front(met[:, :2])
+    assert all(one[0] < two[0] and one[1] > two[1] for one, two in pairwise(trade))
+    again, _ = search(bench, 8, 3, 1, lambda outcome: None)
+    assert np.array_equal(again, best)
+    assert rounded([bench.gains(best[None])] * 2)["kp"][0] == pytest.approx(bench.gains(best[None])["kp"][0], 1e-3)
+
+
+def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
+    figures = trials(load_rig(PAPER))
+    assert {trial.task["kind"] for trial in figures if "kind" in trial.task} == {"lissajous", "point_to_point"}
+    assert any(trial.jitter for trial in figures)
+    assert any(trial.loss for trial in figures)
+    plans = trials(load_rig(MICROSCOPE))
+    assert all(trial.rms and set(trial.task) == {"injection"} for trial in plans)
+    assert {trial.task["injection"].approach_s for trial in plans} == {1.6, 2.0, 2.4}
+    assert {(0.8, 0.7), (1.2, 1.3)} < {(trial.mass, trial.friction) for trial in plans}
+    near, far = (
+        {trial.good for trial in plans if (abs(trial.mass - 1.0) > 0.1) == off_the_belief}
+        for off_the_belief in (False, True)
+    )
+    assert max(near) < min(far)  # a plant like the rig's own weighs more
+
+
+SMALL_PLAN = ["cells=1", "approach_s=0.3", "transfer_s=0.2", "withdraw_s=0.2", "dwell_s=0.1"]
+
+
+def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -> None:
+    """Each trial over a window of its own, whatever runs beside it."""
+    rig = load_rig(MICROSCOPE, ["wire.stuffing=worst", *(f"task.injection.{change}" for change in SMALL_PLAN)])
+    assert rig.task.injection is not None
+    longer = rig.task.injection.model_copy(update={"dwell_s": 0.3})
+    report, _ = simulate(rig, RIGS, 1.37)
+    pair = [Trial("longer", {"injection": longer}, 4.0, rms=True), Trial("own", {}, 4.0, rms=True)]
+    for axis in (0, 2):
+        gains = {key: np.array([values[axis]]) for key, values in rig.law.effective_gains().items()}
+        beside, alone = (
+            Rehearsal(rig, axis, chosen, None, None, 1).run("structured-kalman", gains) for chosen in (pair, pair[1:])
+        )
+        figures = report.axes[rig.axis_names[axis]]
+        assert beside.largest[0, 1] == alone.largest[0, 0] == figures["max_error"]
+        assert beside.rms[0, 1] == alone.rms[0, 0] == pytest.approx(figures["rms_error"], rel=0.01)
+
+
+def test_repeats_are_the_same_trials_a_little_smaller() -> None:
+    """The largest error of a few seconds is partly luck; a gain that holds it in many sizes holds it."""
+    rig = load_rig(PAPER)
+    once, thrice = trials(rig), trials(rig, 3)
+    assert thrice[: len(once)] == once
+    assert len({trial.name for trial in thrice}) == 3 * len(once)
+    for trial, smaller in zip(once, thrice[2 * len(once) :], strict=True):
+        assert smaller.good == trial.good
+        if "radius" in trial.task:
+            assert smaller.task["radius"] == pytest.approx(0.9 * trial.task["radius"])
+        else:
+            assert smaller.task["target"] == pytest.approx([0.9 * place for place in trial.task["target"]])
+    with pytest.raises(RigError, match=r"--repeats 2: task\.kind = 'injection'"):
+        trials(load_rig(MICROSCOPE), 2)
+
+
+def test_late_trials_of_one_jitter_move_together_and_as_they_would_alone() -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    chosen = [Trial("late", {}, 4.0, jitter=5e-5), Trial("on time", {}, 4.0), Trial("heavy", {}, 4.0, 1.2, jitter=5e-5)]
+    gains = {key: np.array([values[0]]) for key, values in rig.law.effective_gains().items()}
+    together = Rehearsal(rig, 0, chosen, 200, 500, 1)
+    assert np.array_equal(together.schedule.delay[:, 0], together.schedule.delay[:, 2])
+    assert together.schedule.delay[:, 0].max() > 9e4
+    assert not together.schedule.delay[:, 1].any()
+    alike = Rehearsal(rig, 0, [chosen[0], chosen[1], chosen[0]], 200, 500, 1).run("structured-kalman", gains)
+    figures = together.run("structured-kalman", gains)
+    assert alike.largest[0, 0] == alike.largest[0, 2] == figures.largest[0, 0]
+    assert figures.largest[0, 2] != figures.largest[0, 0]
+
+
+def test_found_gains_go_into_the_rig_file_and_nothing_else_changes(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    write_gains(target, "magic", {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}, ["found by a test"])
+    text = target.read_text()
+    assert "# found by a test" in text
+    for line in PAPER.read_text().splitlines():
+        assert line in text
+    changed = load_rig(target)
+    assert changed.law.tuned["magic"] == {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}
+    assert changed.plant == load_rig(PAPER).plant
+    assert tomlkit.parse(text)["law"]["tuned"]["structured-kalman"]
+
+
+def test_found_gains_are_not_hidden_by_gains_that_were_there_before(tmp_path: Path) -> None:
+    """[law.gains] overrides what was tuned for the law that the file names."""
+    target = tmp_path / "rig.toml"
+    document = tomlkit.parse(PAPER.read_text())
+    document["law"] = {"name": "robust-pd", "gains": {"kp": 7.0, "beta": 50.0}}
+    target.write_text(tomlkit.dumps(document))
+    write_gains(target, "robust-pd", {"kp": [1.0, 2.0], "kd": [0.5, 0.25]}, [])
+    assert load_rig(target).law.effective_gains() == {"kp": [1.0, 2.0], "kd": [0.5, 0.25], "beta": 50.0}
+    write_gains(target, "pid", {"beta": [1.0, 2.0]}, [])
+    assert load_rig(target).law.gains == {"beta": 50.0}
+
+
+SHORT = ["rate_hz=200", "task.kind=point_to_point", "task.target=[0.001, 0.001]", "task.move_s=0.5"]
+
+
+def tuned(rig_file: Path, *words: str) -> tuple[int, str]:
+    settings = [word for change in SHORT for word in ("--set", change)]
+    size = ["--population", "5", "--generations", "1"]
+    result = CliRunner().invoke(build_app("tune"), ["tune", str(rig_file), *size, *settings, *words])
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches are as long as their trials: these look at less than half a second."""
+    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 0.2)
+    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 0.2)
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: Path) -> None:
+    """And the rig that it writes loads, says where its gains came from, and is one that `hil run` does not refuse."""
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    words = ["--law", "pid", "--seed", "3", "--margin", "1", "--phase-margin", "0"]
+    code, output = tuned(target, *words)
+    assert code == 0, output
+    first = load_rig(target).law.tuned["pid"]
+    assert set(first) == set(SPACE["pid"])
+    assert "--law pid --population 5 --generations 1 --seed 3 --margin 1" in target.read_text()
+    assert "--set task.kind=point_to_point" in target.read_text()
+    refuse_unstable(load_rig(target, ["law.name=pid", "rate_hz=200"]))
+    write_gains(target, "pid", {"kp": [1.0, 2.0]}, ["not found by anything"])
+    tuned(target, *words)
+    assert load_rig(target).law.tuned["pid"] == first
+    assert target.read_text().count("[law.tuned.pid]") == 1
+    code, output = tuned(target, *words, "--start", "rig")
+    assert code == 0, output
+    assert "--start rig" in target.read_text()
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_a_search_of_some_knobs_leaves_the_others_alone(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    write_gains(target, "pid", {"kp": [40.0, 20.0], "kd": [1.0, 0.5], "ki": [123.4, 56.78]}, [])
+    code, output = tuned(target, "--law", "pid", "--margin", "1", "--phase-margin", "0", "--only", "kp,kd")
+    assert code == 0, output
+    found = load_rig(target).law.tuned["pid"]
+    assert found["ki"] == [123.4, 56.78]
+    assert found["kp"] != [40.0, 20.0]
+    assert "--only kp,kd" in target.read_text()
+    code, output = tuned(target, "--law", "pid", "--only", "kq")
+    assert code != 0
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_gains_without_the_margins_asked_for_are_not_written(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    copy(PAPER, target)
+    code, output = tuned(target, "--law", "pd-feedforward", "--margin", "20", "--phase-margin", "80")
+    assert code != 0
+    assert target.read_text() == PAPER.read_text()
+    assert "kp = [" in output  # shown all the same
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_a_candidate_pays_for_margins_it_lacks() -> None:
+    rig = load_rig(PAPER, ["law.name=pd-feedforward", *SHORT])
+    price = [
+        Bench(rig, "pd-feedforward", 0, [Trial("own", {}, 4.0)], Margins(gain_db, phase)).run(np.full((2, 2), 0.5)).cost
+        for gain_db, phase in ((0.0, 0.0), (40.0, 0.0), (0.0, 90.0))
+    ]
+    assert price[0][0] == price[0][1]
+    assert np.all(price[1] > price[0])
+    assert np.all(price[2] > price[0])
+    assert Margins(7.0, 35.0).short(Margins(6.0, 30.0)) == 0.0
+    assert NO_MARGINS.short(Margins(0.0, 0.0)) == 20.0
+
+
+def test_margins_of_candidates_are_those_of_hil_check() -> None:
+    """One axis of the rig, copied for every candidate, or the rig as it is: the same loop."""
+    rig = load_rig(PAPER, ["law.name=structured-kalman"])
+    report = check_stability(rig)
+    for index, axis in enumerate(report.axes.values()):
+        bench = Bench(rig, "structured-kalman", index, [Trial("own", {}, 4.0)])
+        gains = {key: np.array([values[index]] * 2) for key, values in rig.law.effective_gains().items()}
+        expected = margins_of(axis)
+        assert expected.gain_db > 3.0
+        for found in bench.margins(gains):
+            assert found == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("law", SPACE)
+def test_gains_of_the_rig_are_whole_and_say_how_they_were_found(law: str) -> None:
+    """Every knob of every law from one command from mid-range. Their margins: tests/control/test_stability.py."""
+    assert set(load_rig(PAPER).law.tuned[law]) == set(SPACE[law])
+    section = PAPER.read_text().split(f"[law.tuned.{law}]", 1)[1]
+    command = section.splitlines()[1]
+    assert command.startswith(f"# hil tune deploy/rigs/paper.toml --law {law} ")
+    assert command.count("--start middle") == 1
+    assert "--only" not in command
+
+
+@pytest.mark.parametrize("law", ["structured-kalman", "pd-feedforward"])
+def test_gains_of_the_microscope_come_from_the_search_that_is_written_above_them(law: str) -> None:
+    """From mid-range over every knob, and every gain lies within what is searched."""
+    rig = load_rig(MICROSCOPE)
+    command = shlex.split(MICROSCOPE.read_text().split(f"[law.tuned.{law}]\n", 1)[1].splitlines()[0])
+    assert command[:6] == ["#", "hil", "tune", "deploy/rigs/microscope.toml", "--law", law]
+    assert command[-2:] == ["--start", "middle"]
+    gains = rig.law.tuned[law]
+    assert set(space_of(rig, law)) <= set(gains)
+    for axis in range(len(rig.axes)):
+        bench = Bench(load_rig(MICROSCOPE, [f"law.name={law}"]), law, axis, [Trial("own", {}, 4.0)])
+        for name, values in bench.gains(bench.known()[None]).items():
+            assert values[0] == pytest.approx(gains[name][axis], rel=1e-3), name
+
+
+def test_knob_scales_follow_mass_rate_friction_and_encoder() -> None:
+    from hil.belief import rig_model
+
+    model = rig_model(load_rig(PAPER))
+    knob = SPACE["pd-feedforward"]["kp"]
+    slow, fast = (knob_scale(knob, model, period, np.ones(2), 1e-7) for period in (2e-3, 1e-3))
+    assert fast == pytest.approx(4 * slow)
+    friction = knob_scale(Knob(0.1, 1.0, "C"), model, 1e-3, np.ones(2), 1e-7)
+    assert friction.tolist() == [1.146, 0.172]
+    noise = SPACE["structured-kalman"]["measurement_noise"]
+    assert knob_scale(noise, model, 1e-3, np.ones(2), 1e-7) * noise.low == pytest.approx(1e-7 / 12**0.5, rel=0.01)
+
+
+def test_the_filters_parameters_are_learnt_at_a_rate_in_samples() -> None:
+    """Their noises follow the acceleration's: what a parameter is credited with per period stays as it was."""
+    rig = load_rig(PAPER)
+    whole = Bench(rig, "structured-kalman", 0, [Trial("own", {}, 4.0)])
+    points = np.full((2, len(whole.space)), 0.5)
+    points[1, list(whole.space).index("acceleration_noise")] = 0.7
+    found = whole.gains(points)
+    factor = found["acceleration_noise"][1] / found["acceleration_noise"][0]
+    assert factor > 2.0
+    for name, knob in whole.space.items():
+        if knob.of:
+            assert found[name][1] == pytest.approx(factor * found[name][0])
+    # Of a knob that is not turned it is the rig file's value.
+    some = Bench(rig, "structured-kalman", 0, [Trial("own", {}, 4.0)], only=["coulomb_noise"])
+    known = rig.law.tuned["structured-kalman"]
+    assert some.gains(some.known())["coulomb_noise"] == pytest.approx(known["coulomb_noise"][0])
+
+
+def test_the_middle_of_the_ranges_is_a_sensible_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Axes of different mass and friction: where a search begins, the law is already ten times better than a PD."""
+    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 1.5)
+    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 1.0)
+    own = Trial("own", {"approach_s": 0.5}, 4.0, error=0.06)
+    for axis, error in enumerate((20e-6, 1e-6)):
+        bench = Bench(load_rig(PAPER), "structured-kalman", axis, [own, own._replace(mass=0.8, friction=1.3)])
+        outcome = bench.run(np.full((1, len(bench.space)), 0.5))
+        assert outcome.error < error
+        assert outcome.gain_db > 6.0
+        assert outcome.phase_deg > 30.0
+
+
+def test_compare_runs_every_combination_asked_for() -> None:
+    chosen = ["pid", "pd-feedforward" + LEARNING]
+    work = cases(PAPER, chosen, QUICK, [500.0], corners=True, disturbed=True, seconds=1.0)
+    assert len(work) == 2 * (5 + 5 + 1)
+    assert {case.rate_hz for case in work} == {1000.0, 500.0}
+    row = run_case(work[0])
+    assert row["law"] == "pid"
+    assert row["state"] == "ACTIVE"
+    assert row["refused"] == []
+    assert row["axes"]["x"]["max_error"] > 0
+    with pytest.raises(RigError, match="the laws are"):
+        cases(PAPER, ["magic"], [], [], corners=False, disturbed=False, seconds=1.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "change", "rates", "reason"),
+    [
+        ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
+        ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
+        ("pid", "rate_hz=500", [50.0], "plant.watchdog_s = 0.01"),
+    ],
+)
+def test_compare_refuses_what_cannot_run_before_anything_runs(
+    law: str, change: str, rates: list[float], reason: str
+) -> None:
+    with pytest.raises(RigError, match=reason):
+        cases(PAPER, ["pd-feedforward", law], [change], rates, corners=False, disturbed=False, seconds=1.0)
+
+
+def test_at_another_rate_gains_are_what_their_unit_makes_of_them() -> None:
+    """A stiffness of 1 kHz would shake the axis at 250 Hz; gains without a unit of time stay."""
+    changes = ["law.name=pid", "law.gains.kp=1600", "law.gains.kd=8", "law.gains.ki=[320, 640]"]
+    rig = load_rig(PAPER, changes)
+    scaled = at_rate(rig, "pid", rig.law.effective_gains(), 250.0)
+    assert scaled == {"kp": [100.0] * 2, "kd": [2.0] * 2, "ki": [5.0, 10.0]}
+    noises = load_rig(PAPER, ["law.name=structured-kalman"])
+    assert at_rate(noises, "structured-kalman", noises.law.effective_gains(), 250.0) == noises.law.effective_gains()
+    for law in rig.law.tuned:
+        (_, slow) = cases(PAPER, [law], [], [250.0], corners=False, disturbed=False, seconds=1.0)
+        refuse_unstable(case_rig(slow))
+
+
+def test_disturbances_fit_the_rig() -> None:
+    assert disturbances(load_rig(PAPER))["ripple"] == [
+        "plant.ripple_amplitude=[0.05, 0.05]",
+        "plant.ripple_period=0.05",
+    ]
+    for law, extra in disturbances(load_rig(MICROSCOPE)).items():
+        assert load_rig(MICROSCOPE, extra), law
+    assert "off grid" not in disturbances(load_rig(MICROSCOPE))
+
+
+def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None:
+    rig = load_rig(PAPER)
+
+    def row(law: str, corner: str, largest: float, state: str = "ACTIVE") -> dict[str, Any]:
+        figures = {"max_error": largest, "rms_error": largest / 2, "peak_force": 1.0, "chatter": 0.1}
+        axes = {"x": figures, "y": figures}
+        base = {"law": law, "corner": corner, "rate_hz": 1000.0, "axes": axes, "state": state, "faults": {}}
+        return {**base, "refused": ["unstable"] if state == "FAULT" else []}
+
+    rows = [row("pid", "nominal", 2e-6), row("pid", "ripple", float("nan"), "FAULT"), row("pid", "stribeck", 9e-6)]
+    assert worst_of(rows, "x")["corner"] == "ripple"
+    console = Console(width=130, record=True, file=StringIO())
+    console.print(comparison_table(rig, rows), summary_table(rig, rows))
+    text = console.export_text()
+    assert "2 / 2" in text
+    assert "FAULT, unstable: hil run refuses" in text
+    assert "(ripple)" in text
+    draw(tmp_path / "c.png", rig, rows)
+    assert (tmp_path / "c.png").stat().st_size > 1000
+
+
+def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
+    from hil.studies.compare.velocity_estimators import compare_velocity
+
+    rig = load_rig(PAPER, ["task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5", "plant.modelling_error=0.3"])
+    rows = {row["estimator"]: row["axes"]["x"]["rms_error"] for row in compare_velocity(rig, RIGS, 4.0)}
+    assert rows["Kalman, constant acceleration of the error"] < 0.6 * rows["finite difference"]
+    assert rows["Kalman, constant velocity of the error"] < 0.6 * rows["Kalman, constant velocity"]
+    assert rows["Kalman, structured"] < 0.6 * rows["Kalman, model, input and disturbance"]
+
+
+def test_compare_on_the_command_line_writes_rows(tmp_path: Path) -> None:
+    target = tmp_path / "rows.json"
+    settings = [word for change in QUICK for word in ("--set", change)]
+    result = CliRunner().invoke(
+        build_app("compare"),
+        [
+            *("compare", str(PAPER), "--laws", "pid", "--seconds", "1", "--json", str(target)),
+            "--undisturbed",
+            *(*settings, "--picture", str(tmp_path / "c.png"), "--workers", "1"),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    assert '"law": "pid"' in target.read_text()
+    assert (tmp_path / "c.png").stat().st_size > 1000

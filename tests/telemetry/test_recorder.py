@@ -1,0 +1,232 @@
+"""Recordings: what goes in comes out, cut short or not; a full disk is counted and hurts nobody."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.frame import Frame
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
+from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
+from hil.rig.schema import document_hash
+from hil.telemetry import codec
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.recorder import Recorder, Recording, RecordingError
+from tests.support.paths import ROOT
+
+FRAMES = st.builds(
+    Frame, st.integers(0, 2**32 - 1), st.binary(max_size=64), st.integers(0, 7), st.integers(-(2**63), 2**63 - 1)
+)
+COMMANDS = st.tuples(
+    st.builds(OperatorCommand, st.sampled_from(CommandKind), st.integers(0, 2**63), st.integers(-(2**62), 2**62)),
+    st.booleans(),
+)
+TICKS = st.tuples(
+    st.lists(FRAMES, max_size=MAX_RECEIVED),
+    st.lists(FRAMES, max_size=6),
+    st.lists(COMMANDS, max_size=4),
+    st.integers(0, 31),
+)
+RIG = {"name": "x"}
+DIGEST = document_hash(RIG)
+METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
+
+
+def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorCommand, bool]], int]]) -> np.ndarray:
+    records = np.zeros(len(ticks), RECORD)
+    for index, (received, sent, commands, flags) in enumerate(ticks):
+        builder = RecordBuilder(3)
+        builder.tick(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
+        for axis, stamp_ns in enumerate((index, -5, 2**60)):
+            builder.axis(axis, *(index + 10.0 * axis + place for place in range(9)), stamp_ns, axis)
+        builder.drives([0, 1, 2], [1, 2, 4])
+        port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
+        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7, 8)
+        builder.missed(9, 10, 11, 12)
+        records[index] = builder.traffic(commands, sent, received)
+    return records
+
+
+def test_every_number_of_a_record_is_in_its_own_field() -> None:
+    record = _records([([], [], [], 21)])[0]
+    values = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -5.0, 7.0, 8.0)  # the following error is worked out
+    for field, value in zip(MOTION_FIELDS, values, strict=True):
+        offsets = [0.0, 0.0, 0.0] if field == "following_error" else [0.0, 10.0, 20.0]
+        assert record[field].tolist() == [value + offset for offset in offsets] + [0.0], field
+    assert (record["state"], record["fault"], record["flags"], record["sequence"]) == (4, 0, 21, 0)
+    assert (record["faults_active"], record["task_ns"]) == (1 << 40, -1)
+    assert record["age_ticks"].tolist() == [0, 1, 2, 0]
+    assert record["drive_status"].tolist() == [1, 2, 4, 0]
+    assert record["rejects"].tolist() == list(range(REJECT_REASONS))
+    counters = ("samples_lost", "missed_own", "missed_host", "longest_streak")
+    assert [record[name] for name in counters] == [5, 9, 10, 11]
+    assert [record[name] for name in ("illegal_events", "commands_refused", "law_floors")] == [6, 7, 8]
+    assert record["saturations"].tolist() == [0, 1, 2, 0]
+    assert record["run_delay_ns"] == 12
+
+
+def test_a_number_too_large_for_its_field_does_not_end_the_loop() -> None:
+    """After 50 days at 1 kHz the sequence has more than 32 bits; a process that was stopped has stages of seconds."""
+    builder = RecordBuilder(1)
+    builder.tick(2**33, 0, 0, 4, 34, 0, 31, 2**32 + 5, 0)
+    builder.drives([2**32 + 1], [2**31])
+    builder.spent(2**31, 2**40, 7, 2**33, 2**32 - 1)
+    builder.missed(0, 0, 0, 2**35)
+    record = builder.traffic([(OperatorCommand(CommandKind.STOP, 2**64 - 1, 2**70), True)], [], [])
+    assert (record["index"], record["sequence"], record["fault"], record["flags"]) == (2**33, 5, 34, 31)
+    assert (record["age_ticks"][0], record["drive_status"][0]) == (1, 2**31)
+    assert record["cpu_ns"].tolist() == [2**31, 2**32 - 1, 7, 2**32 - 1, 2**32 - 1]
+    assert record["run_delay_ns"] == 2**32 - 1
+    assert record["commands"][0]["sequence"] == 2**64 - 1
+    assert record["commands"][0]["expires_ns"] == 2**63 - 1
+
+
+def test_a_frame_leaves_nothing_of_a_longer_one_that_had_its_place() -> None:
+    builder = RecordBuilder(1)
+    builder.traffic([], [Frame(1, b"\xff" * 64)], [Frame(2, b"\xff" * 64)] * 2)
+    record = builder.traffic([], [Frame(1, b"\x01" * 5)], [Frame(2, b"\x02" * 16), Frame(3, b"")])
+    for name, place, data in (("sent", 0, b"\x01" * 5), ("received", 0, b"\x02" * 16), ("received", 1, b"")):
+        assert record[name][place]["data"].tobytes() == data.ljust(64, b"\0")
+        assert record[name][place]["length"] == len(data)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(TICKS, min_size=1, max_size=5))
+def test_everything_replay_needs_survives_the_way_through_protobuf(ticks: list) -> None:
+    message = pb.Traffic.FromString(codec.traffic(_records(ticks), first=5).SerializeToString())
+    found = list(codec.recorded_ticks(message))
+    assert [step.ring for step in found] == [5 + place for place in range(len(ticks))]
+    for place, (received, sent, commands, flags) in enumerate(ticks):
+        step = found[place]
+        assert step.received == received
+        assert step.sent == sent
+        assert step.tick.commands == tuple(command for command, _ in commands)
+        assert (step.tick.index, step.tick.scheduled_ns, step.tick.now_ns) == (
+            place * 2,
+            place * 1000,
+            place * 1000 + 7,
+        )
+        assert step.tick.port == PortCounters(received=place, sent=2**40, state=BusState.ERROR_PASSIVE)
+        bits = (step.tick.stop, step.tick.recorder_ok, step.tick.realtime_ok, step.tick.rig_ok)
+        assert bits == tuple(bool(flags >> bit & 1) for bit in range(4))
+    assert [command.accepted for command in message.commands] == [ok for tick in ticks for _, ok in tick[2]]
+
+
+def test_telemetry_columns_are_the_records_fields() -> None:
+    records = _records([([], [], [], 0)] * 4)
+    message = pb.Telemetry.FromString(codec.telemetry(records, 3, batch=9, lost=1).SerializeToString())
+    columns = codec.columns(message)
+    assert (message.batch, message.lost, message.axes) == (9, 1, 3)
+    for name in codec.PER_TICK:
+        assert columns[name].tolist() == records[name].tolist()
+    for name in codec.PER_AXIS:
+        assert columns[name].tolist() == records[name][:, :3].tolist()
+    assert message.counters.sent == 2**40
+    assert message.counters.bus_state == BusState.ERROR_PASSIVE
+
+
+def _write(path: Path, messages: int) -> Recorder:
+    recorder = Recorder(path, METADATA)
+    noise = np.random.default_rng(1)
+    for index in range(messages):
+        recorder.write("status", index, pb.Status(rig=noise.bytes(1500).hex(), index=index).SerializeToString())
+    return recorder
+
+
+def _read(path: Path) -> tuple[list[int], Recording]:
+    recording = Recording(path)
+    return [pb.Status.FromString(item.data).index for item in recording], recording
+
+
+def test_a_closed_recording_holds_every_message_with_wall_clock_times(tmp_path: Path) -> None:
+    recorder = _write(tmp_path / "run.mcap", 100)
+    assert recorder.ok
+    recorder.close()
+    indices, recording = _read(tmp_path / "run.mcap")
+    assert indices == list(range(100))
+    assert not recording.truncated
+    assert recording.metadata == METADATA
+    assert [item.time_ns for item in recording][:3] == [10, 11, 12]
+    assert recorder.errors == 0
+
+
+def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    recorder = Recorder(tmp_path / "run.mcap", METADATA)
+    recorder.write("telemetry", 0, codec.telemetry(_records([([], [], [], 0)]), 3).SerializeToString())
+    recorder.close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        [(schema, channel, _, message)] = list(reader.iter_decoded_messages())
+        assert (schema.name, channel.topic) == ("hil.telemetry.Telemetry", "telemetry")
+        assert list(message.position) == [0.0, 10.0, 20.0]
+        assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", DIGEST)]
+
+
+def test_a_recording_cut_short_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    _write(path, 200).close()
+    whole = path.read_bytes()
+    counts = []
+    for size in range(4096, len(whole), len(whole) // 23):
+        path.write_bytes(whole[:size])
+        indices, recording = _read(path)
+        assert recording.truncated
+        assert indices == list(range(len(indices)))
+        counts.append(len(indices))
+    assert counts == sorted(counts)
+    assert counts[-1] > 150
+
+
+def test_a_recorder_that_was_never_closed_leaves_a_readable_file(tmp_path: Path) -> None:
+    recorder = _write(tmp_path / "run.mcap", 200)
+    indices, recording = _read(tmp_path / "run.mcap")
+    recorder.close()
+    assert recording.truncated
+    assert len(indices) > 150
+
+
+def test_a_full_disk_is_counted_and_never_raises() -> None:
+    recorder = Recorder(Path("/dev/full"), METADATA)
+    for index in range(100):
+        recorder.write("status", index, bytes(5000))
+    recorder.close()
+    assert not recorder.ok
+    assert recorder.errors > 0
+
+
+def test_a_directory_that_cannot_be_written_is_counted_and_never_raises() -> None:
+    recorder = Recorder(Path("/proc/nowhere/run.mcap"), METADATA)
+    recorder.write("status", 0, b"")
+    recorder.close()
+    assert (recorder.ok, recorder.errors) == (False, 1)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", bytes(1000), b"\x89MCAP0\r\n" + b"\xff" * 100])
+def test_a_file_that_is_no_recording_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match=r"x\.mcap: not a recording"):
+        Recording(tmp_path / "x.mcap")
+
+
+def test_a_missing_recording_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"x\.mcap: No such file"):
+        Recording(tmp_path / "x.mcap")
+
+
+def test_the_generated_module_matches_the_proto_file(tmp_path: Path) -> None:
+    from google.protobuf import descriptor_pb2
+    from grpc_tools import protoc
+
+    root = ROOT
+    output = tmp_path / "descriptors"
+    arguments = ["", f"--proto_path={root}", f"--descriptor_set_out={output}", "hil/telemetry/telemetry.proto"]
+    assert protoc.main(arguments) == 0
+    [expected] = descriptor_pb2.FileDescriptorSet.FromString(output.read_bytes()).file
+    for field in (field for message in expected.message_type for field in message.field):
+        field.ClearField("json_name")
+    assert descriptor_pb2.FileDescriptorProto.FromString(pb.DESCRIPTOR.serialized_pb) == expected

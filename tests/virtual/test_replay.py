@@ -1,0 +1,224 @@
+"""Replay: the same frames in give the same torque frames out, byte for byte; and any difference is found."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from hil.operate.summary import load_run, summarise
+from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
+from hil.virtual.lockstep import simulate
+from hil.virtual.replay import replay_run
+from tests.support.paths import ROOT
+
+RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"
+SECONDS = 1.2
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigConfig:
+    return load_rig(RIG_FILE, ["plant.modelling_error=[0.1, 0.1, 0.05, 0.0]", "wire.drop_probability=0.002"])
+
+
+@pytest.fixture(scope="module")
+def recording(rig: RigConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lockstep") / "run.mcap"
+    recorder = LockstepRecorder(path, rig, RIG_FILE)
+    simulate(rig, RIG_FILE.parent, SECONDS, observer=recorder.observe)
+    recorder.close()
+    return path
+
+
+def rewritten(source: Path, target: Path, change: object) -> Path:
+    """A copy of a recording with its traffic messages changed by `change(message, number)`; None drops one."""
+    original = Recording(source)
+    recorder = Recorder(target, original.metadata)
+    number = 0
+    for item in original:
+        data = item.data
+        if item.topic == "traffic":
+            message = change(pb.Traffic.FromString(data), number)  # type: ignore[operator]
+            number += 1
+            if message is None:
+                continue
+            data = message.SerializeToString()
+        recorder.write(item.topic, item.time_ns, data)
+    recorder.close()
+    return target
+
+
+def test_a_lockstep_run_with_lost_frames_replays_byte_for_byte(recording: Path) -> None:
+    report = replay_run(recording)
+    assert (report.ticks, report.different, report.gap_at, report.truncated) == (1200, 0, None, False)
+    assert report.frames > 1100
+
+
+def test_one_changed_bit_of_one_sent_frame_is_found(recording: Path, tmp_path: Path) -> None:
+    def flip(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 10:
+            data = bytearray(message.sent.data)
+            data[3] ^= 1
+            message.sent.data = bytes(data)
+        return message
+
+    report = replay_run(rewritten(recording, tmp_path / "x.mcap", flip))
+    assert (report.ticks, report.different, report.first_different) == (1200, 1, 500)
+
+
+def test_a_changed_sample_changes_the_torque(recording: Path, tmp_path: Path) -> None:
+    def shift(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 20:
+            message.now_ns[0] += 200_000
+        return message
+
+    assert replay_run(rewritten(recording, tmp_path / "x.mcap", shift)).different > 0
+
+
+def test_a_gap_ends_the_replay_and_is_named(recording: Path, tmp_path: Path) -> None:
+    report = replay_run(rewritten(recording, tmp_path / "x.mcap", lambda message, n: None if n == 4 else message))
+    assert (report.ticks, report.different, report.gap_at) == (200, 0, 200)
+
+
+def test_a_recording_cut_short_replays_as_far_as_it_goes(recording: Path, tmp_path: Path) -> None:
+    whole = recording.read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: len(whole) * 2 // 3])
+    report = replay_run(path)
+    assert report.truncated
+    assert 0 < report.ticks < 1200
+    assert report.different == 0
+
+
+def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_never_blamed_on_the_cycle(
+    recording: Path, tmp_path: Path
+) -> None:
+    whole = recording.read_bytes()
+    path = tmp_path / "damaged.mcap"
+    described = whole.index(b'"rig"')
+    outcomes = set()
+    for place in range(described, len(whole), len(whole) // 20):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        try:
+            report = replay_run(path)
+            load_run(path)
+        except (RecordingError, RigError):
+            outcomes.add("refused")
+        else:
+            assert report.different == 0
+            outcomes.add("cut short" if report.truncated else "whole")
+    assert "cut short" in outcomes
+
+
+@pytest.mark.parametrize(("digit", "other"), [(b'"bandwidth": [0.2573', b"4"), (b'"rate_hz": 1000.0', b"2")])
+def test_a_rig_with_one_digit_changed_is_refused_and_not_blamed_on_the_cycle(
+    recording: Path, tmp_path: Path, digit: bytes, other: bytes
+) -> None:
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(recording.read_bytes().replace(digit, digit[:-1] + other, 1))
+    result = hil("replay", str(path))
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"hil replay: {path}: its rig does not have the hash that was recorded with it")
+
+
+@pytest.mark.parametrize("description", [b"", b"[]", b"{}", b'{"rig": 5, "rig_hash": "", "version": ""}', b"\xff"])
+def test_a_recording_without_a_rig_is_refused(recording: Path, tmp_path: Path, description: bytes) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_attachment(0, 0, "run.json", "application/json", description)
+        writer.finish()
+    with pytest.raises(RecordingError, match="damaged"):
+        replay_run(path)
+
+
+def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: Path, tmp_path: Path) -> None:
+    def nonsense(message: pb.Traffic, number: int) -> pb.Traffic:
+        if number == 2:
+            del message.received.can_id[-1]
+        return message
+
+    def oversized(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received.flags[0] = 2**32 - 1
+        return message
+
+    def crowded(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received_count[0] = 33
+        return message
+
+    def endless(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.port[0] = 2**64 - 1
+        return message
+
+    def ancient(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.received.timestamp_ns[0] = -(2**63)
+        return message
+
+    def futuristic(message: pb.Traffic, number: int) -> pb.Traffic:
+        message.now_ns[0] = 2**63 - 1
+        return message
+
+    for change in (nonsense, oversized, crowded, endless, ancient, futuristic):
+        with pytest.raises(RecordingError, match="makes no sense"):
+            replay_run(rewritten(recording, tmp_path / "x.mcap", change))
+
+
+def test_a_law_the_rig_cannot_have_is_refused_by_name(recording: Path) -> None:
+    with pytest.raises(RigError, match=r"law\.name = 'magic'"):
+        replay_run(recording, ("law.name=magic",))
+
+
+def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -> None:
+    bandwidth = load_rig(RIG_FILE).law.effective_gains()["bandwidth"]
+    same = replay_run(recording, (f"law.gains.bandwidth={bandwidth}",))
+    other = replay_run(recording, (f"law.gains.bandwidth={[0.5 * bandwidth[0], *bandwidth[1:]]}",))
+    assert (same.different, other.different) == (0, 0)
+    assert same.other_force is not None
+    assert other.other_force is not None
+    assert all(row == {"rms": 0.0, "max": 0.0} for row in same.other_force.values())
+    assert other.other_force["x"]["max"] > 0
+    assert other.other_force["y"]["max"] == 0
+
+
+def test_the_command_writes_its_report_and_its_exit_status_tells(recording: Path, tmp_path: Path) -> None:
+    result = hil("replay", str(recording), "--json", "-")
+    report = json.loads(result.stdout)
+    assert (result.returncode, report["ticks"], report["different"]) == (0, 1200, 0)
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"nothing")
+    result = hil("replay", str(bad))
+    assert result.returncode == 1
+    assert "bad.mcap: not a recording" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "hil", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+
+
+def test_a_summary_is_made_of_what_was_recorded(recording: Path, rig: RigConfig) -> None:
+    run = load_run(recording)
+    summary = summarise(run)
+    assert (summary["rig"], summary["ticks"], summary["final_state"]) == ("microscope", 1200, "ACTIVE")
+    assert run.rig == rig
+    assert summary["telemetry"] == {"produced": 1200, "sent": 1200, "dropped": 0}
+    error = run.error[summary["steady_from_tick"] :, 0]
+    largest = np.nanmax(np.abs(error))
+    assert summary["axes"]["x"]["max_error"] == largest
+    assert 0 < summary["axes"]["x"]["rms_error"] < largest
+    assert np.isnan(run.error[0]).all()  # no task before ACTIVE
+
+
+def test_a_recorder_that_cannot_write_says_so(rig: RigConfig) -> None:
+    with pytest.raises(RecordingError, match="cannot be written"):
+        LockstepRecorder(Path("/proc/nowhere/run.mcap"), rig, RIG_FILE)
