@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
-from hil.cycle.fault_monitor import RULES, Reaction
+from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Means, fixed_means
 

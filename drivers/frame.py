@@ -1,5 +1,6 @@
 """One CAN or CAN FD frame, in the terms of Linux's can_frame and canfd_frame (include/uapi/linux/can.h)."""
 
+import struct
 from typing import Final, NamedTuple
 
 # What a NamedTuple's constructor ends in, without its detour through Python: for the innermost loops.
@@ -32,3 +33,48 @@ class Frame(NamedTuple):
     data: bytes
     flags: int = 0
     timestamp_ns: int = 0
+
+
+CAN_MTU = 16  # sizeof(struct can_frame)
+
+
+CANFD_MTU = 72  # sizeof(struct canfd_frame)
+
+
+_CLASSIC = struct.Struct("=IB3x8s")  # can_id, len, padding and len8_dlc, data
+
+
+_FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
+
+
+_pack_classic: Final = _CLASSIC.pack
+
+
+_pack_fd: Final = _FD.pack
+
+
+_FD_LENGTHS: Final = frozenset(FD_LENGTHS)
+
+
+def to_bytes(frame: Frame) -> bytes:
+    """Bytes to write to a CAN socket. Raises ValueError for a length that no frame can have."""
+    data, flags = frame.data, frame.flags
+    length = len(data)
+    if flags & FD:
+        if length not in _FD_LENGTHS:
+            raise ValueError(f"{length} data bytes: an FD frame has one of {FD_LENGTHS}")
+        return _pack_fd(frame.can_id, length, flags, data)
+    if length > 8:
+        raise ValueError(f"{length} data bytes: a classic frame has at most 8")
+    return _pack_classic(frame.can_id, length, data)
+
+
+def from_bytes(packet: bytes, timestamp_ns: int = 0) -> Frame | None:
+    """The frame in bytes read from a CAN socket; None where they are no frame (wrong size, impossible length)."""
+    if len(packet) == CAN_MTU:
+        can_id, length, data = _CLASSIC.unpack(packet)
+        return Frame(can_id, data[:length], 0, timestamp_ns) if length <= 8 else None
+    if len(packet) == CANFD_MTU:
+        can_id, length, flags, data = _FD.unpack(packet)
+        return Frame(can_id, data[:length], flags | FD, timestamp_ns) if length in _FD_LENGTHS else None
+    return None

@@ -4,6 +4,7 @@ Whoever can write there can move the stage, so the directory belongs to one user
 """
 
 import os
+import signal
 import stat
 from pathlib import Path
 
@@ -65,3 +66,21 @@ def make_private(path: Path) -> None:
         )
     if found.st_mode & _OTHERS:
         path.chmod(0o700)
+
+
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """SIGTERM, SIGINT, and SIGHUP: the terminal is gone, as when the connection to the rig's machine breaks.
+
+    A process started with nohup, which ignores SIGHUP, is to outlive its terminal.
+    """
+    asked = (signal.SIGTERM, signal.SIGINT)
+    return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (*asked, signal.SIGHUP)
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    with os.fdopen(fd, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.replace(temporary, path)

@@ -21,7 +21,7 @@ from typing import Any
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from drivers.protocols.base import DriveStatus
-from drivers.stop_signals import stop_signals
+from drivers.runtime import stop_signals
 from sim_plant.emulator import EmulatedStage
 
 PRIORITY = 20  # SCHED_FIFO, below every control process: a drive is never late because a desktop redraws

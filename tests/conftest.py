@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
 from tests.support.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
 from tests.support.paths import RIGS

@@ -34,22 +34,21 @@ LINKED = ("tests", "deploy", "docs")
 # with the others.
 FOR_BOTH = """
 hil/control: number setpoints
-hil/control/estimator: gains
+hil/control/estimator: motion_filter
 hil/control/laws: *
 """
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil: sleep stage_clock
-hil/cycle: command_desk damped_stop fault_monitor gate inbox sampling state_machine step tick
-hil/live: loop pacing timing_record
+hil/cycle: command_desk damped_stop fault_monitor fault_table gate inbox limits sampling state_machine step tick
+hil/live: loop miss_ledger pacing timing_record
 """
 
 OTHERS = """
 hil/control/trajectories: base displaced figures minimum_jerk segments
 hil/cycle: record
 hil/live: mailbox ring
-drivers: frame frame_bytes frame_length
+drivers: frame frame_length
 drivers/bus: port counters local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
 drivers/wire: wire node
@@ -59,9 +58,11 @@ sim_plant/physics: axis_floats exact_trigonometry
 """
 
 SEAM = "hil/control/laws/coupled.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
-IMPORT = re.compile(r"\bhil\.control\.(number|setpoints|estimator\.gains|laws)\b(?!\.coupled|\w)")  # of FOR_BOTH
+IMPORT = re.compile(
+    r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.coupled|\w)"
+)  # of FOR_BOTH
 HIDDEN_IMPORT = re.compile(
-    r"^from hil(\.control(\.estimator|\.laws)?)? import .*\b(control|gains|number|setpoints|laws|coupled)\b",
+    r"^from hil(\.control(\.estimator|\.laws)?)? import .*\b(control|motion_filter|number|setpoints|laws|coupled)\b",
     re.MULTILINE,
 )
 

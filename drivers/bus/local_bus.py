@@ -18,8 +18,20 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from drivers.bus.local_medium import LocalMedium, channels
 from drivers.bus.recvmmsg import SO_TIMESTAMPNS
-from drivers.frame import BRS, ERROR, ESI, EXTENDED, EXTENDED_MASK, FD, REMOTE, STANDARD_MASK, Frame
-from drivers.frame_bytes import CANFD_MTU, from_bytes, to_bytes
+from drivers.frame import (
+    BRS,
+    CANFD_MTU,
+    ERROR,
+    ESI,
+    EXTENDED,
+    EXTENDED_MASK,
+    FD,
+    REMOTE,
+    STANDARD_MASK,
+    Frame,
+    from_bytes,
+    to_bytes,
+)
 from drivers.runtime import RuntimeDirectoryError
 
 RECEIVE_QUEUE = 512  # frames; tools read in bursts

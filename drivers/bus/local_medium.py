@@ -39,7 +39,7 @@ from typing import Final
 from drivers.bus.counters import BusState
 from drivers.bus.error_frames import overflow_notice
 from drivers.bus.recvmmsg import SO_TIMESTAMPNS
-from drivers.frame_bytes import CANFD_MTU, to_bytes
+from drivers.frame import CANFD_MTU, to_bytes
 from drivers.runtime import make_private, runtime_dir
 
 FIRST_DEPTH = 16  # frames that may wait on a link before its greeting has been read

@@ -22,8 +22,7 @@ from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import BusConfig
-from drivers.frame import ECHO, ERROR, FD, Frame, new_tuple
-from drivers.frame_bytes import CAN_MTU, CANFD_MTU, to_bytes
+from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, new_tuple, to_bytes
 from drivers.runtime import RuntimeDirectoryError
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]

@@ -19,8 +19,7 @@ from drivers.bus.recvmmsg import (
     failed,
     recvmmsg,
 )
-from drivers.frame import ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
-from drivers.frame_bytes import CANFD_MTU
+from drivers.frame import CANFD_MTU, ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]

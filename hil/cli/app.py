@@ -11,7 +11,7 @@ import typer
 
 from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
-from hil.control_path import control_path
+from hil.rig.provenance import control_path
 from hil.rig.schema import RigError
 from sim_plant.config import PlantError
 

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.belief import blank_inputs, rig_model
-from hil.control.estimator.gains import MotionFilter, design_gains
+from hil.control.estimator.gains import design_gains
+from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
 from hil.control.laws.base import Array, LawInputs, Model
+from hil.control.nominal_model import blank_inputs, rig_model
 from hil.rig.schema import RigConfig, RigError
 
 PULSE = 1e-8  # m: small enough for every law's linear range

@@ -14,18 +14,21 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import UNHEALTHY, DriveStatus, HostProtocol
-from hil.belief import axis_limits, force_limits, rig_model
-from hil.control.estimator.gains import MotionFilter, design_gains
+from hil.control.estimator.gains import design_gains
+from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_axis_laws
 from hil.control.laws.base import AxisLaws, axis_inputs, axis_model
+from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
 from hil.control.trajectories import plan_task, task_repeat
 from hil.control.trajectories.homing import plan_homing
 from hil.cycle.command_desk import CommandDesk
 from hil.cycle.damped_stop import DampedStop
-from hil.cycle.fault_monitor import Fault, FaultMonitor, Reaction
+from hil.cycle.fault_monitor import FaultMonitor
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
+from hil.cycle.limits import axis_limits, force_limits
 from hil.cycle.record import MAX_COMMANDS, RecordBuilder
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine

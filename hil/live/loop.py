@@ -6,27 +6,26 @@ Rules:
 - Chores (systemd, rig file, statistics) are done a few times a second, one per tick, after the tick's frames are out.
 """
 
-import os
-import resource
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from hil.cycle.state_machine import TORQUE_STATES, State
-from hil.cycle.step import RECORD
+from hil.cycle.step import RECORD, ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand, Tick
 from hil.live.mailbox import Mailbox
-from hil.live.pacing import Pacer, own_share
+from hil.live.miss_ledger import MissLedger
+from hil.live.pacing import Pacer, run_signal_handlers, sleeper
 from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder
 from hil.live.watched_file import WatchedFile
-from hil.sleep import run_signal_handlers, sleeper
-from hil.stage_clock import TimedCycle
+from hil.rig.schema import RigConfig
 
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
@@ -35,44 +34,18 @@ _monotonic_ns: Final = time.monotonic_ns
 _SHUTDOWN: Final = State.SHUTDOWN
 
 
-class MissLedger:
-    """Who lost which slots: this thread, or the host that did not let it run."""
+class TimedCycle(ControlCycle):
+    """stamps: when the tick's estimate, control, gate and record began, on `clock` (ns); see hil.cycle.step.ESTIMATE
+    ...
+    """
 
-    def __init__(self, period_ns: int) -> None:
-        self.own = self.host = self.longest = 0
-        self.run_delay_ns = 0  # since the stock-taking before the last one
-        self.total_run_delay_ns = 0
-        self._period_ns = period_ns
-        # /proc/thread-self/schedstat: ns on the core, ns runnable but waiting for it, time slices
-        self._schedstat = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY | os.O_CLOEXEC)
-        self._switches = self._faults = self._sleeps = 0
-        self.take_stock(0)
+    def __init__(self, rig: RigConfig, base_dir: Path, clock: Callable[[], int]) -> None:
+        super().__init__(rig, base_dir)
+        self.stamps = [0, 0, 0, 0]
+        self._clock = clock
 
-    def take_stock(self, sleeps: int) -> bool:
-        """Note run delay and switches since last time; True where the thread blocked other than in its pacing sleep.
-
-        sleeps: pacing sleeps made so far; each accounts for at most one voluntary switch.
-        """
-        total = int(os.pread(self._schedstat, 96, 0).split()[1])
-        self.run_delay_ns = total - self.total_run_delay_ns
-        self.total_run_delay_ns = total
-        usage = resource.getrusage(resource.RUSAGE_THREAD)
-        waited = usage.ru_nvcsw - self._switches > sleeps - self._sleeps
-        blocked = waited or usage.ru_majflt > self._faults
-        self._switches, self._faults, self._sleeps = usage.ru_nvcsw, usage.ru_majflt, sleeps
-        return blocked
-
-    def book(self, skipped: int, overrun: int, cpu_ns: int, sleeps: int) -> None:
-        """Slots were lost, `overrun` of them by the tick before them. cpu_ns: its CPU time, with the wait after it."""
-        blocked = self.take_stock(sleeps)
-        own = own_share(overrun, self._period_ns, cpu_ns, blocked)
-        self.own += own
-        self.host += skipped - own
-        self.longest = max(self.longest, skipped)
-
-    def close(self) -> None:
-        """Let go of the kernel's file."""
-        os.close(self._schedstat)
+    def _mark(self, stage: int) -> None:
+        self.stamps[stage] = self._clock()
 
 
 class Parts(NamedTuple):

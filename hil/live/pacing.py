@@ -15,11 +15,12 @@ Rules:
   made three of four of their slowest hundredth.
 """
 
+import ctypes
+import errno
+import os
 import time
 from collections.abc import Callable
 from typing import Final
-
-from hil.sleep import sleeper
 
 KEEP_WITHIN = 0.5  # of a period: a slot is kept when its tick starts this soon after its deadline
 WOKEN_IN_TIME: Final = 9  # wakes for each one that comes later than it was allowed for
@@ -102,14 +103,42 @@ class Pacer:
         self.ahead_ns = min(max(0, self.ahead_ns + steps * AHEAD_STEP_NS), self._most_ahead_ns)
 
 
-def own_share(overrun: int, period_ns: int, cpu_ns: int, blocked: bool) -> int:
-    """How many of the slots that a tick ran over were lost by this thread itself; the rest is the host's doing.
+_CLOCK_MONOTONIC: Final = 1
 
-    Question asked: had the tick started on its deadline and never been interrupted, over which deadlines would it still
-    have run? cpu_ns: CPU time the thread used for that tick, with the wait after it.
-    blocked: the thread gave up the CPU other than by its pacing sleep (a page fault, a system call that waited); no
-    kernel counter gives the length of that, so all of it is ours. A late wake is never ours: nothing of us ran then.
+
+_TIMER_ABSTIME: Final = 1
+
+
+_SECOND_NS: Final = 1_000_000_000
+
+
+_INTERRUPTED: Final = errno.EINTR
+
+
+def run_signal_handlers() -> None:
+    """Run the handlers of the signals that have come; raises what they raise.
+
+    The interpreter does so between its own steps, of which the loop takes none where it is compiled.
     """
-    if blocked:
-        return overrun
-    return max(0, min(overrun, (cpu_ns - 1) // period_ns))
+    ctypes.pythonapi.PyErr_CheckSignals()
+
+
+def sleeper(*, alone: bool = False) -> Callable[[int], None]:
+    """A function that sleeps until an instant of CLOCK_MONOTONIC, ns.
+
+    alone: this process has no other thread, so the interpreter's lock is kept while asleep: taking it again would only
+    lie between the wake and the tick. Signals end the sleep all the same.
+    """
+    call = (ctypes.PyDLL if alone else ctypes.CDLL)(None).clock_nanosleep
+    call.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
+    until = (ctypes.c_long * 2)()  # struct timespec
+    address = ctypes.byref(until)
+
+    def sleep_until(deadline_ns: int) -> None:
+        until[0], until[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
+        while result := call(_CLOCK_MONOTONIC, _TIMER_ABSTIME, address, None):
+            if result != _INTERRUPTED:
+                raise OSError(result, f"clock_nanosleep: {os.strerror(result)}")
+            run_signal_handlers()
+
+    return sleep_until

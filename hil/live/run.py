@@ -19,22 +19,21 @@ import typer
 
 from drivers.bus.port import PortError, open_port
 from drivers.protocols import host_protocol
-from drivers.runtime import RuntimeDirectoryError
-from drivers.stop_signals import stop_signals
+from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.control.stability import refuse_unstable
-from hil.live.loop import ControlLoop, Parts
+from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
-from hil.live.places import places
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
+from hil.live.runtime_paths import places
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
-from hil.operate.check import refuse_unschedulable
+from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
-from hil.rig.schema import RigConfig, RigError, load_rig
-from hil.stage_clock import TimedCycle
+from hil.rig.schema import RigConfig, RigError
 
 
 class RealtimeRefusedError(Exception):

@@ -21,7 +21,7 @@ from drivers.bus.local_bus import from_message
 from drivers.bus.port import resolve_interface
 from drivers.config import BusConfig
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 
 FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # by suffix, as python-can knows them
 REFRESH_HZ = 4

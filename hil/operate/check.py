@@ -9,68 +9,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.bus_load.schedulability import Analysis, Response, analyse, faults_tolerated
+from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
 from drivers.frame import EXTENDED
-from drivers.protocols import host_protocol
-from drivers.protocols.base import Message
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import drawable, writable, write_json
 from hil.control.stability import StabilityReport, check_stability
-from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError, load_rig
-
-
-def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
-    """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
-    rated = [axis.rated_force for axis in rig.axes.values()]
-    try:
-        return host_protocol(rig.bus, len(rig.axes), rated, base_dir).messages(rig.period_ns)
-    except (ValueError, OSError) as error:
-        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
-
-
-def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
-    """Worst-case response times on the rig's bus."""
-    return analyse(rig_messages(rig, base_dir), rig.bus.bitrate, rig.bus.data_bitrate)
-
-
-def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:
-    """The analysis of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late."""
-    analysis = analyse_rig(rig, base_dir)
-    if not analysis.schedulable:
-        raise RigError(problems(rig, base_dir, analysis))
-    return analysis
-
-
-def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
-    """The most whole Hz, below its own rate, at which the rig's traffic fits; None where it does not at the least."""
-    fits, too_much = LEAST_RATE_HZ - 1, math.ceil(rig.rate_hz)
-    while too_much - fits > 1:
-        middle = (fits + too_much) // 2
-        if analyse_rig(rig.model_copy(update={"rate_hz": middle}), base_dir).schedulable:
-            fits = middle
-        else:
-            too_much = middle
-    return fits if fits >= LEAST_RATE_HZ else None
-
-
-def problems(rig: RigConfig, base_dir: Path, analysis: Analysis) -> list[str]:
-    """One line for the bus, one for the frame that is worst off."""
-    if analysis.schedulable:
-        return []
-    response = analysis.tightest
-    if response.margin_ns is None:
-        verdict = "has no bound: the bus is overloaded"
-    else:
-        verdict = f"ends up to {_us(response.message.deadline_ns - response.margin_ns)} after the tick's start, "
-        verdict += f"{_us(-response.margin_ns)} past its deadline of {_us(response.message.deadline_ns)}"
-    highest = highest_rate(rig, base_dir)
-    slower = f"rate_hz = {highest} or less, " if highest else ""
-    return [
-        f"bus.protocol = {rig.bus.protocol!r} at {rig.bus.bitrate} bit/s does not fit rate_hz = {rig.rate_hz:g} "
-        f"with {len(rig.axes)} axes: worst-case load {analysis.bus_load:.1%}, cyclic part {_us(analysis.tick_ns)} of "
-        f"{_us(rig.period_ns)} per tick",
-        f"frame '{response.frame}' {verdict}; {slower}a higher bit rate or a leaner layout would do",
-    ]
+from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 
 
 def check(
@@ -135,10 +81,6 @@ def _response_json(response: Response) -> dict[str, Any]:
     }
 
 
-def _us(time_ns: int) -> str:
-    return f"{time_ns / 1000:.1f} us"
-
-
 def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
     """Every frame with its length, worst case, deadline and margin, the most urgent first."""
     bus = rig.bus
@@ -146,7 +88,7 @@ def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
     verdict = "fits" if analysis.schedulable else "[red]does not fit[/red]"
     title = (
         f"{rig.name}: {bus.protocol} on {rates}, {rig.rate_hz:g} Hz: {verdict}\n"
-        f"worst-case load {analysis.bus_load:.1%}, cyclic frames {_us(analysis.tick_ns)} a tick; times in us"
+        f"worst-case load {analysis.bus_load:.1%}, cyclic frames {microseconds(analysis.tick_ns)} a tick; times in us"
     )
     table = Table(title=title, title_justify="left")
     for column in ("frame", "id", "from"):

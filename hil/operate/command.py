@@ -11,8 +11,9 @@ import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
-from hil.live.places import Known, known_sidecars, places
-from hil.rig.schema import RigConfig, load_rig
+from hil.live.runtime_paths import Known, known_sidecars, places
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
 
 CONNECT_S = 3.0

@@ -18,9 +18,10 @@ from drivers.runtime import make_private, runtime_dir
 from hil.cli.output import write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
-from hil.live.places import DEMO_PREFIX, Places, places_in
+from hil.live.runtime_paths import DEMO_PREFIX, Places, places_in
 from hil.operate.monitor import drive_words, line, view
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient

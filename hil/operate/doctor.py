@@ -17,8 +17,8 @@ from rich.table import Table
 
 from drivers.runtime import RuntimeDirectoryError, runtime_dir
 from hil.live.realtime import claim
+from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
-from tests.benchmarks.harness import machine_facts
 
 ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
 BUSY_DEVICE = 1000  # interrupts since the machine started; fewer are no device at work

@@ -14,7 +14,8 @@ import tomlkit
 import typer
 
 from drivers.config import BusConfig
-from hil.rig.schema import RigConfig, RigError, build_rig
+from hil.rig.file import build_rig
+from hil.rig.schema import RigConfig, RigError
 
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"

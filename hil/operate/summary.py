@@ -13,7 +13,7 @@ from rich.table import Table
 
 from hil.cli.output import axis_table
 from hil.control.trajectories import make_trajectory
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig

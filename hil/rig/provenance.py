@@ -7,13 +7,14 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.control_path import control_path
-from hil.rig.schema import RigConfig, RigError, build_rig, rig_hash
+from hil.rig.file import build_rig, rig_hash
+from hil.rig.schema import RigConfig, RigError
 
 
 def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[str, Any]:
@@ -56,3 +57,10 @@ def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Ite
         except (AttributeError, KeyError, TypeError, ValueError, OSError):
             raise RigError(["the recording's description of the files its rig names is damaged"]) from None
         yield build_rig(document, overrides), base_dir
+
+
+def control_path() -> str:
+    """ "interpreted" or "compiled", by what Python would load as the control cycle itself."""
+    found = find_spec("hil.cycle.step")
+    origin = found.origin if found else None
+    return "interpreted" if origin is None or origin.endswith(".py") else "compiled"

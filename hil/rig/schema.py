@@ -1,15 +1,11 @@
 """The rig file: one TOML document, validated whole before any bus is opened, frozen afterwards."""
 
-import hashlib
-import json
-import os
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import STRICT, BusConfig, WireConfig
-from drivers.toml_file import TomlError, parse_toml, read_toml, shown
 from sim_plant.config import PlantConfig, Resolution
 
 MAX_AXES = 4
@@ -268,81 +264,3 @@ def _watchdog_problems(rig: RigConfig) -> list[str]:
         f"plant.watchdog_s = {watchdog_s:g}: it must be longer than the {period_s:g} s from one command to the next "
         f"(rate_hz = {rig.rate_hz:g})"
     ]
-
-
-def _describe(error: ValidationError) -> list[str]:
-    lines = []
-    for item in error.errors():
-        path = ".".join(str(part) for part in item["loc"]) or "rig"
-        value = item.get("input")
-        given = "" if isinstance(value, dict) else f" = {shown(value)}"
-        lines.append(f"{path}{given}: {item['msg']}")
-    return lines
-
-
-def parse_override(text: str) -> tuple[list[str], Any]:
-    """Split `key.path=value`; the value is TOML, or a bare word taken as a string. Raises RigError."""
-    key, separator, raw = text.partition("=")
-    path = key.strip().split(".")
-    if not separator or not all(path):
-        raise RigError([f"--set {text!r}: expected key.path=value, for example --set plant.mass_scale=1.2"])
-    try:
-        return path, parse_toml(f"v = {raw.strip()}")["v"]
-    except TomlError:
-        return path, raw.strip()
-
-
-def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> None:
-    if path == ["law", "name"]:
-        law = document.setdefault("law", {})
-        if isinstance(law, dict) and law.get("name") != value:
-            law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
-    if path == ["plant", "encoder_resolution"]:
-        # Another encoder is another data sheet: the belief follows, else every position would be scaled wrongly.
-        axes = document.get("axes")
-        tables = [axis for axis in axes.values() if isinstance(axis, dict)] if isinstance(axes, dict) else []
-        for index, axis in enumerate(tables):
-            axis["encoder_resolution"] = value[index] if isinstance(value, list) and index < len(value) else value
-    table = document
-    for part in path[:-1]:
-        child = table.setdefault(part, {})
-        if not isinstance(child, dict):
-            raise RigError([f"--set {'.'.join(path)}: '{part}' is a value, not a table"])
-        table = child
-    table[path[-1]] = value
-
-
-def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigConfig:
-    """Validate a parsed rig document with `key=value` overrides applied. Raises RigError with every problem."""
-    parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
-    for path, value in parsed:
-        _apply_override(document, path, value)
-    try:
-        return RigConfig.model_validate(document)
-    except ValidationError as error:
-        raise RigError(_describe(error)) from None
-
-
-def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> RigConfig:
-    """Read and validate a rig file. Raises RigError naming key, value and allowed range of every problem."""
-    try:
-        document = read_toml(path)
-    except OSError as error:
-        raise RigError([f"{path}: {error.strerror or error}"]) from None
-    except TomlError as error:
-        raise RigError([f"{path}: {error}"]) from None
-    try:
-        return build_rig(document, overrides)
-    except RigError as error:
-        raise RigError([f"{path}: {line}" for line in error.problems]) from None
-
-
-def rig_hash(rig: RigConfig) -> str:
-    """SHA-256 of the validated rig in canonical JSON; two files that mean the same rig have the same hash."""
-    return document_hash(rig.model_dump(mode="json"))
-
-
-def document_hash(rig: dict[str, Any]) -> str:
-    """The same of a validated rig that has become JSON, whatever keys later versions have added."""
-    canonical = json.dumps(rig, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -23,10 +23,10 @@ from hil.cli.processes import worker_pool
 from hil.control.laws import LAWS
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
-from hil.rig.schema import RigConfig, RigError, load_rig
-from hil.usable import usable
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.virtual.batch import FIRST_ON_TASK, BatchRun
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun, simulate, usable
 from sim_plant.physics.stage import Truth
 
 CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from hil.live.places import Places, places
 from hil.live.ring import RingError, RingReader, previous_path
-from hil.rig.schema import load_rig
+from hil.live.runtime_paths import Places, places
+from hil.rig.file import load_rig
 from hil.telemetry.recorder import Recorder, write_batch
 
 

@@ -12,7 +12,7 @@ from zenoh.handlers import RingChannel
 
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
-from hil.live.places import known_sidecars
+from hil.live.runtime_paths import known_sidecars
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.gateway import ASK_TIME
 from hil.telemetry.session import client_config

@@ -24,8 +24,9 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from drivers.frame import Frame
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CycleResult, Tick
+from hil.rig.file import document_hash
 from hil.rig.provenance import describe_run
-from hil.rig.schema import RigConfig, document_hash
+from hil.rig.schema import RigConfig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 

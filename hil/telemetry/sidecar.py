@@ -16,12 +16,13 @@ from typing import Annotated
 
 import typer
 
-from drivers.stop_signals import stop_signals
+from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.live.mailbox import Mailbox, MailboxError
-from hil.live.places import AlreadyServedError, Places, places, renew_token, sole_sidecar, write_private
 from hil.live.ring import RingError, RingReader
-from hil.rig.schema import RigConfig, load_rig
+from hil.live.runtime_paths import AlreadyServedError, Places, places, renew_token, sole_sidecar
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes

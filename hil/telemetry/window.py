@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb

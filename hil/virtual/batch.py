@@ -9,14 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.belief import force_limits, rig_model
-from hil.control.estimator.gains import MotionFilter, design_gains, per_axis
+from hil.control.estimator.gains import design_gains, per_axis
+from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
 from hil.control.laws.base import Array, Law, axis_inputs
 from hil.control.laws.coupled import gather
+from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
 from hil.control.trajectories import make_trajectory, task_repeat
 from hil.cycle.gate import ForceLimits
+from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
 from sim_plant.physics.stage import Stage, Truth
 

@@ -10,8 +10,9 @@ import typer
 from drivers.bus.port import PortError, open_port
 from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.live.places import places
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.live.runtime_paths import places
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
 from sim_plant.process import Emulator

@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command
-from hil.cycle.fault_monitor import RULES, Fault, Reaction
+from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig

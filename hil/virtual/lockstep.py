@@ -21,7 +21,7 @@ from drivers.wire.wire import Wire
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, CycleResult, OperatorCommand, Tick
-from hil.rig.schema import RigConfig
+from hil.rig.schema import RigConfig, RigError
 from hil.virtual.figures_of_merit import axis_statistics
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.injector import Injector
@@ -281,3 +281,14 @@ class Traces:
         self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
         self.error[index] = run.true_position - setpoint
         self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity
+
+
+def usable(rig: RigConfig, rig_file: Path) -> RigConfig:
+    """The rig, if a run of it in lockstep can begin. Raises RigError where its task, law, filter, layout or plant do
+    not fit.
+    """
+    try:
+        LockstepRun(rig, rig_file.parent)
+    except (ValueError, OSError) as error:
+        raise RigError([f"{rig_file}: {error}"]) from None
+    return rig

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.cli.output import axis_table, drawable, writable, write_json
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 
 
 def sim(
@@ -26,7 +27,7 @@ def sim(
     ] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
-    from hil.operate.check import refuse_unschedulable
+    from hil.rig.bus_load import refuse_unschedulable
     from hil.virtual.lockstep import simulate
     from hil.virtual.scenario import load_scenario
 

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from hil.cli.processes import worker_pool
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from hil.virtual.batch import BatchRun
 from sim_plant.physics.stage import Truth
 from tests.benchmarks.harness import (

@@ -5,10 +5,7 @@ subject and its reference in turns (A B, B A, A B, ...), reports min, median and
 ran on. Ratios are formed inside a block pair before the median is taken: both halves saw the same weather.
 """
 
-import os
-import platform
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from statistics import median
 from typing import Annotated, Any, NamedTuple
 
@@ -20,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from hil.cli.output import writable, write_json
-from hil.control_path import control_path
+from hil.operate.machine import machine_facts
 
 Figures = dict[str, float]
 JsonTarget = Annotated[str | None, typer.Option("--json", callback=writable, help="file, or - for stdout")]
@@ -91,39 +88,6 @@ def ratios(blocks: Sequence[Block], case: str, reference: str, figure: str) -> l
     """case / reference of one figure, block by block."""
     pairs = zip(values_of(blocks, case, figure), values_of(blocks, reference, figure), strict=True)
     return [subject / base for subject, base in pairs]
-
-
-def _first_line(path: str) -> str | None:
-    try:
-        return Path(path).read_text(encoding="utf-8").partition("\n")[0].strip()
-    except OSError:
-        return None
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.machine()
-
-
-def machine_facts() -> dict[str, Any]:
-    """What the figures were measured on; the load tells whether it was a good moment."""
-    return {
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "kernel": platform.release(),
-        "preempt_rt": _first_line("/sys/kernel/realtime") == "1",
-        "clock": _first_line("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
-        "isolated_cores": _first_line("/sys/devices/system/cpu/isolated") or "",
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "control_path": control_path(),
-        "load_1min": os.getloadavg()[0],
-    }
 
 
 def block_table(title: str, blocks: Sequence[Block], figures: Sequence[str], digits: int = 1) -> Table:

@@ -19,7 +19,8 @@ import typer
 from numpy.typing import NDArray
 
 from hil.operate.doctor import RT_TESTS
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from tests.benchmarks.harness import (
     Block,
     Case,

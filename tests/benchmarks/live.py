@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
-from hil.live.places import places
 from hil.live.ring import RingError, RingReader
+from hil.live.runtime_paths import places
 from hil.live.timing_record import TimingSnapshot, read_timing
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 
 T = TypeVar("T")
 

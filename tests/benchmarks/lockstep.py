@@ -11,9 +11,9 @@ import typer
 from drivers.frame import Frame
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CycleResult, Tick
-from hil.rig.schema import RigConfig, load_rig
-from hil.usable import usable
-from hil.virtual.lockstep import LockstepRun
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.virtual.lockstep import LockstepRun, usable
 from tests.benchmarks.harness import (
     Case,
     Figures,

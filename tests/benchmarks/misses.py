@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from tests.benchmarks.harness import (
     Block,
     Case,

@@ -183,6 +183,8 @@ def canopen_pdos() -> Iterator[Tick]:
     import can
     import canopen
 
+    from drivers.protocols.canopen.cia301 import EDS
+
     context = get_context("spawn")
     ready = context.Event()
     drives = context.Process(target=_answer_sync, args=(ready,), daemon=True)

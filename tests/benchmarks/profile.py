@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
 from tests.benchmarks.harness import JsonTarget, publish
 

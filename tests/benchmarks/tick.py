@@ -19,7 +19,8 @@ import typer
 import hil
 from drivers.bus.local_medium import channel_dir
 from hil.live.timing_record import STAGES
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from tests.benchmarks.harness import (
     Block,
     Case,

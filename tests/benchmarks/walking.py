@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 import hil
-from hil.live.pacing import own_share
+from hil.live.miss_ledger import own_share
 from hil.rig.schema import RigConfig
 from tests.benchmarks.harness import Figures, percentiles
 from tests.benchmarks.live import BenchError, cores

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.output import PICTURES
-from hil.live.places import known_sidecars
-from hil.rig.schema import load_rig
+from hil.live.runtime_paths import known_sidecars
+from hil.rig.file import load_rig
 from hil.studies.tune.command import write_gains
 from tests.support.paths import ROOT
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hil.control.estimator.filterpy_design import make_filter, steady_gains
-from hil.control.estimator.gains import MotionFilter, design_gains, filter_parameters
+from hil.control.estimator.gains import design_gains, filter_parameters
+from hil.control.estimator.motion_filter import MotionFilter
 from hil.rig.schema import RigConfig
 
 

@@ -24,7 +24,7 @@ RIG = ROOT / "deploy" / "rigs" / "paper.toml"
 START = """
 import json, sys
 from pathlib import Path
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from hil.control.estimator.gains import design_gains
 if sys.argv[2] == "no child":
     sys.executable = "/nonexistent"

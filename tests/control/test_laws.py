@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.belief import blank_inputs
 from hil.control.laws import LAWS, make_axis_laws, make_law
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.iterative_learning import IterativeLearning
 from hil.control.laws.structured_filter import sign_array, sign_float, slide
-from hil.rig.schema import LawConfig, load_rig
+from hil.control.nominal_model import blank_inputs
+from hil.rig.file import load_rig
+from hil.rig.schema import LawConfig
 from hil.studies.tune.objective import CORNERS
 from hil.studies.tune.rehearsal import Rehearsal, Trial
 from hil.virtual.lockstep import LockstepRun, simulate

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.belief import rig_model
 from hil.control.estimator.gains import design_gains
+from hil.control.nominal_model import rig_model
 from hil.control.stability import (
     check_stability,
     finite_difference_lowest_rate,
@@ -14,7 +14,8 @@ from hil.control.stability import (
     realise_poles,
     refuse_unstable,
 )
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.objective import margins_of
 from tests.support.paths import ROOT
 

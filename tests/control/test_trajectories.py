@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
 from hil.control.trajectories.displaced import Displaced
 from hil.control.trajectories.segments import Segments
-from hil.rig.schema import InjectionConfig, TaskConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import InjectionConfig, TaskConfig
 from tests.support.paths import RIGS
 
 MS = 1_000_000

@@ -5,10 +5,11 @@ from collections.abc import Callable, Sequence
 import pytest
 
 from drivers.protocols.base import DriveStatus
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind, OperatorCommand
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 from sim_plant.scenario.language import Scenario

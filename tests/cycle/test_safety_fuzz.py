@@ -16,7 +16,8 @@ from hil.control.trajectories import make_trajectory
 from hil.cycle.state_machine import TABLE, Event, State, StateMachine
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand
-from hil.rig.schema import RigConfig, RigError, build_rig, load_rig
+from hil.rig.file import build_rig, load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 from sim_plant.config import PlantError

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from drivers.protocols.base import DriveStatus
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import MailboxError
-from hil.live.places import places
+from hil.live.runtime_paths import places
 from hil.operate.demo import STALL_FAULTS
 from tests.support.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from drivers.bus.port import BusState, Port
-from drivers.frame import ERROR, Frame
-from drivers.frame_bytes import to_bytes
-from hil.cycle.fault_monitor import Fault
+from drivers.frame import ERROR, Frame, to_bytes
+from hil.cycle.fault_table import Fault
 from hil.live import run as daemon
-from hil.live.loop import ControlLoop, MissLedger
+from hil.live.loop import ControlLoop
+from hil.live.miss_ledger import MissLedger
 from hil.live.pacing import Pacer
 from hil.live.systemd import Notifier
 from hil.live.watched_file import WatchedFile
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from tests.drivers.bus.test_port import Cable
 from tests.support.paths import ROOT
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.live.pacing import MAX_RESLEEPS, Pacer, own_share
-from hil.sleep import sleeper
+from hil.live.miss_ledger import own_share
+from hil.live.pacing import MAX_RESLEEPS, Pacer, sleeper
 
 PERIOD = 1_000_000
 

@@ -11,8 +11,8 @@ import pytest
 from drivers.protocols import device_protocol
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
-from hil.live.places import places
 from hil.live.ring import RingReader, previous_path
+from hil.live.runtime_paths import places
 from hil.live.timing_record import read_timing
 from tests.support.live_rig import PAPER, PATIENCE_S, Control, emulated, every_record, order, rig_with
 

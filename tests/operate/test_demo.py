@@ -21,7 +21,7 @@ from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CommandKind
 from hil.operate.demo import Demo, Scene, Signals, drive_report
 from hil.operate.summary import RunData, load_run
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient
 from tests.support.paths import ROOT

@@ -14,7 +14,8 @@ from hil.operate.install import (
     uninstall_all,
     with_values,
 )
-from hil.rig.schema import RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigError
 from tests.support.paths import RIGS
 
 MICROSCOPE = RIGS / "microscope.toml"

@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from hil.rig.schema import load_rig
-from tests.benchmarks import harness, tick, walking
+from hil.operate.machine import machine_facts
+from hil.rig.file import load_rig
+from tests.benchmarks import tick, walking
 from tests.benchmarks.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
 from tests.benchmarks.jitter import lateness_in_histogram
 from tests.benchmarks.live import (
@@ -61,7 +62,7 @@ def test_json_carries_the_result_all_blocks_and_the_machine(tmp_path, capsys):
     written = json.loads(path.read_text())
     assert written["ratio"] == 3
     assert written["blocks"] == [{"case": "ours", "block": 0, "us": 30.0}]
-    assert written["machine"]["kernel"] == harness.machine_facts()["kernel"]
+    assert written["machine"]["kernel"] == machine_facts()["kernel"]
     capsys.readouterr()
     publish({"ratio": 3}, [], "-")
     assert json.loads(capsys.readouterr().out)["ratio"] == 3

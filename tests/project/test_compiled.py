@@ -14,7 +14,7 @@ import pytest
 
 from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, PACKAGES, listed, modules, on_floats
 from hil.control.laws import LAWS
-from hil.control_path import control_path
+from hil.rig.provenance import control_path
 from tests.support.hashes import RUNS, Situation, ask
 from tests.support.paths import ROOT
 

@@ -3,7 +3,7 @@
 import re
 
 from docs.make_pages import FOLDER, faults_page, states_page
-from hil.cycle.fault_monitor import RULES, Fault
+from hil.cycle.fault_table import RULES, Fault
 from tests.support.paths import ROOT
 
 

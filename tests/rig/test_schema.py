@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.cli.exit_status import EXIT_CONFIG
-from hil.rig.schema import RigConfig, RigError, load_rig, rig_hash
+from hil.rig.file import load_rig, rig_hash
+from hil.rig.schema import RigConfig, RigError
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"

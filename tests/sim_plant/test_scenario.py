@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from hil.cycle.state_machine import State
-from hil.rig.schema import RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigError
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.scenario import load_scenario

@@ -14,13 +14,15 @@ from drivers.protocols.canopen.master import Master
 from hil.cli.app import main
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cycle.damped_stop import DampedStop
-from hil.cycle.fault_monitor import REACTIONS, Fault, FaultMonitor, Reaction
+from hil.cycle.fault_monitor import REACTIONS, FaultMonitor
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import TABLE, Event, State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.checkpoints import READY, RESTING, Checkpoint, Voyage, active, bring_to
 from hil.studies.fault_campaign.command import campaign

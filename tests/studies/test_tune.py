@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 from hil.cli.app import build_app
 from hil.control.stability import check_stability, refuse_unstable
-from hil.rig.schema import RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigError
 from hil.studies.compare.command import LEARNING, case_rig, cases, disturbances, run_case
 from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
 from hil.studies.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
@@ -370,7 +371,7 @@ def test_gains_of_the_microscope_come_from_the_search_that_is_written_above_them
 
 
 def test_knob_scales_follow_mass_rate_friction_and_encoder() -> None:
-    from hil.belief import rig_model
+    from hil.control.nominal_model import rig_model
 
     model = rig_model(load_rig(PAPER))
     knob = SPACE["pd-feedforward"]["kp"]

@@ -16,10 +16,10 @@ from hil.cycle.state_machine import Event, State
 from hil.cycle.tick import PortCounters
 from hil.live.mailbox import Mailbox
 from hil.live.pacing import Pacer
-from hil.live.places import places
 from hil.live.ring import RingWriter
+from hil.live.runtime_paths import places
+from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
-from hil.rig.schema import load_rig
 
 SLOTS = 65536  # a minute: no reader is held up for longer than that, whatever else the machine does
 

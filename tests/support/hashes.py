@@ -57,7 +57,7 @@ def hashes(names: Sequence[str], ticks: int) -> dict[str, str]:
 
 def run_hash(rig_file: str, overrides: Sequence[str], ticks: int) -> str:
     """SHA-256 of `ticks` ticks of a rig."""
-    from hil.rig.schema import load_rig
+    from hil.rig.file import load_rig
     from hil.virtual.lockstep import LockstepRun
 
     folder = ROOT / "deploy" / "rigs"

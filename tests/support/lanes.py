@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from hil.control_path import control_path
+from hil.rig.provenance import control_path
 
 KINDS = ("unit", "lockstep", "live-local")
 _WHOLE_LOOPS = ("hil.virtual.lockstep", "hil.studies.fault_campaign")  # what brings virtual time into a test's module

@@ -14,14 +14,15 @@ import numpy as np
 
 from drivers.bus.port import open_port
 from drivers.protocols.base import DriveStatus
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
-from hil.live.places import places
 from hil.live.ring import RingReader
+from hil.live.runtime_paths import places
 from hil.operate.demo import STALL_FAULTS
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
 from tests.support.paths import ROOT
 

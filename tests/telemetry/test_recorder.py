@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.frame import Frame
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
-from hil.rig.schema import document_hash
+from hil.rig.file import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import Recorder, Recording, RecordingError

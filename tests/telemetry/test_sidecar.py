@@ -16,8 +16,8 @@ import pytest
 import zenoh
 
 from hil.cycle.tick import CommandKind
-from hil.live.places import places
 from hil.live.ring import RingReader
+from hil.live.runtime_paths import places
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
@@ -318,7 +318,7 @@ def test_a_client_without_a_sidecar_says_what_to_start() -> None:
 
 
 def test_the_token_is_readable_by_its_owner_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.live.places import renew_token
+    from hil.live.runtime_paths import renew_token
 
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "runtime"))
     path = places("rig").token

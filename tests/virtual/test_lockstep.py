@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from drivers.wire.faults import FaultKind, WireFault
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun, simulate
 from tests.support.paths import RIGS

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hil.control.stability import check_stability, pulse_response
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import SimReport, simulate
 from tests.support.paths import ROOT
 

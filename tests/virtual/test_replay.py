@@ -10,7 +10,8 @@ import pytest
 from mcap.writer import Writer
 
 from hil.operate.summary import load_run, summarise
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
 from hil.virtual.lockstep import simulate

@@ -15,14 +15,14 @@ import numpy.typing as npt
 
 from drivers.bus.counters import BusState
 from hil.cli import app as cli
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
-from hil.live.places import places
 from hil.live.ring import RingError, RingReader
+from hil.live.runtime_paths import places
 from hil.operate.demo import STALL_FAULTS
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from tests.vm import links
 
 RIGS = Path(__file__).parents[2] / "deploy/rigs"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.bus.counters import BusState
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from tests.vm import links

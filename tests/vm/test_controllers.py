@@ -14,7 +14,7 @@ from drivers.bus.port import BusState
 from drivers.frame import Frame
 from hil.cycle.state_machine import State
 from hil.operate.install import network_files
-from hil.rig.schema import load_rig
+from hil.rig.file import load_rig
 from tests.vm import links
 from tests.vm.live import RIGS, UNHURRIED, assert_closed_loop, live_rig
 from tests.vm.ports import drained_until, port_on, receive

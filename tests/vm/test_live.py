@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from drivers.bus.counters import BusState
-from hil.cycle.fault_monitor import Fault
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from tests.vm import links
 from tests.vm.live import LAYOUTS, RIGS, assert_closed_loop, live_rig

@@ -9,7 +9,8 @@ from drivers.frame import Frame
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand, PortCounters, Tick
-from hil.rig.schema import RigConfig, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
 from tests.vm.live import LAYOUTS, RIGS
 from tests.vm.ports import receive

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hil.live.places import write_private
+from drivers.runtime import write_private
 
 MOST_KEPT = 200
 _NOT_TO_BE_HAD = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata

@@ -14,9 +14,10 @@ import typer
 from hil.cli.output import drawable, writable, write_json
 from hil.cli.processes import worker_pool
 from hil.control.laws import LAWS
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.compare.report import comparison_table, draw, summary_table
-from hil.usable import usable
+from hil.virtual.lockstep import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
 CORNERS = {

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.belief import rig_model
 from hil.control.estimator.gains import filter_parameters
 from hil.control.laws import make_law
 from hil.control.laws.base import Array, Model
 from hil.control.laws.coupled import gather
 from hil.control.laws.structured_kalman import StructuredKalman
+from hil.control.nominal_model import rig_model
 from hil.rig.schema import LawConfig, RigConfig
 from hil.virtual.lockstep import LockstepRun, steady_from
 

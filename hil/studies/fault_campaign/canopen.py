@@ -9,7 +9,7 @@ from drivers.protocols.canopen.host import DRIVE_HEARTBEAT_MS, EMCY_ID, Cia402Ho
 from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS
 from drivers.protocols.canopen.node import Phase
 from drivers.wire.faults import FaultKind, WireFault
-from hil.cycle.fault_monitor import Fault, Reaction
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.layout_capabilities import Means

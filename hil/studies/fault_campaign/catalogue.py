@@ -10,7 +10,7 @@ import numpy as np
 from drivers.frame import FD
 from drivers.protocols.base import DriveStatus
 from drivers.wire.faults import FaultKind
-from hil.cycle.fault_monitor import Fault, Reaction
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.studies.fault_campaign.canopen import CANOPEN_TRIALS

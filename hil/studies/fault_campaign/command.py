@@ -13,10 +13,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from hil.cli.output import writable, write_json
 from hil.cli.processes import worker_pool
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
-from hil.usable import usable
+from hil.virtual.lockstep import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
 SHIPPED = Path(__file__).parents[3] / "deploy" / "rigs"

@@ -13,10 +13,12 @@ import numpy as np
 
 from drivers.protocols.base import DriveStatus
 from hil.control.estimator.gains import per_axis
-from hil.cycle.fault_monitor import REACTIONS, Fault, Reaction
+from hil.cycle.fault_monitor import REACTIONS
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
 from hil.cycle.tick import CommandKind
-from hil.rig.schema import RigConfig, build_rig
+from hil.rig.file import build_rig
+from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.checkpoints import Checkpoint, Voyage, bring_to, checkpoints
 from hil.studies.fault_campaign.layout_capabilities import NONE, Means, fixed_means, has_nodes, has_room, lacking_text

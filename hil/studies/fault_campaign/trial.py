@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
-from hil.cycle.fault_monitor import Fault, Reaction
+from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig

@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.belief import blank_inputs
 from hil.control.laws import make_law
 from hil.control.laws.base import Array, Law, Model
+from hil.control.nominal_model import blank_inputs
 from hil.rig.schema import LawConfig
 from sim_plant.physics.exact_trigonometry import sincos_turns
 

@@ -18,10 +18,11 @@ import typer
 from hil.cli.output import metres, replace_text
 from hil.control.laws.base import Array
 from hil.control.stability import check_stability
-from hil.rig.schema import RigConfig, RigError, load_rig
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.objective import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
 from hil.studies.tune.rehearsal import LOST
-from hil.usable import usable
+from hil.virtual.lockstep import usable
 
 DIGITS = 4
 WIDTH = 120  # characters of a table that goes to a file

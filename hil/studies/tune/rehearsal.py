@@ -11,13 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.belief import blank_inputs, force_limits, rig_model
-from hil.control.estimator.gains import MotionFilter, design_gains, per_axis
+from hil.control.estimator.gains import design_gains, per_axis
+from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import LAWS
 from hil.control.laws.base import Array, LawInputs, Model, Reference
+from hil.control.nominal_model import blank_inputs, rig_model
 from hil.control.setpoints import nominal_net_force
 from hil.control.trajectories import Trajectory, make_trajectory
 from hil.control.trajectories.base import Times
+from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
 from hil.virtual.batch import Bounds
 from sim_plant.physics.stage import Stage, Truth

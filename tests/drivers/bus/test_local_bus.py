@@ -24,8 +24,7 @@ from drivers.bus.local_bus import LocalBus, from_message, to_message
 from drivers.bus.local_medium import FIRST_DEPTH, LocalMedium, channel_dir
 from drivers.bus.port import Port, PortCounters, PortError, open_port
 from drivers.config import BusConfig
-from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
-from drivers.frame_bytes import to_bytes
+from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame, to_bytes
 from tests.support.local_member import HELLO, PING, PONG, STOP
 from tests.support.paths import ROOT
 

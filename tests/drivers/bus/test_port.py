@@ -33,8 +33,7 @@ from drivers.bus.port import (
 from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import CONTROL_BYTES, HEADER_BYTES, SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 from drivers.config import BusConfig
-from drivers.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from drivers.frame_bytes import CANFD_MTU, to_bytes
+from drivers.frame import BRS, CANFD_MTU, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, to_bytes
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)

@@ -13,8 +13,9 @@ from drivers.protocols.base import Message
 from drivers.protocols.canopen.host import cia402_messages, service_messages
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_CONFIG
-from hil.operate.check import refuse_unschedulable
-from hil.rig.schema import RigError, load_rig
+from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.file import load_rig
+from hil.rig.schema import RigError
 from tests.support.paths import RIGS
 from tests.support.traffic import Simulation, random_messages
 

@@ -4,8 +4,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
-from drivers.frame_bytes import CAN_MTU, CANFD_MTU, from_bytes, to_bytes
+from drivers.frame import (
+    BRS,
+    CAN_MTU,
+    CANFD_MTU,
+    ERROR,
+    ESI,
+    EXTENDED,
+    FD,
+    FD_LENGTHS,
+    REMOTE,
+    Frame,
+    from_bytes,
+    to_bytes,
+)
 
 IDS = st.one_of(
     st.integers(0, 0x7FF),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.runtime import make_private, runtime_dir
+from drivers.runtime import make_private, runtime_dir, write_private
 
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
 
@@ -68,15 +68,6 @@ def renew_token(path: Path) -> str:
     token = secrets.token_hex(32)
     write_private(path, token)
     return token
-
-
-def write_private(path: Path, text: str) -> None:
-    """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-    with os.fdopen(fd, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.replace(temporary, path)
 
 
 class Known(NamedTuple):

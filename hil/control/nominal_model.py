@@ -1,0 +1,36 @@
+"""The rig file's nominal model as the arrays that laws, estimator and batches work with."""
+
+from functools import partial
+
+import numpy as np
+
+from hil.control.laws.base import LawInputs, Model, Reference
+from hil.rig.schema import RigConfig
+
+
+def rig_model(rig: RigConfig) -> Model:
+    """The rig file's nominal model as arrays (n_axes,). The file's gravity acts on the axis; the model's holds against
+    it.
+    """
+    axes = [axis.model for axis in rig.axes.values()]
+    return Model(
+        mass=np.array([a.mass for a in axes]),
+        coulomb=np.array([a.coulomb for a in axes]),
+        viscous=np.array([a.viscous for a in axes]),
+        quadratic=np.array([a.quadratic for a in axes]),
+        gravity=np.array([-a.gravity for a in axes]) + 0.0,
+    )
+
+
+def blank_inputs(shape: tuple[int, ...]) -> LawInputs:
+    """LawInputs of zeros, arrays of `shape`."""
+    zeros = partial(np.zeros, shape)
+
+    def rest() -> Reference:
+        return Reference(zeros(), zeros(), zeros())
+
+    return LawInputs(
+        position=zeros(), fresh=zeros(), sample=rest(), sample_interval=zeros(), ahead=zeros(),
+        position_estimate=zeros(), velocity_estimate=zeros(), disturbance_estimate=zeros(), start=rest(), end=rest(),
+        mean_velocity=zeros(), mean_acceleration=zeros(), mean_sign=zeros(), force_last=zeros(), force_before=zeros(),
+    )  # fmt: skip

@@ -1,0 +1,43 @@
+"""Which machine this is: processor, kernel, versions; printed beside every figure of time."""
+
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.rig.provenance import control_path
+
+
+def _first_line(path: str) -> str | None:
+    try:
+        return Path(path).read_text(encoding="utf-8").partition("\n")[0].strip()
+    except OSError:
+        return None
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.machine()
+
+
+def machine_facts() -> dict[str, Any]:
+    """What the figures were measured on; the load tells whether it was a good moment."""
+    return {
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "kernel": platform.release(),
+        "preempt_rt": _first_line("/sys/kernel/realtime") == "1",
+        "clock": _first_line("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        "isolated_cores": _first_line("/sys/devices/system/cpu/isolated") or "",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "control_path": control_path(),
+        "load_1min": os.getloadavg()[0],
+    }

@@ -1,0 +1,72 @@
+"""Admission: whether a rig's traffic fits its bus. `hil run` refuses a rig on it; `hil check` prints its tables."""
+
+import math
+from pathlib import Path
+
+from drivers.bus_load.schedulability import Analysis, analyse
+from drivers.protocols import host_protocol
+from drivers.protocols.base import Message
+from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
+
+
+def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
+    """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    try:
+        return host_protocol(rig.bus, len(rig.axes), rated, base_dir).messages(rig.period_ns)
+    except (ValueError, OSError) as error:
+        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
+
+
+def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
+    """Worst-case response times on the rig's bus."""
+    return analyse(rig_messages(rig, base_dir), rig.bus.bitrate, rig.bus.data_bitrate)
+
+
+def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:
+    """The analysis of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late."""
+    analysis = analyse_rig(rig, base_dir)
+    if not analysis.schedulable:
+        raise RigError(problems(rig, base_dir, analysis))
+    return analysis
+
+
+def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
+    """The most whole Hz, below its own rate, at which the rig's traffic fits; None where it does not at the least."""
+    fits, too_much = LEAST_RATE_HZ - 1, math.ceil(rig.rate_hz)
+    while too_much - fits > 1:
+        middle = (fits + too_much) // 2
+        if analyse_rig(rig.model_copy(update={"rate_hz": middle}), base_dir).schedulable:
+            fits = middle
+        else:
+            too_much = middle
+    return fits if fits >= LEAST_RATE_HZ else None
+
+
+def problems(rig: RigConfig, base_dir: Path, analysis: Analysis) -> list[str]:
+    """One line for the bus, one for the frame that is worst off."""
+    if analysis.schedulable:
+        return []
+    response = analysis.tightest
+    if response.margin_ns is None:
+        verdict = "has no bound: the bus is overloaded"
+    else:
+        verdict = (
+            f"ends up to {microseconds(response.message.deadline_ns - response.margin_ns)} after the tick's start, "
+        )
+        verdict += (
+            f"{microseconds(-response.margin_ns)} past its deadline of {microseconds(response.message.deadline_ns)}"
+        )
+    highest = highest_rate(rig, base_dir)
+    slower = f"rate_hz = {highest} or less, " if highest else ""
+    return [
+        f"bus.protocol = {rig.bus.protocol!r} at {rig.bus.bitrate} bit/s does not fit rate_hz = {rig.rate_hz:g} "
+        f"with {len(rig.axes)} axes: worst-case load {analysis.bus_load:.1%}, cyclic part "
+        f"{microseconds(analysis.tick_ns)} of {microseconds(rig.period_ns)} per tick",
+        f"frame '{response.frame}' {verdict}; {slower}a higher bit rate or a leaner layout would do",
+    ]
+
+
+def microseconds(time_ns: int) -> str:
+    """A time as tables and refusals show it."""
+    return f"{time_ns / 1000:.1f} us"
