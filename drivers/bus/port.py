@@ -13,8 +13,6 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import Final, Literal, Protocol
 
-import can
-
 from drivers.bus.counters import BusState, PortCounters
 from drivers.bus.error_frames import decode_error
 from drivers.bus.local_medium import LocalMedium
@@ -169,7 +167,7 @@ class Port:
                 self._note_dropped(dropped)
             classic = size == CAN_MTU
             if not (classic or size == self._size) or length > size - _HEADER:
-                self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
+                self._note_unknown(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
             elif can_id & ERROR:
                 self._note_error(can_id, data[:length])
             elif message_flags & _OWN_ECHO and can_id != self._echo_id:
@@ -204,7 +202,7 @@ class Port:
         self._counts[_OVERFLOW] += (dropped - self._dropped) & _UNSIGNED_32
         self._dropped = dropped
 
-    def _note_stranger(self, fd: int, packet: bytes) -> None:
+    def _note_unknown(self, fd: int, packet: bytes) -> None:
         """Something that is no frame to this port: the medium's own, or what a classic controller cannot read."""
         if not self._medium.service(fd, packet):
             self._counts[_ERRORS] += 1
@@ -250,7 +248,7 @@ class Port:
         """
         try:
             medium = self._open_medium()
-        except (OSError, can.CanError):
+        except OSError:
             self._counts[_STATE] = BusState.DOWN
             return False
         old = self._medium
@@ -341,7 +339,7 @@ def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = Non
             return Port(socketcan, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
         port = Port if echo_id is None else EchoingPort
         return port(local, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
-    except (OSError, can.CanError, RuntimeDirectoryError) as error:
+    except (OSError, RuntimeDirectoryError) as error:
         raise PortError(f"bus.channel = '{bus.channel}' ({kind}): {_explain(error)}") from error
 
 

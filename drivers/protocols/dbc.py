@@ -23,9 +23,9 @@ from cantools.database.can import Message as DbcMessage
 
 from drivers.config import BusConfig, DbcBinding, SignalBinding
 from drivers.frame import BRS, ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, FD_LENGTHS, REMOTE, Frame
-from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.checksum import ALGORITHMS
-from drivers.protocols.dbc_codec import Codec, LayoutError, compile_codec, load_dbc
+from drivers.protocols.dbc_codec import Codec, compile_codec, load_dbc
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 

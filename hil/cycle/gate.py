@@ -7,12 +7,10 @@ never delays zero.
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
-from drivers.frame import Frame, new_tuple
+from drivers.frame import Frame
 from drivers.protocols.base import Command, HostProtocol
-
-_COMMAND: Final = Command  # compiled code looks a class up by its name at every use, unless the name is Final
 
 
 class ForceLimits(NamedTuple):
@@ -38,14 +36,14 @@ def limit_force(request: float, previous: float, position: float, limits: ForceL
 
 
 class TorqueGate:
-    """Holds the last force let out, per axis (N), and counts what it had to change."""
+    """Holds the force applied last, per axis (N), and counts what it had to change."""
 
     def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits]) -> None:
         self._encode = protocol.encode
         self._limits = list(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
-        self.force = self._zero  # let out in the latest tick
+        self.force = self._zero  # applied in the latest tick
         self._all_axes = (1 << n) - 1
         self.saturations = [0] * n
 
@@ -71,12 +69,12 @@ class TorqueGate:
         force = []
         for axis, limits in enumerate(self._limits):
             wanted = request[axis]
-            let_out = limit_force(wanted, self.force[axis], position[axis], limits)
-            force.append(let_out)
-            if let_out != wanted:
+            applied = limit_force(wanted, self.force[axis], position[axis], limits)
+            force.append(applied)
+            if applied != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._encode(new_tuple(_COMMAND, (sequence, force, self._all_axes, False)))
+        return self._encode(Command(sequence, force, self._all_axes, reset=False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

@@ -1,14 +1,14 @@
 """The rig file: one TOML document, validated whole before any bus is opened, frozen afterwards."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import STRICT, BusConfig, WireConfig
 from sim_plant.config import PlantConfig, Resolution
 
-MAX_AXES = 4
+MAX_AXES: Final = 4
 LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
