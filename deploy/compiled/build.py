@@ -18,6 +18,10 @@ import sysconfig
 import venv
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from deploy.compiled.hoist import find_classes, hoist
+
 ROOT = Path(__file__).resolve().parents[2]
 WORK = ROOT / "build" / "compiled"
 PACKAGES = ("hil", "drivers", "sim_plant")
@@ -40,7 +44,8 @@ hil/control/laws: *
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil/cycle: command_desk damped_stop fault_monitor fault_table gate inbox limits sampling state_machine step tick
+hil/cycle: axes command_desk damped_stop fault_monitor fault_table gate inbox limits record_builder sampling
+hil/cycle: state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
 """
 
@@ -136,6 +141,13 @@ def instantiate() -> None:
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
 
 
+def hoist_all() -> None:
+    """Do at import what compiled code would do at every use: see hoist.py."""
+    classes = find_classes(WORK, PACKAGES)
+    for name in modules():
+        hoist(WORK / name, name.removesuffix(".py").replace("/", "."), classes)
+
+
 def change(path: Path, pattern: str, text: str) -> None:
     """Replace what a pattern finds in a file. Exits where it finds nothing, so that no build is quietly another."""
     changed, times = re.subn(pattern, text, path.read_text(), flags=re.MULTILINE)
@@ -192,6 +204,7 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
+    hoist_all()
     compile_modules()
     make_environment(directory)
     environment = {**os.environ, "PYTHONSAFEPATH": "1"}

@@ -1,7 +1,6 @@
 """`hil …`: every command is one function in a module of its own; only the one asked for is imported."""
 
 import importlib
-import io
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -31,7 +30,7 @@ COMMANDS: dict[str, Entry] = {
     ),
     "sim": Entry("hil.virtual.sim:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
     "check": Entry("hil.operate.check:check", "Does the traffic fit the bus, and is the sampled loop stable?"),
-    "run": Entry("hil.live.run:run", "The control process"),
+    "run": Entry("hil.cli.app:run_directly", "The control process"),
     "emulate": Entry("hil.virtual.emulate:emulate", "The plant on the bus, when there is no stage"),
     "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
@@ -57,6 +56,14 @@ COMMANDS: dict[str, Entry] = {
 def _load(target: str) -> Any:
     module, _, name = target.partition(":")
     return getattr(importlib.import_module(module), name)
+
+
+def run_directly(context: typer.Context) -> None:
+    """`hil run`, which reads its own words; hil/__main__.py mostly starts it without coming here."""
+    _load("hil.live.run:main")(context.args)
+
+
+AS_THEY_ARE = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}  # words for `run`
 
 
 def _not_loaded() -> None:
@@ -86,7 +93,7 @@ def build_app(wanted: str | None) -> typer.Typer:
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name, help=entry.help)
         else:
-            app.command(name, help=entry.help)(command)
+            app.command(name, help=entry.help, context_settings=AS_THEY_ARE if name == "run" else None)(command)
     return app
 
 
@@ -95,9 +102,6 @@ def main() -> None:
     a file or folder that was named cannot be read or written.
     """
     wanted = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
     try:
         build_app(wanted)()
     except RigError as error:

@@ -10,12 +10,13 @@ R3, and nothing more is sent until an explicit reset, so that the drives' own wa
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from drivers.bus.counters import BusState, PortCounters
 from drivers.protocols.base import DriveStatus
 from hil.control.laws.base import Reference
 from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import State
-from hil.cycle.tick import BusState, PortCounters, Tick
+from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
 
 _FAULTS: Final = list(Fault)  # by number
@@ -43,7 +44,7 @@ class AxisLimits(NamedTuple):
 
 
 class FaultMonitor:
-    """The detectors. Each method looks at one thing and flags faults as bits of `active`; `worst_fault` names the gravest armed one."""
+    """The detectors. Each method looks at one thing and flags faults as bits of `active`."""
 
     def __init__(
         self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
@@ -175,7 +176,7 @@ class FaultMonitor:
         enabled = any(fresh and sample is not None and sample.status & DriveStatus.ENABLED for fresh, sample in said)
         self._enabled_ticks = self._enabled_ticks + 1 if enabled else 0
         if self._enabled_ticks >= self._safety.disable_timeout_ticks:
-            self.flag(Fault.DRIVE_STAYSDriveStatus.ENABLED)
+            self.flag(Fault.DRIVE_STAYS_ENABLED)
 
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""

@@ -5,8 +5,8 @@ This is the one place where numbers are packed by hand. The parts are kept in ar
 struct.pack_into or a numpy field takes some hundred; the record has about a hundred numbers, so that this is worth a
 large part of a tick (docs/what-costs-what.md). Interpreted, both cost about the same.
 
-Rules: one record, written over and over; its parts in any order, and `traffic` last, which puts it together. What is too
-large for its field is cut: no number, however absurd, may raise in the control process.
+Rules: one record, written over and over; its parts in any order, and `traffic` last, which puts it together. What is
+too large for its field is cut: no number, however absurd, may raise in the control process.
 """
 
 from collections.abc import Sequence

@@ -11,13 +11,14 @@ Rules:
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
   applies torque.
 
-Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`, which
-asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions. What the
-rest of the cycle needs to know of all this is `state`, `silent`, `sends` and `take_reset`.
+Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`,
+which asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions.
+What the rest of the cycle needs to know of all this is `state`, `silent`, `sends` and `take_reset`.
 """
 
 from typing import Final
 
+from drivers.bus.counters import BusState
 from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.control.trajectories import plan_task
 from hil.control.trajectories.homing import plan_homing
@@ -30,7 +31,7 @@ from hil.cycle.inbox import Inbox
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
-from hil.cycle.tick import BusState, Tick
+from hil.cycle.tick import Tick
 from hil.rig.schema import RigConfig
 
 RESET_TICKS: Final = 3  # with the reset bit clear, then set: drives see its edge even if two frames of each are lost

@@ -10,7 +10,7 @@ import typer
 from drivers.bus.port import PortError, open_port
 from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.scenario import load_scenario
@@ -58,7 +58,7 @@ def emulate(
         Injector(scenario, stage, None, config.period_ns)
     try:
         port = open_port(config.bus, role="device", fd=stage.fd)
-        target = status or places(config.name).emulator
+        target = status or runtime_paths(config.name).emulator
     except (PortError, RuntimeDirectoryError) as error:
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)
