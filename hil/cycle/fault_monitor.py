@@ -1,10 +1,18 @@
-"""What can go wrong, how it is seen, after how long, and what is done about it: one table, and the detectors that fill
-it.
+"""The detectors: each looks at one thing and flags the faults it finds; the gravest one decides what the tick does.
 
-Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks the law runs on the filter's prediction (holding the last torque
-instead would throw away what the model knows, and decaying it would drop the friction compensation: 13 um in one tick
-on the paper's X axis); R2 STOP: damped stop, zero within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT:
-R3, and nothing more is sent until an explicit reset, so that the drives' own watchdogs act.
+Rules:
+- A detector only flags. It changes nothing but its own streak counters, and reacts to nothing.
+- Detectors run in every state. fault_table.py says in which states a fault is armed; one that is not armed is dropped.
+- A fault is present in this tick or it is not: what must last for several ticks (streaks) is counted by the detector,
+  and flagged once it has lasted long enough.
+
+Theory of operation: `begin` clears `active`, the checks set one bit per fault, and `worst_fault` masks what is not
+armed, counts what is, and returns the gravest with its reaction. Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks
+the law runs on the filter's prediction (holding the last torque instead would throw away what the model knows, and
+decaying it would drop the friction compensation: 13 um in one tick on the paper's X axis); R2 STOP: damped stop, zero
+within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT: R3, and nothing more is sent until an explicit reset,
+so that the drives' own watchdogs act. Bits, because a tick in which nothing is wrong then costs one comparison with
+zero.
 """
 
 from collections.abc import Sequence

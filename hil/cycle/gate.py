@@ -1,8 +1,15 @@
 """The torque gate: the only way force leaves this process, and the only code that builds a command frame.
 
-In this order: finite? does the state permit it? position-dependent limits, clamp, rate limit, encode. It knows nothing
-of laws and trajectories and trusts neither. Anything not finite, or not permitted, becomes zero at once: the rate limit
-never delays zero.
+Rules:
+- It knows nothing of laws and trajectories and trusts neither: whatever is asked for, what is applied lies within the
+  axis' force limit, changes by no more than the rate limit allows, and never pushes an axis further beyond its travel.
+- Anything not finite, or not permitted by the state, becomes zero at once: the rate limit never delays zero.
+- It never raises on a request; it raises on a programming error alone (a wrong number of axes).
+
+Theory of operation, in this order: finite? does the state permit it? rate limit, then clamp by force limit and
+position, then encode. The clamp comes last and wins: at a travel limit the outward force is zero in the same tick,
+however small the rate limit. `force` holds what was applied last, which is where the next tick's rate limit starts
+from.
 """
 
 import math

@@ -49,7 +49,7 @@ _FIELDS = [
     ("setpoint_velocity", "<f8", _AXES),
     ("following_error", "<f8", _AXES),  # position - setpoint_position, both at the sample's time stamp
     ("force_requested", "<f8", _AXES),  # by the law
-    ("force", "<f8", _AXES),  # let out by the gate
+    ("force", "<f8", _AXES),  # applied, as the gate let it pass
     ("stamp_ns", "<i8", _AXES),
     ("age_ticks", "<u4", _AXES),  # since the last accepted sample
     ("drive_status", "<u4", _AXES),
