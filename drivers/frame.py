@@ -36,23 +36,12 @@ class Frame(NamedTuple):
 
 
 CAN_MTU = 16  # sizeof(struct can_frame)
-
-
 CANFD_MTU = 72  # sizeof(struct canfd_frame)
 
-
 _CLASSIC = struct.Struct("=IB3x8s")  # can_id, len, padding and len8_dlc, data
-
-
 _FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
-
-
 _pack_classic: Final = _CLASSIC.pack
-
-
 _pack_fd: Final = _FD.pack
-
-
 _FD_LENGTHS: Final = frozenset(FD_LENGTHS)
 
 

@@ -48,10 +48,10 @@ OTHERS = """
 hil/control/trajectories: base displaced figures minimum_jerk segments
 hil/cycle: record
 hil/live: mailbox ring
-drivers: frame frame_length
+drivers: arbitration frame frame_length
 drivers/bus: port counters local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
-drivers/wire: wire node
+drivers/wire: node segment wire
 sim_plant: emulator
 sim_plant/drives: servo
 sim_plant/physics: axis_floats exact_trigonometry
