@@ -3,9 +3,6 @@
 import struct
 from typing import Final, NamedTuple
 
-# What a NamedTuple's constructor ends in, without its detour through Python: for the innermost loops.
-new_tuple: Final = tuple.__new__
-
 EXTENDED: Final = 0x80000000  # CAN_EFF_FLAG, in can_id
 REMOTE: Final = 0x40000000  # CAN_RTR_FLAG, in can_id
 ERROR: Final = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic

@@ -18,7 +18,7 @@ from collections.abc import Callable, Container, Sequence
 from heapq import heappop
 
 from drivers.config import BusConfig, WireConfig
-from drivers.frame import Frame, new_tuple
+from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits, longest_bits
 from drivers.wire.confinement import ERROR_FRAME, Confinement
 from drivers.wire.faults import FRAME_FAULTS, FaultKind, FrameFaults, WireFault
@@ -189,7 +189,7 @@ class Wire(Segment[WireNode]):
         if not targets and not self._acknowledged(sender):
             self.confinement.not_acknowledged(sender)
             return
-        received = new_tuple(Frame, (can_id, data, flags, end_ns))
+        received = Frame(can_id, data, flags, end_ns)
         self.sender = self.fate = None
         self.free_ns = end_ns + self._intermission_ns
         self.busy_ns += self.free_ns - self.start_ns
