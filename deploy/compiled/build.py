@@ -18,11 +18,12 @@ import sysconfig
 import venv
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from deploy.compiled.hoist import find_classes, hoist
-
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
+
+from deploy.compiled.enum_members import find_enums, hoist  # noqa: E402
+from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
+
 WORK = ROOT / "build" / "compiled"
 PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
@@ -53,10 +54,10 @@ OTHERS = """
 hil/control/trajectories: base displaced figures minimum_jerk segments
 hil/cycle: record
 hil/live: mailbox ring
-drivers: frame frame_length
-drivers/bus: port counters local_medium receive_block socketcan
+drivers: arbitration frame frame_length
+drivers/bus: port counters local_link local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
-drivers/wire: wire node
+drivers/wire: node segment wire
 sim_plant: emulator
 sim_plant/drives: servo
 sim_plant/physics: axis_floats exact_trigonometry
@@ -141,11 +142,20 @@ def instantiate() -> None:
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
 
 
-def hoist_all() -> None:
-    """Do at import what compiled code would do at every use: see hoist.py."""
-    classes = find_classes(WORK, PACKAGES)
+def hoist_enum_members() -> None:
+    """Look members of enums up once a module instead of at every use (enum_members.py says why)."""
+    known = find_enums(WORK, PACKAGES)
     for name in modules():
-        hoist(WORK / name, name.removesuffix(".py").replace("/", "."), classes)
+        path = WORK / name
+        path.write_text(hoist(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
+
+
+def make_tuples_directly() -> None:
+    """Spare the modules to compile the constructors of NamedTuples (named_tuples.py says why)."""
+    known = find_named_tuples(WORK, PACKAGES)
+    for name in modules():
+        path = WORK / name
+        path.write_text(rewrite(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
 
 
 def change(path: Path, pattern: str, text: str) -> None:
@@ -204,7 +214,8 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
-    hoist_all()
+    hoist_enum_members()
+    make_tuples_directly()
     compile_modules()
     make_environment(directory)
     environment = {**os.environ, "PYTHONSAFEPATH": "1"}

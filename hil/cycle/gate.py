@@ -81,7 +81,7 @@ class TorqueGate:
             if applied != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._encode(Command(sequence, force, self._all_axes, reset=False))
+        return self._encode(Command(sequence, force, self._all_axes, False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

@@ -17,7 +17,7 @@ import numpy as np
 import typer
 
 import hil
-from drivers.bus.local_medium import channel_dir
+from drivers.bus.local_channel import channel_dir
 from hil.live.timing_record import STAGES
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig

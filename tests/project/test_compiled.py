@@ -9,13 +9,10 @@ import subprocess
 import sys
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import pytest
 
 from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, PACKAGES, listed, modules, on_floats
-from deploy.compiled.hoist import Hoisting, find_classes
 from hil.control.laws import LAWS
 from hil.rig.provenance import control_path
 from tests.support.hashes import RUNS, Situation, ask
@@ -57,79 +54,6 @@ def test_every_module_listed_is_a_file_and_every_law_is_listed() -> None:
     assert {Path(name).stem for name in found} >= set(listed) - {"*"}
     laws = {on_floats(law.__module__.replace(".", "/") + ".py") for law in LAWS.values()}
     assert laws <= set(found)
-
-
-# The hoisting pass ----------------------------------------------------------------------------------------------------
-
-KINDS = """
-from enum import IntEnum, IntFlag
-from typing import NamedTuple
-
-class Colour(IntEnum):
-    RED = 1
-    BLUE = 2
-
-class Bits(IntFlag):
-    LOW = 1
-    HIGH = 8
-
-class Point(NamedTuple):
-    x: int
-    y: int = 7
-"""
-USES = """
-from kinds import Bits, Colour, Point
-
-class Own(IntEnum):
-    HERE = 3
-
-def member(): return Colour.RED is Colour(1), [c for c in (Colour.BLUE,)], Own.HERE
-def flag(status): return status & Bits.HIGH, Bits.LOW | 2
-def points(a): return Point(a), Point(a, 2), Point(x=a, y=3), Point(a, y=4), Point(*[a, 5]), Point(y=a, x=6)
-def spread(a):
-    return Point(
-        a,  # first
-        y=(a, Point(1, 2)),
-    )
-def matched(colour):
-    match colour:
-        case Colour.RED:
-            return "red"
-        case _:
-            return "other"
-def shadowed(Colour): return Colour.RED
-""".replace("from kinds", "from enum import IntEnum\nfrom kinds", 1)
-
-
-def results(source: str, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    kinds = ModuleType("kinds")
-    exec(KINDS, vars(kinds))
-    monkeypatch.setitem(sys.modules, "kinds", kinds)
-    here: dict[str, Any] = {"__name__": "uses"}
-    exec(source, here)
-    calls = here["member"](), here["flag"](9), here["points"](1), here["spread"](2)
-    red, blue = kinds.Colour.RED, kinds.Colour.BLUE
-    return [*calls, here["matched"](red), here["matched"](blue), here["shadowed"](SimpleNamespace(RED="mine"))]
-
-
-def test_what_the_build_hoists_does_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "here").mkdir()
-    for name, source in (("kinds", KINDS), ("uses", USES)):
-        (tmp_path / "here" / f"{name}.py").write_text(source)
-    classes = find_classes(tmp_path, ("here",))
-    classes.enums["kinds", "Colour"] = classes.enums["here.kinds", "Colour"]
-    classes.enums["kinds", "Bits"] = classes.enums["here.kinds", "Bits"]
-    classes.flags.add(("kinds", "Bits"))
-    classes.tuples["kinds", "Point"] = classes.tuples["here.kinds", "Point"]
-    rewritten = Hoisting(USES, "here.uses", classes).rewritten()
-    assert results(rewritten, monkeypatch) == results(USES, monkeypatch)
-    for hoisted in ("_Colour_RED: _Final", "_Own_HERE: _Final", "_Bits_HIGH: _Final = int(Bits.HIGH)"):
-        assert rewritten.count(hoisted) == 1
-    body = rewritten[rewritten.index("def member") :]
-    assert "case Colour.RED" in body, "a bare name there would match anything"
-    assert body.count("_tuple_new(") == 6, "a starred call and one out of order stay as they are"
-    assert body.count("Colour.RED") == 2, "and so does a name of the function's own"
-    assert Hoisting("def f(): return 1\n", "here.f", classes).rewritten() == "def f(): return 1\n"
 
 
 EAGER = {"all", "any", "bytes", "dict", "frozenset", "join", "list", "max", "min", "set", "sorted", "sum", "tuple"}
@@ -209,7 +133,6 @@ except TypeError as error:
 def test_every_law_computes_the_same_bytes_as_its_source() -> None:
     hash_all = """
 from itertools import product
-from deploy.compiled.hoist import Hoisting, find_classes
 from hil.control.laws import LAWS
 from tests.support.hashes import run_hash
 task = ("task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]")

@@ -19,7 +19,8 @@ from typing import Any
 from drivers.runtime import write_private
 
 MOST_KEPT = 200
-_NOT_TO_BE_HAD = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata
+# ImportError: a package without its metadata. LookupError, TypeError: kept by another version, in another form.
+_NOT_TO_BE_HAD = (OSError, ValueError, ImportError, LookupError, TypeError)
 
 
 def recall(parameters: str) -> Any | None:
