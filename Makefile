@@ -45,7 +45,7 @@ proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
 
 docs: setup  ## renew the pages that are made from tables in code
-	@$(BIN)/python -m hil.docs
+	@$(BIN)/python -m docs.make_pages
 
 mutants: setup  ## branch coverage and every mutant of the gate and the state machine
 	@tests/mutation/mutants.sh

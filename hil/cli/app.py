@@ -3,6 +3,7 @@
 import importlib
 import io
 import sys
+import warnings
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Annotated, Any, NamedTuple
@@ -11,6 +12,7 @@ import typer
 
 from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
+from hil.rig.former_keys import FormerKeyWarning
 from hil.rig.provenance import control_path
 from hil.rig.schema import RigError
 from sim_plant.config import PlantError
@@ -37,6 +39,7 @@ COMMANDS: dict[str, Entry] = {
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
+    "explain": Entry("hil.operate.explain:explain", "What a key of the rig file means: unit, range, default"),
     "doctor": Entry("hil.operate.doctor:doctor", "What this machine grants, and what to do about it"),
     "faults": Entry(
         "hil.studies.fault_campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"
@@ -90,6 +93,15 @@ def build_app(wanted: str | None) -> typer.Typer:
     return app
 
 
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+) -> None:
+    """What a rig file of an earlier version should say instead, as a line like any other; other warnings as ever."""
+    plain = f"hil: {message}\n"
+    other = warnings.formatwarning(message, category, filename, lineno, line)
+    (file or sys.stderr).write(plain if issubclass(category, FormerKeyWarning) else other)
+
+
 def main() -> None:
     """The whole command line. Exit status 78 where the rig file, or an override of it, is at fault; 74 where
     a file or folder that was named cannot be read or written.
@@ -98,6 +110,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
+    warnings.showwarning = _show_warning
     try:
         build_app(wanted)()
     except RigError as error:

@@ -16,6 +16,7 @@ from hil.cli.output import drawable, writable, write_json
 from hil.control.stability import StabilityReport, check_stability
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
 from hil.rig.file import load_rig
+from hil.rig.plant import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
@@ -34,6 +35,8 @@ def check(
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
+    for note in encoder_notes(rig):
+        console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
     if tolerated >= 0:

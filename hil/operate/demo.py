@@ -15,7 +15,7 @@ from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, runtime_dir
-from hil.cli.output import write_json
+from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import DEMO_PREFIX, Places, places_in
@@ -331,6 +331,7 @@ def demo(
         "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,
     )
+    print_plant_notes(console, config)
     stage = Demo(scene, console, signals)
     try:
         stage.run(seconds)

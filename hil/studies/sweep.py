@@ -18,7 +18,7 @@ import numpy as np
 import tomlkit
 import typer
 
-from hil.cli.output import writable, write_json
+from hil.cli.output import print_plant_notes, writable, write_json
 from hil.cli.processes import worker_pool
 from hil.control.laws import LAWS
 from hil.control.laws.base import Array
@@ -280,6 +280,7 @@ def sweep(
 
     base = load_rig(rig_file, overrides or ())
     console = Console(stderr=json_target == "-")
+    print_plant_notes(console, base)
     output.mkdir(parents=True, exist_ok=True)
     names = (
         list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]

@@ -12,6 +12,7 @@ from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.live.runtime_paths import places
 from hil.rig.file import load_rig
+from hil.rig.plant import plant_notes
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
@@ -24,7 +25,7 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
     """The rig's emulated stage. Raises RigError for a plant or layout that does not fit."""
     rated = [axis.rated_force for axis in rig.axes.values()]
     try:
-        return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns)
+        return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives)
     except (ValueError, OSError) as error:
         raise RigError([f"rig {rig.name}: {error}"]) from None
 
@@ -63,6 +64,8 @@ def emulate(
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)
     emulator = Emulator(stage, port, target)
+    for note in plant_notes(config):
+        print(f"hil emulate: {note}", flush=True)
     print(f"hil emulate: {config.name} on {config.bus.channel}, status in {target}", flush=True)
     try:
         emulator.run()

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from hil.cli.output import axis_table, drawable, writable, write_json
+from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 
@@ -35,6 +35,7 @@ def sim(
     refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
+    print_plant_notes(console, config)
 
     recorder = _recorder(record, config, rig)
     with Progress(console=console, transient=True) as bar:

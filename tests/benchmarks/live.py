@@ -37,7 +37,7 @@ PATIENT = (
     "safety.overrun_streak=1000",
     "safety.overrun_zero_s=5",
     "safety.flood_frames=1000",
-    "plant.watchdog_s=1",
+    "drives.watchdog_s=1",
 )
 _POLL_S = 0.2
 # Of a record, and no more: while this process runs, the loop's wake-up of the stage has to interrupt its core.

@@ -2,7 +2,7 @@
 
 import re
 
-from docs.make_pages import FOLDER, faults_page, states_page
+from docs.make_pages import FOLDER, SCHEMA, faults_page, rig_file_page, rig_schema, states_page
 from hil.cycle.fault_table import RULES, Fault
 from tests.support.paths import ROOT
 
@@ -10,6 +10,8 @@ from tests.support.paths import ROOT
 def test_the_pages_are_up_to_date() -> None:
     assert (FOLDER / "states.md").read_text() == states_page()
     assert (FOLDER / "faults.md").read_text() == faults_page()
+    assert (FOLDER / "rig-file.md").read_text() == rig_file_page()
+    assert SCHEMA.read_text() == rig_schema()
 
 
 def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:

@@ -433,7 +433,7 @@ def test_compare_runs_every_combination_asked_for() -> None:
     [
         ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
         ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
-        ("pid", "rate_hz=500", [50.0], "plant.watchdog_s = 0.01"),
+        ("pid", "rate_hz=500", [50.0], "drives.watchdog_s = 0.01"),
     ],
 )
 def test_compare_refuses_what_cannot_run_before_anything_runs(

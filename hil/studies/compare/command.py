@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from hil.cli.output import drawable, writable, write_json
+from hil.cli.output import drawable, print_plant_notes, writable, write_json
 from hil.cli.processes import worker_pool
 from hil.control.laws import LAWS
 from hil.rig.file import load_rig
@@ -175,6 +175,7 @@ def compare(
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
+    print_plant_notes(console, rig)
     if velocity:
         from hil.studies.compare.velocity_estimators import compare_velocity, velocity_table
 

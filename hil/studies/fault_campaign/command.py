@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hil.cli.output import writable, write_json
+from hil.cli.output import print_plant_notes, writable, write_json
 from hil.cli.processes import worker_pool
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -74,6 +74,8 @@ def faults(
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console = Console(stderr=json_target == "-", width=PAPER)
+    for path in paths:
+        print_plant_notes(console, load_rig(path, overrides or ()))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:

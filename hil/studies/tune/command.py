@@ -15,7 +15,7 @@ import numpy as np
 import tomlkit
 import typer
 
-from hil.cli.output import metres, replace_text
+from hil.cli.output import metres, print_plant_notes, replace_text
 from hil.control.laws.base import Array
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
@@ -181,6 +181,7 @@ def tune(
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH
+    print_plant_notes(console, rig)
     chosen = [key.strip() for key in only.split(",") if key.strip()]
     for key in chosen:
         if key not in space_of(rig, name):
