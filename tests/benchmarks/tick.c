@@ -1,4 +1,4 @@
-/* The tick of `hil run` as a C programmer would write it: the yardstick of `hil bench tick`.
+/* The tick of `hil run` as a C programmer would write it: the yardstick of `make bench ARGS=tick`.
  *
  * Joins the local bus by its rules (drivers/bus/local_medium.py: connect to every door, greet with "hil1" and a queue
  * depth, count up), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
