@@ -23,7 +23,7 @@ run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
 test: setup  ## unit, lockstep and live tests on this machine (about three minutes)
-	@$(BIN)/python -m pytest -n 2 -m "not slow and not vcan and not controller"
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
 lint: setup  ## ruff and mypy --strict
 	@$(BIN)/ruff check .

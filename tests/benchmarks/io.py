@@ -120,7 +120,7 @@ def _run(subject: Subject, ticks: int) -> Figures:
     stage = open_port(bus, role="device", fd=True)
     tick, close = subject(bus)
     try:
-        _exchange_greetings(stage, tick)
+        _exchange_handshakes(stage, tick)
         costs = [_one(stage, tick, number) for number in range(ticks)]
     finally:
         close()
@@ -128,7 +128,7 @@ def _run(subject: Subject, ticks: int) -> Figures:
     return {"cpu_us": (median(costs) - _clock_cost()) / 1e3}
 
 
-def _exchange_greetings(stage: Port, tick: Tick) -> None:
+def _exchange_handshakes(stage: Port, tick: Tick) -> None:
     for number in range(3):
         stage.drain(time.monotonic_ns())
         tick(number)
