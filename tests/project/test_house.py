@@ -37,7 +37,7 @@ GLOSSARY = {
 WORDS = [(re.compile(pattern, re.IGNORECASE), instead) for pattern, instead in GLOSSARY.items()]
 DOCUMENT = re.compile(r"[\w-]+\.md\b|\bFIELD_NOTES\b")
 NAMED_FILE = re.compile(
-    r"(?<![\w./$}-])(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
+    r"(?<![\w.-])(?<!etc/)(?<!share/)(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
 )
 MADE_BY_THE_BUILD = "hil/floats/"
 HERE = Path(__file__).relative_to(ROOT).as_posix()
