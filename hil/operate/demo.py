@@ -15,6 +15,7 @@ from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, runtime_dir
+from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
@@ -312,9 +313,9 @@ def _what_next(scene: Scene, console: Console) -> None:
 
 
 def demo(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.5, max=1e6, help="how long the task runs")] = 20.0,
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
     """Exit status 0: it went as planned; 1: something failed, said what; 130 or 143: interrupted, in good order."""

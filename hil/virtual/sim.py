@@ -8,19 +8,23 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from hil.cli.options import RigFile, shipped_scenario
 from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 
 
 def sim(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
     overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
     json_target: Annotated[
         str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
     ] = "",
-    faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
+    faults: Annotated[
+        Path | None,
+        typer.Option(callback=shipped_scenario, help="faults to inject: a scenario file, or a shipped one's name"),
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")

@@ -134,6 +134,7 @@ def test_a_rehearsal_equals_a_batch_bit_for_bit(law: str) -> None:
         assert np.all(late.largest[:, 2] != figures.largest[:, 0])
 
 
+@pytest.mark.slow
 def test_late_and_lost_commands_in_a_rehearsal_are_those_of_the_wire() -> None:
     """Not the same numbers, as the wire draws its own, but the same size: what is tuned for is what happens."""
     changes = ["law.name=structured-kalman", "task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5"]
@@ -180,6 +181,7 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
 SMALL_PLAN = ["cells=1", "approach_s=0.3", "transfer_s=0.2", "withdraw_s=0.2", "dwell_s=0.1"]
 
 
+@pytest.mark.slow
 def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -> None:
     """Each trial over a window of its own, whatever runs beside it."""
     rig = load_rig(MICROSCOPE, ["wire.stuffing=worst", *(f"task.injection.{change}" for change in SMALL_PLAN)])
@@ -487,6 +489,7 @@ def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None
     assert (tmp_path / "c.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
     from hil.studies.compare.velocity_estimators import compare_velocity
 

@@ -14,13 +14,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hil.cli.output import print_plant_notes, writable, write_json
 from hil.cli.processes import worker_pool
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigConfig
+from hil.rig.shipped import by_name, names
 from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
 from hil.virtual.lockstep import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
-SHIPPED = Path(__file__).parents[3] / "deploy" / "rigs"
 
 
 def campaign(
@@ -52,7 +52,9 @@ def _checked(rig: RigConfig, path: Path) -> RigConfig:
 
 
 def faults(
-    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
+    rigs: Annotated[
+        list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
+    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
     ] = None,
@@ -68,9 +70,7 @@ def faults(
 
     Exit status 1 when a cell fails.
     """
-    paths = rigs or sorted(SHIPPED.glob("*.toml"))
-    if not paths:
-        raise RigError([f"no rig file named, and none in {SHIPPED}"])
+    paths = [by_name("rigs", rig) for rig in rigs or map(Path, names("rigs"))]
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console = Console(stderr=json_target == "-", width=PAPER)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -75,18 +74,6 @@ class Run(NamedTuple):
     growth_bytes: int
     system_calls_per_tick: float | None
     repeated: int
-
-
-def build_reference(source: Path, directory: Path) -> Path:
-    """The C program of a source file, compiled into a directory. Raises BenchError without a compiler or outside a
-    checkout.
-    """
-    compiler = shutil.which("cc")
-    if not compiler or not source.exists():
-        raise BenchError(f"needs a C compiler (apt install gcc) and {source}")
-    program = directory / source.stem
-    subprocess.run([compiler, "-O2", "-o", str(program), str(source), "-lm"], check=True)
-    return program
 
 
 def cores() -> tuple[int, int]:
