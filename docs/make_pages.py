@@ -9,7 +9,7 @@ from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
-from hil.studies.fault_campaign.layout_capabilities import TEXTS, Means, fixed_means
+from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,13 +77,13 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join([*lines, *_means_lines()]) + "\n"
+    return "\n".join([*lines, *_capability_lines()]) + "\n"
 
 
-def _means_lines() -> list[str]:
+def _capability_lines() -> list[str]:
     """What a layout cannot tell, from the properties the campaign goes by."""
     has = {
-        name: fixed_means(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
+        name: fixed_capabilities(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
         for name in ("stage_fd", "stage_classic", "cia402")
     }
     lines = ["", "## What a layout cannot tell", ""]
@@ -93,11 +93,12 @@ def _means_lines() -> list[str]:
         "",
     ]
     lines += ["| what it takes | " + " | ".join(has) + " | without it |", "|---" * (len(has) + 2) + "|"]
-    for means, text in TEXTS.items():
+    for capability, text in TEXTS.items():
         marks = [
-            "as its load leaves" if means is Means.ROOM else "yes" if means & own else "no" for own in has.values()
+            "as its load leaves" if capability is Capability.ROOM else "yes" if capability & own else "no"
+            for own in has.values()
         ]
-        lines.append(f"| {text.means} | {' | '.join(marks)} | {text.follows} |")
+        lines.append(f"| {text.capability} | {' | '.join(marks)} | {text.follows} |")
     return lines
 
 

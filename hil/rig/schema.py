@@ -82,6 +82,7 @@ class LawConfig(BaseModel):
     gains: dict[str, Any] = {}
     tuned: dict[str, dict[str, Any]] = {}
     iterative_learning: bool = False  # wrap the law for repeated tasks
+    source: str = ""  # text of the law's file, where name is './file.py:Class'; read in when the rig file is loaded
 
     def effective_gains(self) -> dict[str, Any]:
         """Tuned gains of the named law, overridden by `gains`."""

@@ -20,7 +20,7 @@ import typer
 
 from hil.cli.output import writable, write_json
 from hil.cli.processes import worker_pool
-from hil.control.laws import LAWS
+from hil.control.law_registry import LAWS
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig

@@ -262,7 +262,7 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
 
 class Traces:
     """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
-    and force let out.
+    and applied force.
     """
 
     def __init__(self, ticks: int, n_axes: int) -> None:

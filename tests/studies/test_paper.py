@@ -154,7 +154,7 @@ def test_verdicts_follow_the_figures(claim: str, max_um: tuple[float, float], ve
     assert agrees(CLAIMS[claim], max_um) is same
 
 
-def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_not_believed(runs: dict[Job, Run]) -> None:
+def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_reported_as_unreliable(runs: dict[Job, Run]) -> None:
     claim = CLAIMS["pdff-modelling-error"]
     first = dataclasses.replace(runs[Job(claim.id, 0, 0)], max_um=(100.0, 85.7))
     finer = dataclasses.replace(first, job=Job(claim.id, 0, 1), max_um=(99.8, 85.9))

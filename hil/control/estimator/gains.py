@@ -1,6 +1,6 @@
 """The rig's Kalman filter: position, velocity and disturbance force of every axis, from one sample per period.
 
-Model per axis: mass * acceleration = input - disturbance, where the input is the force let out less the nominal
+Model per axis: mass * acceleration = input - disturbance, where the input is the applied force less the nominal
 friction at the setpoint's velocity. The gains are filterpy's (hil/control/estimator/filterpy_design.py), constant; a
 test holds the two filters equal.
 """
@@ -26,7 +26,7 @@ def per_axis(value: Any, n: int) -> Array:
 
 
 def filter_parameters(rig: RigConfig) -> list[dict[str, float]]:
-    """Per axis, what estimation_design.make_filter needs. The noise of a sample is a count's quantisation, floored."""
+    """Per axis, the arguments of filterpy_design.make_filter. A sample's noise is a count's quantisation, floored."""
     n = len(rig.axes)
     disturbance = per_axis(rig.estimator.disturbance_noise, n).tolist()
     acceleration = per_axis(rig.estimator.acceleration_noise, n).tolist()

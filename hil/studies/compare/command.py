@@ -13,7 +13,7 @@ import typer
 
 from hil.cli.output import drawable, writable, write_json
 from hil.cli.processes import worker_pool
-from hil.control.laws import LAWS
+from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.compare.report import comparison_table, draw, summary_table
@@ -78,7 +78,7 @@ def case_rig(case: Case) -> RigConfig:
     rig = load_rig(case.rig, [*case.overrides, *law_overrides(case.law)])
     if case.rate_hz == rig.rate_hz:
         return rig
-    from hil.studies.tune.objective import at_rate
+    from hil.studies.tune.search_space import at_rate
 
     gains = at_rate(rig, rig.law.name, rig.law.effective_gains(), case.rate_hz)
     law = rig.law.model_copy(update={"gains": gains})

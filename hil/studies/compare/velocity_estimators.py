@@ -35,8 +35,8 @@ JERK = 300.0  # m/s^3/sqrt(Hz), white jerk of the constant-acceleration filter
 
 class Data:
     """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity, true
-    velocity, net force (let out less nominal friction) and length (s) of the interval before each sample; velocity as
-    the structured filter has it.
+    velocity, net force (applied force less nominal friction) and length (s) of the interval before each sample;
+    velocity as the structured filter has it.
 
     The length is by the samples' stamps: stuff bits alone move a command by a microsecond, and at 3 m/s that is 3 um.
     """
@@ -69,7 +69,7 @@ class Data:
 
 
 def _structured_filter(rig: RigConfig) -> StructuredKalman:
-    config = LawConfig(name=StructuredKalman.name, tuned=rig.law.tuned)
+    config = LawConfig(name="structured-kalman", tuned=rig.law.tuned)
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     law = make_law(config, rig_model(rig), rig.period_ns * 1e-9, limit)
     assert isinstance(law, StructuredKalman)

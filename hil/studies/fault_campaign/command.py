@@ -15,7 +15,7 @@ from hil.cli.output import writable, write_json
 from hil.cli.processes import worker_pool
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
-from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
+from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, plan_chunks, run_chunk
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
 from hil.virtual.lockstep import usable
 
@@ -33,21 +33,21 @@ def campaign(
     """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
     in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
     """
-    work: list[Leg] = []
+    work: list[Chunk] = []
     for path in rigs:
-        work += legs(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
-    total = sum(len(leg.cells) for leg in work)
+        work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
+    total = sum(len(chunk.cells) for chunk in work)
     cells: list[Cell] = []
     # Spawned, not forked: a worker must be single-threaded to fork its cells.
     with worker_pool(jobs, "spawn") as pool:
-        for leg_cells in pool.map(sail, work):
-            cells += leg_cells
+        for chunk_cells in pool.map(run_chunk, work):
+            cells += chunk_cells
             done(len(cells), total)
     return cells
 
 
 def _checked(rig: RigConfig, path: Path) -> RigConfig:
-    """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
+    """The rig as the campaign runs it. Raises RigError where no run of it can begin: its task, law or layout."""
     return usable(displaced(rig), path)
 
 

@@ -20,8 +20,9 @@ from hil.control.laws.base import Array
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
-from hil.studies.tune.objective import SPACE, Bench, Margins, Outcome, law_gains, margins_of, space_of, trials
-from hil.studies.tune.rehearsal import LOST
+from hil.studies.tune.candidate_simulation import LOST
+from hil.studies.tune.objective import Bench, Margins, Outcome, margins_of, trials
+from hil.studies.tune.search_space import law_gains, space_of
 from hil.virtual.lockstep import usable
 
 DIGITS = 4
@@ -175,9 +176,9 @@ def tune(
 
     rig = load_rig(rig_file, overrides or ())
     name = law or rig.law.name
-    if name not in SPACE:
-        raise RigError([f"--law {name}: the laws are {', '.join(SPACE)}"])
-    usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
+    rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
+    if not space_of(rig, name):
+        raise RigError([f"--law {name}: the law declares no gain with a range to search (hil.Knob)"])
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH
