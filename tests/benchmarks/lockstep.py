@@ -13,7 +13,8 @@ from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import LockstepRun, usable
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import usable
 from tests.benchmarks.harness import (
     Case,
     Figures,

@@ -16,7 +16,8 @@ from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import CORNERS
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PERIOD = 1e-3

@@ -23,9 +23,9 @@ from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.checkpoints import READY, RESTING, CampaignRun, Checkpoint, active, bring_to
-from hil.studies.fault_campaign.command import campaign
 from hil.studies.fault_campaign.layout_capabilities import Capability, fixed_capabilities
 from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, in_fork, plan_chunks, run_cell, run_chunk
 from sim_plant.drives.servo import ServoDrive

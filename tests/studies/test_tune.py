@@ -19,11 +19,10 @@ from hil.control.law_registry import LAWS, law_class
 from hil.control.stability import check_stability, refuse_unstable
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig, RigError
-from hil.studies.compare.command import LEARNING, case_rig, cases, disturbances, run_case
+from hil.studies.compare.cases import LEARNING, case_rig, cases, disturbances, run_case
 from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
-from hil.studies.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from hil.studies.sweep.plants import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
-from hil.studies.tune.command import front, rounded, search, write_gains
 from hil.studies.tune.objective import (
     NO_MARGINS,
     Bench,
@@ -31,10 +30,12 @@ from hil.studies.tune.objective import (
     margins_of,
     trials,
 )
+from hil.studies.tune.search import front, rounded, search, write_gains
 from hil.studies.tune.search_space import at_rate, knob_scale, space_of
 from hil.virtual.batch import BatchRun
 from hil.virtual.invariants import Invariants
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from sim_plant.physics.stage import Truth
 from tests.support.paths import RIGS
 

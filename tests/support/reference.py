@@ -40,7 +40,7 @@ def runs() -> dict[str, tuple[str, list[str]]]:
 def trace_hash(rig: str, overrides: Sequence[str]) -> str:
     """trace_sha256 of `hil sim` over SECONDS."""
     from hil.rig.file import load_rig
-    from hil.virtual.lockstep import simulate
+    from hil.virtual.sim import simulate
 
     report, _ = simulate(load_rig(RIGS / f"{rig}.toml", overrides), RIGS, SECONDS)
     return report.trace_sha256
@@ -54,7 +54,7 @@ def campaign_hash(cells: Sequence[Any]) -> str:
 
 def campaign(rig: str) -> dict[str, Any]:
     """Number of cells and their hash, of the whole campaign on a rig's own layout."""
-    from hil.studies.fault_campaign.command import campaign as run_campaign
+    from hil.studies.fault_campaign.campaign import campaign as run_campaign
 
     cells = run_campaign([RIGS / f"{rig}.toml"], 1, os.cpu_count() or 1, lambda done, total: None)
     return {"cells": len(cells), "sha256": campaign_hash(cells)}

@@ -12,7 +12,8 @@ from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 MakeRun = Callable[..., LockstepRun]

@@ -6,7 +6,7 @@ import pytest
 from hil.control.stability import check_stability, pulse_response
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import SimReport, simulate
+from hil.virtual.sim import SimReport, simulate
 from tests.support.paths import ROOT
 
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"

@@ -1,5 +1,5 @@
-"""What runs do has not changed: the hashes of tests/reference/trace_hashes.json, a few in every test run, all of them in
-the slow lane. Where a change is meant, `python -m tests.support.reference` renews the file.
+"""What runs do has not changed: the hashes of tests/reference/trace_hashes.json, a few in every test run, all of them
+in the slow lane. Where a change is meant, `python -m tests.support.reference` renews the file.
 """
 
 import pytest

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.control.estimator.gains_cache import keep, recall
+from hil.control.estimator.gains_cache import load, store
 from hil.rig.schema import RigConfig
 
 Array = NDArray[np.float64]
@@ -55,9 +55,9 @@ def _design_in_child(parameters: str) -> list[Any]:
             return design(json.loads(parameters))
         except (ArithmeticError, ValueError) as error:
             raise ValueError(_NO_GAINS + str(error)) from None
-    kept = recall(parameters)
-    if kept is not None:
-        return list(kept)
+    cached = load(parameters)
+    if cached is not None:
+        return list(cached)
     child = subprocess.run(
         [sys.executable, "-m", "hil.control.estimator.filterpy_design"],
         input=parameters,
@@ -68,7 +68,7 @@ def _design_in_child(parameters: str) -> list[Any]:
     if child.returncode != 0:
         raise ValueError(_NO_GAINS + "".join(child.stderr.strip().splitlines()[-1:]))
     designed = list(json.loads(child.stdout))
-    keep(parameters, designed)
+    store(parameters, designed)
     return designed
 
 
