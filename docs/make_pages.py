@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
+from hil.control.gain import Gain, Knob, declared
+from hil.control.law_registry import LAWS, law_class
+from hil.control.laws.iterative_learning import LEARNING_GAINS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 from hil.rig.reference import Table, json_schema, tables
-from hil.studies.fault_campaign.layout_capabilities import TEXTS, Means, fixed_means
+from hil.rig.schema import LawConfig
+from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +35,8 @@ PLACES = {
 }  # fmt: skip
 
 
+GAINS_BEGIN = "<!-- gains: made by `make docs` from Law.GAINS -->"
+GAINS_END = "<!-- end of gains -->"
 EVERYWHERE = {
     (Event.ESTOP, State.ESTOP),
     (Event.FAULT_ZERO, State.FAULT),
@@ -80,13 +86,13 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join([*lines, *_means_lines()]) + "\n"
+    return "\n".join([*lines, *_capability_lines()]) + "\n"
 
 
-def _means_lines() -> list[str]:
+def _capability_lines() -> list[str]:
     """What a layout cannot tell, from the properties the campaign goes by."""
     has = {
-        name: fixed_means(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
+        name: fixed_capabilities(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
         for name in ("stage_fd", "stage_classic", "cia402")
     }
     lines = ["", "## What a layout cannot tell", ""]
@@ -96,11 +102,12 @@ def _means_lines() -> list[str]:
         "",
     ]
     lines += ["| what it takes | " + " | ".join(has) + " | without it |", "|---" * (len(has) + 2) + "|"]
-    for means, text in TEXTS.items():
+    for capability, text in TEXTS.items():
         marks = [
-            "as its load leaves" if means is Means.ROOM else "yes" if means & own else "no" for own in has.values()
+            "as its load leaves" if capability is Capability.ROOM else "yes" if capability & own else "no"
+            for own in has.values()
         ]
-        lines.append(f"| {text.means} | {' | '.join(marks)} | {text.follows} |")
+        lines.append(f"| {text.capability} | {' | '.join(marks)} | {text.follows} |")
     return lines
 
 
@@ -132,6 +139,36 @@ def rig_file_page() -> str:
 def rig_schema() -> str:
     """deploy/rigs/rig.schema.json."""
     return json.dumps(json_schema(), indent=1) + "\n"
+
+
+def gains_table() -> str:
+    """The gains of every law, as docs/laws.md has them between its two markers."""
+    lines = ["| law | gain | default | unit | range | searched by `hil tune` | meaning |", "|---" * 7 + "|"]
+    for name in LAWS:
+        for key, gain in declared(law_class(LawConfig(name=name)).GAINS).items():
+            lines.append(_gain_row(name, key, gain))
+    lines += [_gain_row("any, learning", key, gain) for key, gain in LEARNING_GAINS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _gain_row(law: str, key: str, gain: Gain) -> str:
+    default = "from the rig" if gain.default is None else str(gain.default)
+    allowed = ", ".join(gain.words) if gain.words else gain.allowed().removeprefix("a ").replace("finite number ", "")
+    ranges = [_knob(knob) + note for knob, note in ((gain.tune, ""), (gain.plan, " (injection plan)")) if knob]
+    cells = (law, f"`{key}`", default, gain.unit, allowed, "; ".join(ranges), gain.meaning)
+    return "| " + " | ".join(cell.replace("|", "&#124;") for cell in cells) + " |"
+
+
+def _knob(knob: Knob) -> str:
+    unit = " ".join(part for part in ("" if knob.scale == "1" else knob.scale, knob.of and f"`{knob.of}`") if part)
+    return f"{knob.low:g} to {knob.high:g}" + (f" × {unit}" if unit else "")
+
+
+def laws_page() -> str:
+    """docs/laws.md with its table of gains renewed; the text around it is written by hand."""
+    before, _, rest = (FOLDER / "laws.md").read_text(encoding="utf-8").partition(GAINS_BEGIN)
+    _, _, after = rest.partition(GAINS_END)
+    return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
 
 
 def states_picture(path: Path) -> None:
@@ -174,6 +211,7 @@ def main() -> None:
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
+    (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     states_picture(folder / "states.svg")
 
 

@@ -21,10 +21,10 @@ COMMANDS: dict[str, Entry] = {
     "demo": Entry(
         "hil.operate.demo:demo", "Emulated stage, control, telemetry and live view together, as real processes"
     ),
-    "sim": Entry("hil.virtual.sim:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
+    "sim": Entry("hil.virtual.commands:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
     "check": Entry("hil.operate.check:check", "Does the traffic fit the bus, and is the sampled loop stable?"),
     "run": Entry("hil.live.run:run", "The control process"),
-    "emulate": Entry("hil.virtual.emulate:emulate", "The plant on the bus, when there is no stage"),
+    "emulate": Entry("hil.virtual.commands:emulate", "The plant on the bus, when there is no stage"),
     "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
@@ -34,11 +34,11 @@ COMMANDS: dict[str, Entry] = {
     "faults": Entry(
         "hil.studies.fault_campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"
     ),
-    "reproduce": Entry("hil.studies.paper.reproduce:reproduce", "Check the paper's claims"),
+    "reproduce": Entry("hil.studies.paper.command:reproduce", "Check the paper's claims"),
     "compare": Entry("hil.studies.compare.command:compare", "All control laws on the same task"),
     "tune": Entry("hil.studies.tune.command:tune", "Find gains for a law and write them to the rig file"),
-    "sweep": Entry("hil.studies.sweep:sweep", "Thousands of plants with seeded parameters"),
-    "replay": Entry("hil.virtual.replay:replay", "Feed a recording to a new cycle and compare every torque frame"),
+    "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
+    "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
     "bench": Entry("hil.operate.bench.command:bench", "Measurements of this machine, against a reference"),

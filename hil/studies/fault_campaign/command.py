@@ -3,7 +3,6 @@
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,43 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from hil.cli.output import print_plant_notes, writable, write_json
-from hil.cli.processes import worker_pool
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
 from hil.rig.shipped import by_name, names
-from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
+from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
-from hil.virtual.lockstep import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
-
-
-def campaign(
-    rigs: Sequence[Path],
-    stride: int,
-    jobs: int,
-    done: Callable[[int, int], None],
-    overrides: Sequence[str] = (),
-) -> list[Cell]:
-    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
-    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
-    """
-    work: list[Leg] = []
-    for path in rigs:
-        work += legs(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
-    total = sum(len(leg.cells) for leg in work)
-    cells: list[Cell] = []
-    # Spawned, not forked: a worker must be single-threaded to fork its cells.
-    with worker_pool(jobs, "spawn") as pool:
-        for leg_cells in pool.map(sail, work):
-            cells += leg_cells
-            done(len(cells), total)
-    return cells
-
-
-def _checked(rig: RigConfig, path: Path) -> RigConfig:
-    """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
-    return usable(displaced(rig), path)
 
 
 def faults(
