@@ -61,6 +61,7 @@ class Tick:
         now_ns: int,
         port: PortCounters,
         commands: tuple[OperatorCommand, ...] = (),
+        *,
         stop: bool = False,
         recorder_ok: bool = True,
         realtime_ok: bool = True,

@@ -4,6 +4,12 @@ Rules:
 - Nothing in here waits but the pacing sleep, and nothing grows.
 - Whatever goes wrong in the cycle ends the loop without another frame, so that the drives' watchdogs act.
 - Chores (systemd, rig file, statistics) are done a few times a second, one per tick, after the tick's frames are out.
+
+Theory of operation: `run` repeats `_tick`, which hands the cycle (hil/cycle/step.py) what has come in since the last
+one and hands on what the cycle makes of it: command frames to the bus, then the record to the ring, then times to the
+timing record. The loop decides nothing about the stage. It ends when the cycle is in SHUTDOWN; asked to stop, it waits
+for that no longer than a damped stop may take and STOP_GRACE_S. What the kernel does to the process (lateness, lost
+slots, page faults) is measured here and never acted upon: skipped slots reach the cycle as a gap in the ticks' index.
 """
 
 import threading
@@ -30,8 +36,6 @@ from hil.rig.schema import RigConfig
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
 _NO_AGE: Final = -1
-_monotonic_ns: Final = time.monotonic_ns
-_SHUTDOWN: Final = State.SHUTDOWN
 
 
 class TimedCycle(ControlCycle):
@@ -109,7 +113,7 @@ class ControlLoop:
         while True:
             self._tick()
             self.ticks += 1
-            if self._cycle.state is _SHUTDOWN:
+            if self._cycle.state is State.SHUTDOWN:
                 return
             if self.ticks == max_ticks:
                 self.stop = True
@@ -135,16 +139,23 @@ class ControlLoop:
         if commands:
             self._before_commands(commands)
         tick = Tick(
-            pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
-            self._realtime_ok, self._rig_ok,
-        )  # fmt: skip
+            pacer.index,
+            pacer.scheduled_ns,
+            woke,
+            port.counters(),
+            commands,
+            stop=self.stop,
+            recorder_ok=mailbox.recorder_ok(woke),
+            realtime_ok=self._realtime_ok,
+            rig_ok=self._rig_ok,
+        )
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()
         sending = self._cycle.stamps[RECORD]
         for frame in result.frames:
             port.send(frame)
-        sent_ns = _monotonic_ns()
+        sent_ns = time.monotonic_ns()
         self._ring.append(result.record)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:
@@ -169,7 +180,7 @@ class ControlLoop:
                 break
             age = max(age, sent_ns - instant)
         lateness = pacer.now_ns - pacer.scheduled_ns
-        self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
+        self._timing.note([lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age])
 
     def _book_miss(self) -> None:
         ledger = self.ledger

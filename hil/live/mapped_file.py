@@ -1,4 +1,4 @@
-"""Files that processes share by mapping them: how a new one is laid out, and how an end is let go of."""
+"""Files that processes share by mapping them: how a new one is laid out, and closed."""
 
 import os
 from abc import ABC, abstractmethod
@@ -29,7 +29,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it; again does no harm."""
+        """Close; idempotent."""
 
     def __enter__(self) -> Self:
         return self

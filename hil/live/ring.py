@@ -1,14 +1,16 @@
 """The ring: how telemetry leaves the control process without ever making it wait.
 
-A memory-mapped file of fixed-size slots (hil.cycle.record). One writer copies each tick's record into the next
-slot and then publishes a new write index; it never looks at readers. Any number of readers copy slots out and then
-check, by the write index before and after, which of them the writer may have overtaken meanwhile (a seqlock over the
-whole ring). The order "record first, index second" relies on stores becoming visible in program order, as they do on
-x86-64.
+Rules:
+- The one writer never waits and never looks at readers. A reader that is too slow loses records, and is told how many.
+- A reader never gets a record that the writer was changing while it was copied.
+- The file outlives its writer: what a killed control process left is kept as `<path>.previous`, the black box.
 
-The file outlives its writer. A lock that the kernel drops with the process tells a living writer from a dead one, and
-an end mark tells a clean end from a killed process; the ring of a killed one is kept as `<path>.previous`: the black
-box.
+Theory of operation: a memory-mapped file of fixed-size slots (hil.cycle.record). The writer copies each tick's record
+into the next slot and then publishes a new write index. Readers copy slots out and then check, by the write index
+before and after, which of them the writer may have overtaken meanwhile (a seqlock over the whole ring). The order
+"record first, index second" relies on stores becoming visible in program order, as they do on x86-64. A lock that the
+kernel drops with the process tells a living writer from a dead one, and an end mark tells a clean end from a killed
+process.
 
 Layout: one page of header, the metadata (JSON: rig, hash, version, platform) padded to pages, the slots.
 """
@@ -136,7 +138,7 @@ class RingWriter(Closing):
         self._record = record
 
     def close(self) -> None:
-        """Mark a clean end and let go of the file, which stays."""
+        """Mark a clean end and close; the file stays."""
         if not self._map.closed:
             self._words[_ENDED] = _CLEAN
             self._record = None

@@ -13,7 +13,7 @@ from drivers.runtime import make_private, runtime_dir, write_private
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
 
 
-class Places(NamedTuple):
+class RuntimePaths(NamedTuple):
     """Files in the rig's part of the runtime directory."""
 
     directory: Path
@@ -25,39 +25,37 @@ class Places(NamedTuple):
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
 
 
-def places_in(runtime: Path, rig_name: str) -> Places:
+def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
     names = ("ring", "mailbox", "token", "endpoint", "timing", "emulator.json")
-    return Places(directory, *(directory / name for name in names))
+    return RuntimePaths(directory, *(directory / name for name in names))
 
 
 class AlreadyServedError(Exception):
     """The rig has a sidecar already; the text names the rig's directory."""
 
 
-def places(rig_name: str) -> Places:
+def runtime_paths(rig_name: str) -> RuntimePaths:
     """The rig's files below this user's runtime directory; makes the rig's (private) part of it."""
-    found = places_in(runtime_dir(), rig_name)
+    found = runtime_paths_in(runtime_dir(), rig_name)
     make_private(found.directory)
     return found
 
 
 @contextlib.contextmanager
-def sole_sidecar(rig_places: Places) -> Iterator[None]:
+def sole_sidecar(paths: RuntimePaths) -> Iterator[None]:
     """While open, this process alone may serve the rig; the kernel lets go with the process, however that ends.
 
     A second one would put its own token in the place of the first one's, whose operators could then command nothing,
     not even an emergency stop. Raises AlreadyServedError.
     """
-    fd = os.open(rig_places.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)  # a file could be another user's
+    fd = os.open(paths.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)  # a file could be another user's
     try:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise AlreadyServedError(
-                f"another sidecar serves this rig already (it holds {rig_places.directory})"
-            ) from None
+            raise AlreadyServedError(f"another sidecar serves this rig already (it holds {paths.directory})") from None
         yield
     finally:
         os.close(fd)

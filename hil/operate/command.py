@@ -11,7 +11,7 @@ import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
-from hil.live.runtime_paths import Known, known_sidecars, places
+from hil.live.runtime_paths import Known, known_sidecars, runtime_paths
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
@@ -37,7 +37,7 @@ def find_sidecar(rig: RigConfig, endpoint: str | None) -> Known:
         if known.endpoint == endpoint or (endpoint is None and listens(known.endpoint)):
             return known
     listen = endpoint or (rig.telemetry.listen or [DEFAULT_ENDPOINT])[0]
-    return Known(rig.name, listen, places(rig.name).token)
+    return Known(rig.name, listen, runtime_paths(rig.name).token)
 
 
 def command(

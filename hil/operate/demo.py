@@ -19,7 +19,7 @@ from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
-from hil.live.runtime_paths import DEMO_PREFIX, Places, places_in
+from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.monitor import drive_words, line, view
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -70,9 +70,9 @@ class Scene(NamedTuple):
     out: Path
 
     @property
-    def places(self) -> Places:
+    def paths(self) -> RuntimePaths:
         """The rig's files in the private runtime directory."""
-        return places_in(self.runtime, self.rig.name)
+        return runtime_paths_in(self.runtime, self.rig.name)
 
 
 class Signals:
@@ -148,7 +148,7 @@ class Demo:
 
     def _await_endpoint(self) -> str:
         """Where the sidecar listens, as soon as it does."""
-        place = self.scene.places.endpoint
+        place = self.scene.paths.endpoint
         until = time.monotonic() + START_S
         while not place.exists():
             self._check_alive()
@@ -202,7 +202,7 @@ class Demo:
                 self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
 
     def _command(self, client: RigClient, kind: CommandKind) -> None:
-        reply = client.command(kind, self.scene.places.token.read_text(encoding="utf-8"))
+        reply = client.command(kind, self.scene.paths.token.read_text(encoding="utf-8"))
         self._refusal = "" if reply.accepted else f"; {kind.name} was refused: {reply.reason}"
 
     def _look(self, client: RigClient) -> bool:
@@ -251,7 +251,7 @@ class Demo:
         if self.control.exit_status == 0:
             return
         try:
-            state = json.loads(self.scene.places.emulator.read_text(encoding="utf-8"))
+            state = json.loads(self.scene.paths.emulator.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             self.troubles.append("the emulator left no word of its drives")
             return

@@ -4,14 +4,14 @@
 Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
 from sim_plant.config import NonNegative, Positive, Resolution
 
-MAX_AXES = 4
+MAX_AXES: Final = 4
 LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 

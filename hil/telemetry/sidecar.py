@@ -20,7 +20,7 @@ from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.live.mailbox import Mailbox, MailboxError
 from hil.live.ring import RingError, RingReader
-from hil.live.runtime_paths import AlreadyServedError, Places, places, renew_token, sole_sidecar
+from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, renew_token, runtime_paths, sole_sidecar
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry import codec
@@ -66,10 +66,10 @@ class Sidecar:
     """The loop's body. rig: for keys and limits; what is published about a run comes from its ring."""
 
     def __init__(
-        self, rig: RigConfig, rig_places: Places, publisher: Publisher, gateway: Gateway, out: Path | None
+        self, rig: RigConfig, paths: RuntimePaths, publisher: Publisher, gateway: Gateway, out: Path | None
     ) -> None:
         self.rig = rig
-        self._places = rig_places
+        self._paths = paths
         self._publisher = publisher
         self._gateway = gateway
         self._out = out
@@ -96,7 +96,7 @@ class Sidecar:
         if current and not current.reader.replaced:
             return
         try:
-            reader = RingReader(self._places.ring)
+            reader = RingReader(self._paths.ring)
         except RingError:
             return
         if reader.run_id == self._seen_run or not reader.writer_alive:
@@ -108,7 +108,7 @@ class Sidecar:
 
     def _open_mailbox(self) -> Mailbox | None:
         try:
-            return Mailbox(self._places.mailbox)
+            return Mailbox(self._paths.mailbox)
         except MailboxError:
             return None
 
@@ -249,13 +249,13 @@ def _listening(rig: RigConfig, listen: list[str], or_free_port: bool) -> Publish
 def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: bool = False) -> None:
     """Run until told to stop by a signal. Raises ListenError."""
     stop = _StopFlag()
-    rig_places = places(rig.name)
-    token = renew_token(rig_places.token)
+    paths = runtime_paths(rig.name)
+    token = renew_token(paths.token)
     period = min(1.0 / rig.telemetry.publish_hz, MAX_PERIOD)
     with _listening(rig, listen, or_free_port) as publisher:
-        write_private(rig_places.endpoint, publisher.listen[0])
+        write_private(paths.endpoint, publisher.listen[0])
         gateway = Gateway(publisher.key, token, rig.safety.command_expiry_s)
-        sidecar = Sidecar(rig, rig_places, publisher, gateway, out)
+        sidecar = Sidecar(rig, paths, publisher, gateway, out)
         print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
             while not stop.set:
@@ -268,7 +268,7 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: 
                 time.sleep(period)
         finally:
             sidecar.close()
-            rig_places.endpoint.unlink(missing_ok=True)
+            paths.endpoint.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -292,11 +292,11 @@ def sidecar(
 ) -> None:
     """Publish, record and take commands for a control process. Ends on SIGTERM, SIGINT or SIGHUP."""
     config = load_rig(rig, set_ or ())
-    rig_places = places(config.name)
+    paths = runtime_paths(config.name)
     try:
         recordings = _recordings(out) if config.telemetry.record else nullcontext()
-        with sole_sidecar(rig_places), recordings as directory:
-            for saved in save_black_boxes(rig_places, directory or out):
+        with sole_sidecar(paths), recordings as directory:
+            for saved in save_black_boxes(paths, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
             endpoints = [listen] if listen else list(config.telemetry.listen)
             serve(config, directory, endpoints, or_free_port=or_free_port)

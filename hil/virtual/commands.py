@@ -142,7 +142,7 @@ def emulate(
     from drivers.bus.port import PortError, open_port
     from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
-    from hil.live.runtime_paths import places
+    from hil.live.runtime_paths import runtime_paths
     from hil.rig.plant import plant_notes
     from hil.virtual.emulate import emulated_stage, live_scenario
     from sim_plant.process import Emulator
@@ -157,7 +157,7 @@ def emulate(
         Injector(scenario, stage, None, config.period_ns)
     try:
         port = open_port(config.bus, role="device", fd=stage.fd)
-        target = status or places(config.name).emulator
+        target = status or runtime_paths(config.name).emulator
     except (PortError, RuntimeDirectoryError) as error:
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)

@@ -217,8 +217,8 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
     rig = load_rig(RIG)
     said = Console(record=True, width=120, file=io.StringIO())
     scene = Scene(rig, RIG, (), tmp_path, tmp_path)
-    scene.places.token.parent.mkdir(parents=True)
-    scene.places.token.write_text("secret")
+    scene.paths.token.parent.mkdir(parents=True)
+    scene.paths.token.write_text("secret")
     axes = list(rig.axes)
     healthy = [int(DriveStatus.HOMED)] * len(axes)
     tripped = [*healthy[:-1], int(DriveStatus.HOMED | DriveStatus.WATCHDOG)]

@@ -19,7 +19,7 @@ from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import TABLE, Event, State
-from hil.cycle.step import ControlCycle
+from hil.cycle.supervisor import Supervisor
 from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -189,11 +189,11 @@ def accepted(*arguments: object) -> bool:
     return False
 
 
-def reset_unasked(self: ControlCycle, *, reset: bool) -> None:
+def reset_unasked(self: Supervisor, *, reset: bool) -> None:
     RECONNECT(self, reset=True)
 
 
-RECONNECT = ControlCycle._reconnect
+RECONNECT = Supervisor._reconnect
 NOT_SILENT = property(accepted, never)
 BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     (
@@ -282,14 +282,14 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     ),
     (
         "R4 goes on sending",
-        lambda m: m.setattr(ControlCycle, "silent", NOT_SILENT, raising=False),
+        lambda m: m.setattr(Supervisor, "silent", NOT_SILENT, raising=False),
         "bus-off",
         ON_THE_WAY,
         "silence",
     ),
     (
         "a process that starts again resets the drives unasked",
-        lambda m: m.setattr(ControlCycle, "_reconnect", reset_unasked),
+        lambda m: m.setattr(Supervisor, "_reconnect", reset_unasked),
         "started again, the drives have tripped",
         ON_THE_WAY,
         "ended READY, expected CONNECTED",

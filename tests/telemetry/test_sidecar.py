@@ -17,7 +17,7 @@ import zenoh
 
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
@@ -321,7 +321,7 @@ def test_the_token_is_readable_by_its_owner_only(tmp_path: Path, monkeypatch: py
     from hil.live.runtime_paths import renew_token
 
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "runtime"))
-    path = places("rig").token
+    path = runtime_paths("rig").token
     first, second = renew_token(path), renew_token(path)
     assert first != second
     assert path.read_text() == second
