@@ -31,8 +31,10 @@ from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import load_rig
+from hil.rig.former_keys import show_former_keys
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.shipped import by_name
 
 
 class RealtimeRefusedError(Exception):
@@ -44,8 +46,9 @@ def main(words: Sequence[str]) -> NoReturn:
     ever in the control process.
     """
     asked = _parser().parse_args(words)
+    show_former_keys()
     clock = time.thread_time_ns if asked.cpu_clock else time.monotonic_ns
-    sys.exit(run_rig(asked.rig, asked.overrides, asked.ticks, clock))
+    sys.exit(run_rig(by_name("rigs", asked.rig), asked.overrides, asked.ticks, clock))
 
 
 def _parser() -> argparse.ArgumentParser:
