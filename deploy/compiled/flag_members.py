@@ -7,9 +7,9 @@ copies that are compiled: behind the imports (or the class, where it is the modu
     _DriveStatus_ENABLED: Final = int(DriveStatus.ENABLED)
 
 and inside functions that name. Rewritten are members of an IntFlag that is defined in, or imported by name from, the
-packages being built; not where a pattern is matched (`case DriveStatus.ENABLED`), where a name would match anything, and
-not where the function has a variable of that name. Members of an IntEnum need no such thing: mypyc reads those of a
-compiled enum without a look-up.
+packages being built; not where a pattern is matched (`case DriveStatus.ENABLED`), where a name would match anything,
+and not where the function has a variable of that name. Members of an IntEnum need no such thing: mypyc reads those of
+a compiled enum without a look-up.
 """
 
 import ast
