@@ -6,6 +6,10 @@ import sys
 def main() -> None:
     """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports."""
     try:
+        if len(sys.argv) == 3 and sys.argv[1] == "estop" and not sys.argv[2].startswith("-"):
+            from hil.operate.estop import stop_rig
+
+            sys.exit(stop_rig(sys.argv[2]))  # before the command line is loaded: see there
         from hil.cli.app import main as run_command
 
         run_command()

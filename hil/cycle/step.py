@@ -173,13 +173,15 @@ class ControlCycle:
     # advance ----------------------------------------------------------------------------------------------------------
 
     def _advance(self, tick: Tick) -> None:
-        """Faults first, then exit, then the operator, then what the state itself has reached."""
+        """Faults first, then the stop line, exit, the operator, and at last what the state itself has reached."""
         if self.machine.state is _BOOT:
             self._handle(Event.BUS_UP, tick)
         if self.monitor.active:
             fault, reaction = self.monitor.judge(self.machine.state)
             if reaction >= _STOP:
                 self._latch(fault, reaction, tick)
+        if tick.estop:
+            self._handle(Event.ESTOP, tick)
         if tick.stop and self.machine.state not in (_STOPPING, _SHUTDOWN):
             self._handle(Event.EXIT, tick)
         self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
@@ -352,6 +354,7 @@ class ControlCycle:
     def _record(self, tick: Tick, received: Sequence[Frame], sent: list[Frame]) -> np.void:
         records, inbox, let_out, filters = self.records, self.inbox, self.gate.force, self.filters
         flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | bool(sent) << 4
+        flags |= tick.estop << 5
         records.tick(
             tick.index, tick.scheduled_ns, tick.now_ns, self.machine.state, self.fault, self.monitor.active, flags,
             max(self.sent_sequence, 0), self.setpoints.task_ns,
