@@ -28,7 +28,7 @@ LATCHED_AT, LATCHED_INDEX, LATCHED_STATE = 16, 17, 18  # of the newest press: mo
 PRESSED, PRESSER_UID, PRESSER_PID = 32, 33, 34  # monotonic ns of the newest press, 0: never; who says to have pressed
 NAME_BYTES = 16
 
-_DEMOS = "demo-"  # private runtime directories below the ordinary one (hil/live/places.py)
+_DEMOS = "demo-"  # private runtime directories below the ordinary one (hil/live/runtime_paths.py)
 _POLL_S = 0.0005
 
 

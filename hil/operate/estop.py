@@ -32,17 +32,15 @@ def report(name: str, page: Page, pressed_ns: int, status: Status) -> int:
         after_ms = (status.latched_at - pressed_ns) / 1e6
         print(f"{who}: {status.latched_state} in tick {status.latched_index}, {after_ms:.1f} ms after the press")
         return OK if status.latched_state == "ESTOP" else NOT_STOPPED
-    age_s = (time.monotonic_ns() - status.alive_at) / 1e9
-    last = (
-        f"its last word: {status.state} in tick {status.index}, {age_s:.1f} s ago"
-        if status.alive_at
-        else "it has not begun"
-    )
+    last = "it has not begun"
+    if status.alive_at:
+        age_s = (time.monotonic_ns() - status.alive_at) / 1e9
+        last = f"its last word was {status.state} in tick {status.index}, {age_s:.1f} s ago"
     if status.alive:
-        print(f"{who}: pressed, but the process does not run: {last}. It stops in its next tick; until then the drives' "
-              "watchdogs act", file=sys.stderr)  # fmt: skip
-        return HUNG
-    print(f"{who}: the process ended while stop was pressed; {last}. The drives' watchdogs act", file=sys.stderr)
+        fate = f"pressed, but the process does not run: {last}. It stops in its next tick"
+    else:
+        fate = f"the process ended while stop was pressed: {last}"
+    print(f"{who}: {fate}. The drives' watchdogs end the torque meanwhile", file=sys.stderr)
     return HUNG
 
 
