@@ -1,4 +1,4 @@
-"""Where this user's runtime directory is; drivers/runtime.py makes it. Loads nothing else: `hil estop` is in a hurry."""
+"""Where this user's runtime directory is; drivers/runtime.py makes it. Loads nothing else: `hil estop` is quick."""
 
 import os
 

@@ -42,6 +42,21 @@ def listens(endpoint: str) -> bool:
     return True
 
 
+def printable(status: pb.Status) -> pb.Status:
+    """The status without characters that would command a terminal (ESC and its like)."""
+    for field, value in status.ListFields():
+        if field.type == field.TYPE_STRING:
+            if isinstance(value, str):
+                setattr(status, field.name, _printable(value))
+            else:
+                value[:] = [_printable(text) for text in value]
+    return status
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 class RigClient(Closing):
     """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
 
@@ -66,7 +81,7 @@ class RigClient(Closing):
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
         try:
-            return pb.Status.FromString(sample.payload.to_bytes()) if sample else None
+            return printable(pb.Status.FromString(sample.payload.to_bytes())) if sample else None
         except DecodeError:  # of another version, or of anybody else who can publish there
             return None
 

@@ -24,7 +24,7 @@ class Publisher(Closing):
     def __init__(self, key: str, rig: str, listen: list[str], credentials: Credentials | None = None) -> None:
         self.key = f"{key}/{rig}"
         self.listen = listen
-        self.failed = 0
+        self.failed = self.answered = 0
         with ExitStack() as stack:
             self._session = stack.enter_context(_open(listen, self.key, credentials))
             self._publishers = {
@@ -55,6 +55,7 @@ class Publisher(Closing):
             if query is None:
                 return
             with query:
+                self.answered += 1
                 query.reply(f"{self.key}/rig", description(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def close(self) -> None:
@@ -64,6 +65,6 @@ class Publisher(Closing):
 
 def _open(listen: list[str], key: str, credentials: Credentials | None) -> zenoh.Session:
     try:
-        return zenoh.open(server_config(listen, key, credentials))
+        return zenoh.open(server_config(listen, f"{key}/**", credentials))
     except zenoh.ZError as error:
         raise ListenError(f"cannot listen on {', '.join(listen)}: {error}") from None

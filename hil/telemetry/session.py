@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from hil.telemetry.credentials import AUTHORITY, CERTIFICATE, KEY, Credentials
+from hil.telemetry.credentials import AUTHORITY, CERTIFICATE, KEY, SIDECAR, Credentials
 
 OPEN_TIMEOUT_MS = 2000
 LARGEST_MESSAGE = 64 * 1024  # bytes that anybody may send to a sidecar; what it publishes itself may be larger
@@ -21,17 +21,39 @@ _MAY_ASK = ["declare_subscriber", "query", "declare_liveliness_subscriber", "liv
 _MAY_HEAR = ["put", "reply", "declare_queryable", "liveliness_token"]
 
 
-def server_config(listen: Sequence[str], key: str, credentials: Credentials | None = None) -> zenoh.Config:
-    """The sidecar: a router, so that any number of clients reach it. key: below which it alone publishes."""
+def server_config(listen: Sequence[str], keys: str, credentials: Credentials | None = None) -> zenoh.Config:
+    """The sidecar: a router, so that any number of clients reach it. keys: what it alone
+    publishes, a key expression."""
     config = _common(credentials)
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps(list(listen)))
     config.insert_json5("listen/exit_on_failure", "true")
-    config.insert_json5("access_control", json.dumps(access_control(f"{key}/**")))
+    config.insert_json5("access_control", json.dumps(access_control(keys)))
     config.insert_json5("transport/unicast/max_sessions", str(SESSIONS))
     config.insert_json5("transport/unicast/accept_pending", str(PENDING))
     config.insert_json5("transport/unicast/accept_timeout", str(ACCEPT_MS))
     config.insert_json5("transport/link/rx/max_message_size", str(LARGEST_MESSAGE))
+    return config
+
+
+def router_config(listen: Sequence[str], sidecar: str, credentials: Credentials) -> zenoh.Config:
+    """A router between a rig's sidecar and its monitors (deploy/zenoh/router.py): only what bears the sidecar's
+    certificate may publish through it.
+    """
+    config = server_config(listen, "**", credentials)
+    config.insert_json5("connect/endpoints", json.dumps([sidecar]))
+    config.insert_json5("connect/timeout_ms", "-1")
+    config.insert_json5("connect/exit_on_failure", "false")
+    access = access_control("**")
+    access["rules"].append(
+        {"id": "tell", "permission": "allow", "flows": ["ingress"], "messages": _MAY_HEAR, "key_exprs": ["**"]}
+    )
+    access["rules"].append(
+        {"id": "pass on", "permission": "allow", "flows": ["egress"], "messages": _MAY_ASK, "key_exprs": ["**"]}
+    )
+    access["subjects"].append({"id": "sidecar", "cert_common_names": [SIDECAR]})
+    access["policies"].append({"rules": ["tell", "pass on"], "subjects": ["sidecar"]})
+    config.insert_json5("access_control", json.dumps(access))
     return config
 
 
