@@ -16,6 +16,7 @@ import zenoh
 
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
+from hil.operate.monitor import silence
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
@@ -310,3 +311,42 @@ def test_an_endpoint_in_use_is_reported_by_name_with_its_own_exit_status(bench: 
 def test_a_client_without_a_sidecar_says_what_to_start() -> None:
     with RigClient(free_endpoint()) as client, pytest.raises(NoSidecarError, match="hil sidecar"):
         client.wait_status(0.1)
+
+
+@pytest.mark.live
+def test_a_new_sidecar_tells_no_state_before_it_has_caught_up(bench: Bench) -> None:
+    """The ring of a process that was stopped for a while holds what was, not what is."""
+    control = bench.control()
+    with RingReader(bench.runtime / "microscope" / "ring") as reader:
+        while reader.written < 5000:  # more than a sidecar reads in one round
+            assert control.poll() is None
+            time.sleep(0.05)
+        bench.sidecar()
+        with RigClient(bench.endpoint) as client:
+            first = eventually(client, lambda status: bool(status.state))
+            assert first.index > 5000
+            assert first.now_ns - first.tick_ns < 1_000_000_000
+            os.kill(control.pid, signal.SIGSTOP)
+            hung = eventually(client, lambda status: status.now_ns - status.tick_ns > 500_000_000)
+            assert hung.control_alive
+            assert "THE CONTROL PROCESS HANGS" in silence(hung, 0.0)
+            verdict = bench.command(CommandKind.STOP)
+            assert (verdict.accepted, verdict.reason) == (False, "the control process did not take it")
+            assert "s ago, nothing since" in verdict.state
+            os.kill(control.pid, signal.SIGCONT)
+            eventually(client, lambda status: status.now_ns - status.tick_ns < 100_000_000)
+
+
+@pytest.mark.live
+def test_every_request_is_in_the_recording(bench: Bench) -> None:
+    sidecar = bench.sidecar()
+    control = bench.control()
+    with RigClient(bench.endpoint) as client:
+        eventually(client, lambda status: status.recording and status.produced > 100)
+    obeyed(bench, CommandKind.ACTIVATE)
+    assert not bench.command(CommandKind.HOME).accepted
+    assert (end(control), end(sidecar)) == (0, 0)
+    entries = [pb.CommandEntry.FromString(m.data) for m in Recording(bench.out / "run.mcap") if m.topic == "commands"]
+    assert [(entry.kind, entry.accepted) for entry in entries][-2:] == [(1, True), (5, False)]
+    assert all(entry.who.startswith(f"uid {os.getuid()} (pid ") for entry in entries)
+    assert entries[-1].reason == "HOME is not possible in state ACTIVE"
