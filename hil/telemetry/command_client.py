@@ -22,6 +22,7 @@ from hil.telemetry.command_wire import LIMIT, REPLY, REQUEST, WireError, frame, 
 from hil.telemetry.credentials import SIDECAR, Credentials, identity
 
 COMMAND_LIFE_NS = 300_000_000
+_RETRY_S = 0.01
 REPLY_S = 0.9  # the gateway waits half a second for the control process
 _M = TypeVar("_M", pb.Challenge, pb.CommandReply)
 
@@ -138,7 +139,7 @@ def local_client(directory: Path) -> CommandClient:
     connection.settimeout(REPLY_S)
     handle = os.open(directory, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)  # paths of sockets must be short
     try:
-        connection.connect(f"/proc/self/fd/{handle}/{path.name}")
+        _connect(connection, f"/proc/self/fd/{handle}/{path.name}")
         _, uid = peer(connection)
         if uid not in (os.stat(directory).st_uid, 0):
             raise NoGatewayError(f"{path}: user {uid} listens there, who does not own it")
@@ -151,6 +152,20 @@ def local_client(directory: Path) -> CommandClient:
         raise
     finally:
         os.close(handle)
+
+
+def _connect(connection: socket.socket, address: str) -> None:
+    """Where more wait than the kernel keeps, a Unix socket refuses at once instead of waiting: ask again."""
+    until = time.monotonic() + REPLY_S
+    while True:
+        try:
+            connection.connect(address)
+        except BlockingIOError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(_RETRY_S)
+        else:
+            return
 
 
 def remote_client(where: str, credentials: Credentials) -> CommandClient:

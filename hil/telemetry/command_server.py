@@ -23,6 +23,7 @@ from hil.telemetry.credentials import OPERATOR, Credentials, identity
 CONNECTIONS = 64  # on each socket
 PER_ADDRESS = 16  # of them
 ACCEPTS = 64  # a round
+BACKLOG = 1024  # waiting to be accepted
 FIRST_WORD_NS = 2_000_000_000  # for TLS and a first request
 IDLE_NS = 10_000_000_000
 
@@ -214,7 +215,7 @@ def _listen_locally(path: Path) -> socket.socket:
             path.unlink()
         listening.bind(f"/proc/self/fd/{directory}/{path.name}")
         path.chmod(0o600)
-        listening.listen(ACCEPTS)
+        listening.listen(BACKLOG)
     except OSError as error:
         listening.close()
         raise OSError(error.errno, error.strerror, str(path)) from None
@@ -243,6 +244,6 @@ def _remote_listener(where: str, credentials: Credentials) -> Listener:
             return None
         return Connection(secured, f"somebody at {address}", address, secret, now_ns)
 
-    listening = socket.create_server((host.strip("[]"), int(port)), backlog=4 * ACCEPTS)
+    listening = socket.create_server((host.strip("[]"), int(port)), backlog=BACKLOG)
     listening.setblocking(False)
     return Listener(listening, admit)
