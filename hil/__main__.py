@@ -7,6 +7,10 @@ import sys
 def main() -> None:
     """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports."""
     try:
+        if len(sys.argv) == 3 and sys.argv[1] == "estop" and not sys.argv[2].startswith("-"):
+            from hil.operate.estop import stop_rig
+
+            sys.exit(stop_rig(sys.argv[2]))  # before the command line is loaded: see there
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark

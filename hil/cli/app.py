@@ -30,6 +30,9 @@ COMMANDS: dict[str, Entry] = {
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
     "explain": Entry("hil.operate.explain:explain", "What a key of the rig file means: unit, range, default"),
+    "estop": Entry(
+        "hil.operate.estop:estop", "Stop a rig now, by its name alone: needs nothing but its control process"
+    ),
     "doctor": Entry("hil.operate.doctor:doctor", "What this machine grants, and what to do about it"),
     "faults": Entry(
         "hil.studies.fault_campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"

@@ -36,7 +36,7 @@ _FIELDS = [
     ("state", "<u4"),  # hil.cycle.state_machine.State
     ("fault", "<u4"),  # hil.cycle.fault_monitor.Fault that latched, 0: none
     ("faults_active", "<u8"),  # bit f set: detector f fires in this tick
-    ("flags", "<u4"),  # bit 0 stop, 1 recorder_ok, 2 realtime_ok, 3 rig_ok, 4 sending
+    ("flags", "<u4"),  # bit 0 stop, 1 recorder_ok, 2 realtime_ok, 3 rig_ok, 4 sending, 5 estop
     ("sequence", "<u4"),
     ("task_ns", "<i8"),  # time on the task's clock; -1: no task runs
     # per axis

@@ -110,6 +110,7 @@ class RecordBuilder:
         words[3] = state | fault << 32
         words[4] = faults_active
         self._flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | sending << 4
+        self._flags |= tick.estop << 5
 
     def progress(self, sequence: int, task_ns: int) -> None:
         """Sequence number of the newest command, and time on the task's clock; after `tick`."""

@@ -28,6 +28,7 @@ from hil.live.miss_ledger import MissLedger
 from hil.live.pacing import Pacer, run_signal_handlers, sleeper
 from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
+from hil.live.stop_line import StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder
 from hil.live.watched_file import WatchedFile
@@ -59,6 +60,7 @@ class Parts(NamedTuple):
     port: Port
     ring: RingWriter
     mailbox: Mailbox
+    stop_line: StopLine
     timing: TimingRecorder
     claim: Claim
     rig_file: WatchedFile
@@ -78,7 +80,7 @@ class ControlLoop:
         self.ticks = 0
         self.parts = parts
         rig = parts.cycle.rig
-        self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
+        self._cycle, self._port, self._ring, self._mailbox, self._stop_line, self._timing, *_ = parts
         self._clock = stage_clock
         self.cpu_clock: Callable[[], int] = time.thread_time_ns
         alone = threading.active_count() == 1
@@ -99,7 +101,7 @@ class ControlLoop:
 
     def _plan_chores(self, period_ns: int) -> dict[int, Callable[[], None]]:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
-        chores = (self._tell_systemd, self._look_at_rig, self._take_stock, self._recover_bus)
+        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus)
         ticks = max(len(chores), round(interval * 1e9 / period_ns))
         return {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
 
@@ -136,6 +138,7 @@ class ControlLoop:
             self._book_miss()
         frames = port.drain(woke)
         commands = mailbox.poll()
+        estop = self._stop_line.pressed()
         if commands:
             self._before_commands(commands)
         tick = Tick(
@@ -148,6 +151,7 @@ class ControlLoop:
             recorder_ok=mailbox.recorder_ok(woke),
             realtime_ok=self._realtime_ok,
             rig_ok=self._rig_ok,
+            estop=estop,
         )
         result = self._cycle.step(tick, frames)
         if commands:
@@ -157,6 +161,8 @@ class ControlLoop:
             port.send(frame)
         sent_ns = time.monotonic_ns()
         self._ring.append(result.record)
+        if estop:
+            self._stop_line.latched(self._cycle.state.name, pacer.index)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:
             self._silent = self._recall_due = self._cycle.silent
@@ -190,9 +196,10 @@ class ControlLoop:
 
     # chores -----------------------------------------------------------------------------------------------------------
 
-    def _tell_systemd(self) -> None:
-        """Only from here: whoever hears it knows that ticks are being run."""
+    def _tell_alive(self) -> None:
+        """To systemd and on the stop page. Only from here: whoever hears it knows that ticks are being run."""
         state = self._cycle.state
+        self._stop_line.tell(state.name, self.pacer.index)
         if state is self._told:
             self.parts.notifier.send("WATCHDOG=1")
             return

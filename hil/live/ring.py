@@ -16,7 +16,6 @@ Layout: one page of header, the metadata (JSON: rig, hash, version, platform) pa
 """
 
 import contextlib
-import fcntl
 import json
 import mmap
 import os
@@ -30,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
+from hil.live.file_lock import is_locked, try_lock
 from hil.live.mapped_file import Closing, lay_out
 
 MAGIC = b"HILRING1"
 VERSION = 1
 PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
-_LOCK = struct.Struct("hhqqi0q")  # struct flock (fcntl.h)
 
 _WRITE_INDEX: Final = 128 // 8  # u64 words of the header, on cache lines of their own
 _ENDED = 192 // 8
@@ -70,20 +69,6 @@ class Batch(NamedTuple):
     records: NDArray[np.void]
     first: int
     lost: int
-
-
-def _try_lock(fd: int) -> bool:
-    """Take the writer's lock: of the open file description, so that it ends with the process, however that ends."""
-    try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
-    except (BlockingIOError, PermissionError):
-        return False
-    return True
-
-
-def _is_locked(fd: int) -> bool:
-    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
-    return bool(_LOCK.unpack(answer)[0] != fcntl.F_UNLCK)
 
 
 def previous_path(path: Path) -> Path:
@@ -170,7 +155,7 @@ def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[in
         )
         _HEADER.pack_into(ring, 0, *header)
         ring[PAGE : PAGE + len(metadata)] = metadata
-        _try_lock(fd)
+        try_lock(fd)
         _replace(path, temporary)
     except BaseException:
         os.close(fd)
@@ -191,7 +176,7 @@ def _replace(path: Path, temporary: Path) -> None:
                 return
             continue  # another writer was faster
         try:
-            if not _try_lock(old):
+            if not try_lock(old):
                 raise RingError(f"{path}: another control process is running this rig (pid {_pid(old)})")
             with contextlib.suppress(FileNotFoundError):
                 if os.stat(path).st_ino == os.fstat(old).st_ino:
@@ -281,7 +266,7 @@ class RingReader(Closing):
     @property
     def writer_alive(self) -> bool:
         """The writing process exists and has the ring open."""
-        return _is_locked(self._fd)
+        return is_locked(self._fd)
 
     @property
     def replaced(self) -> bool:

@@ -26,6 +26,7 @@ from hil.live.mailbox import Mailbox
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
 from hil.live.runtime_paths import runtime_paths
+from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
@@ -83,7 +84,7 @@ def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Ca
         return _refuse(EXIT_CONFIG, error.problems)
     except RealtimeRefusedError as error:
         return _refuse(EXIT_REALTIME, [str(error)])
-    except (PortError, RingError, RuntimeDirectoryError, OSError) as error:
+    except (PortError, RingError, RigInUseError, RuntimeDirectoryError, OSError) as error:
         return _refuse(EXIT_UNAVAILABLE, [str(error)])
 
 
@@ -120,6 +121,8 @@ def control_loop(
     except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
         raise RigError([str(error)]) from None
     with contextlib.ExitStack() as stack:
+        # Before a bus, core, priority or memory is asked for: a second control process must not disturb the first.
+        stop_line = stack.enter_context(StopLine(files.directory))
         port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
         stack.callback(port.close)
         notifier = Notifier()
@@ -135,7 +138,7 @@ def control_loop(
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
-        yield ControlLoop(Parts(cycle, port, ring, mailbox, timing, held, rig_file, notifier), stage_clock)
+        yield ControlLoop(Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier), stage_clock)
 
 
 def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:

@@ -118,7 +118,7 @@ def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair
     assert began["stage_fd"] < 100 < began["cia402"]
 
 
-def test_a_rig_that_is_never_ready_is_told_so_and_not_sailed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_that_is_never_ready_is_told_so_and_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.studies.fault_campaign.checkpoints.PATIENCE", 50)
     with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
         bring_to(rig_of("microscope", "cia402"), RIGS, READY)
