@@ -67,7 +67,7 @@ def test_a_loop_too_slow_for_its_task_is_refused() -> None:
 def tasks(draw: st.DrawFn) -> dict[str, Any]:
     """Keys and values of a rig on the paper's stage, sizes on either side of what it can do."""
     kind = draw(st.sampled_from(["circle", "lissajous", "point_to_point"]))
-    size = 10.0 ** draw(st.floats(-2.5, 0.5))
+    size = 10.0 ** draw(st.floats(-2.5, -0.2))
     sets: dict[str, Any] = {"task.kind": kind, "task.settle_s": 0.0, "task.axes": list(AXES)}
     if kind == "point_to_point":
         sets |= {
@@ -82,8 +82,8 @@ def tasks(draw: st.DrawFn) -> dict[str, Any]:
         limits = f"axes.{axis}.limits"
         travel = 10.0 ** draw(st.floats(-1.0, 0.3))
         sets[f"{limits}.position"] = [-travel, travel]
-        sets[f"{limits}.speed"] = 10.0 ** draw(st.floats(-0.5, 1.0))
-        sets[f"{limits}.force"] = draw(st.floats(3.0, 8.0))
+        sets[f"{limits}.speed"] = 10.0 ** draw(st.floats(0.0, 1.0))
+        sets[f"{limits}.force"] = draw(st.floats(4.0, 9.0))
         sets[f"{limits}.force_rate"] = 10.0 ** draw(st.floats(3.0, 4.3))
         sets[f"axes.{axis}.rated_force"] = 10.0
     sets["plant.initial_position"] = [draw(st.floats(-0.9, 0.9)) * sets[f"axes.{a}.limits.position"][1] for a in AXES]
@@ -161,7 +161,7 @@ def test_five_hundred_of_each_kind() -> None:
     verdicts = {True: 0, False: 0}
 
     @given(tasks())
-    @settings(max_examples=1500, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=1200, suppress_health_check=list(HealthCheck))
     def all_of_them(sets: dict[str, Any]) -> None:
         verdicts[judged(sets)] += 1
 
