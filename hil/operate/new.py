@@ -89,7 +89,7 @@ def _problems(sketch: Sketch, folder: Path) -> list[str]:
     from hil.control.stability import check_stability
     from hil.rig.bus_load import analyse_rig, problems
     from hil.rig.file import build_rig
-    from hil.virtual.lockstep import usable
+    from hil.virtual.sim import usable
 
     try:
         rig: RigConfig = build_rig(parse_toml(rig_text(sketch)))

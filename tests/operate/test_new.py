@@ -15,7 +15,7 @@ from hil.rig.file import load_rig
 from hil.rig.plant import plant_notes
 from hil.rig.scaffold import LAYOUTS
 from hil.rig.schema import RigError
-from hil.virtual.lockstep import simulate
+from hil.virtual.sim import simulate
 
 HIL = [sys.executable, "-m", "hil"]
 INSTALLED = [sys.executable, "-c", "import sys; sys.argv[0] = 'hil'; from hil.__main__ import main; main()"]
