@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from hil.rig.plant import plant_notes
+from hil.rig.plant_notes import plant_notes
 from hil.rig.schema import RigConfig
 
 PICTURES = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tiff", ".webp")  # by suffix, as matplotlib knows them

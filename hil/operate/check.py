@@ -17,7 +17,7 @@ from hil.cli.output import drawable, writable, write_json
 from hil.control.stability import StabilityReport, check_stability
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
 from hil.rig.file import load_rig
-from hil.rig.plant import encoder_notes
+from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
