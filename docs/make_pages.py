@@ -1,5 +1,6 @@
 """Pages of docs/ made from the tables in code: `python -m docs.make_pages`. A test holds them up to date."""
 
+import json
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -12,6 +13,7 @@ from hil.control.law_registry import LAWS, law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
+from hil.rig.reference import Table, json_schema, tables
 from hil.rig.schema import LawConfig
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FOLDER = Path(__file__).parent.parent / "docs"
+SCHEMA = FOLDER.parent / "deploy" / "rigs" / "rig.schema.json"
 REACTION_TEXT = {
     Reaction.COUNT: "R0 count",
     Reaction.BRIDGE: "R1 bridge on the prediction, at most 2 ticks",
@@ -138,6 +141,36 @@ def laws_page() -> str:
     return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
 
 
+def rig_file_page() -> str:
+    """docs/rig-file.md."""
+    lines = [
+        "# The rig file",
+        "",
+        "Made from the schema (`hil/rig/schema.py`) by `make docs`. `hil explain KEY` prints the same for one key; "
+        "editors that know JSON schemas complete and check rig files by `deploy/rigs/rig.schema.json`. NAME stands for "
+        "an axis' name. Units are SI; where an axis is rotary, the unit in brackets holds. A key that is not required "
+        "has its default; where that is another key, it is that key's value.",
+    ]
+    alike: dict[tuple[str, ...], list[Table]] = defaultdict(list)
+    for table in tables():  # the signals of [bus.dbc] are all of one kind
+        alike[table.description, *(key.path.rpartition(".")[2] for key in table.keys)].append(table)
+    for group in alike.values():
+        lines += ["", f"## {', '.join(f'`[{table.path}]`' for table in group if table.path) or 'The file'}", ""]
+        lines += [group[0].description.partition("]: ")[2] or group[0].description, ""]
+        lines += ["| key | type | unit | allowed | default | meaning |", "|---|---|---|---|---|---|"]
+        for key in group[0].keys:
+            allowed, meaning = (text.replace("|", "\\|") for text in (key.allowed, key.description))
+            lines.append(
+                f"| `{key.path.rpartition('.')[2]}` | {key.kind} | {key.unit} | {allowed} | {key.default} | {meaning} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def rig_schema() -> str:
+    """deploy/rigs/rig.schema.json."""
+    return json.dumps(json_schema(), indent=1) + "\n"
+
+
 def states_picture(path: Path) -> None:
     """The table as a drawing (SVG)."""
     import matplotlib
@@ -177,6 +210,8 @@ def main() -> None:
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
+    (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
+    SCHEMA.write_text(rig_schema(), encoding="utf-8")
     states_picture(folder / "states.svg")
 
 

@@ -1,1 +1,14 @@
-"""The CAN side of the rig: buses, frame layouts, a simulated wire, schedulability. Usable without hil."""
+"""CAN for the control service: buses, frame layouts, bus-load analysis, and a simulated segment.
+
+Knows nothing of `hil` and `sim_plant`. Inside, imports run one way only; from the top:
+
+    wire             the simulated segment in virtual time; ports on it count what real ones count
+    bus_load         schedulability: needs to know what messages a layout sends
+    protocols        frame layouts: bytes to values and back, no I/O
+    bus              real buses: SocketCAN and the local bus behind one Port
+    config           what a rig file says of the bus
+    frame_length, arbitration      facts of ISO 11898-1 about one frame
+    runtime, toml_file, frame      the runtime directory, configuration files, and the frame itself
+
+A module may import from its own line and from those below, never from above.
+"""

@@ -3,9 +3,6 @@
 import struct
 from typing import Final, NamedTuple
 
-# What a NamedTuple's constructor ends in, without its detour through Python: for the innermost loops.
-new_tuple: Final = tuple.__new__
-
 EXTENDED: Final = 0x80000000  # CAN_EFF_FLAG, in can_id
 REMOTE: Final = 0x40000000  # CAN_RTR_FLAG, in can_id
 ERROR: Final = 0x20000000  # CAN_ERR_FLAG, in can_id: an error message frame, not traffic
@@ -36,23 +33,12 @@ class Frame(NamedTuple):
 
 
 CAN_MTU = 16  # sizeof(struct can_frame)
-
-
 CANFD_MTU = 72  # sizeof(struct canfd_frame)
 
-
 _CLASSIC = struct.Struct("=IB3x8s")  # can_id, len, padding and len8_dlc, data
-
-
 _FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
-
-
 _pack_classic: Final = _CLASSIC.pack
-
-
 _pack_fd: Final = _FD.pack
-
-
 _FD_LENGTHS: Final = frozenset(FD_LENGTHS)
 
 

@@ -19,6 +19,10 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
+
+from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
+
 WORK = ROOT / "build" / "compiled"
 PACKAGES = ("hil", "drivers", "sim_plant")
 LINKED = ("tests", "deploy", "docs")
@@ -48,10 +52,10 @@ OTHERS = """
 hil/control/trajectories: base displaced figures minimum_jerk segments
 hil/cycle: record
 hil/live: mailbox ring
-drivers: frame frame_length
-drivers/bus: port counters local_medium receive_block socketcan
+drivers: arbitration frame frame_length
+drivers/bus: port counters local_link local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
-drivers/wire: wire node
+drivers/wire: node segment wire
 sim_plant: emulator
 sim_plant/drives: servo
 sim_plant/physics: axis_floats exact_trigonometry
@@ -136,6 +140,14 @@ def instantiate() -> None:
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
 
 
+def make_tuples_directly() -> None:
+    """Spare the modules to compile the constructors of NamedTuples (named_tuples.py says why)."""
+    known = find_named_tuples(WORK, PACKAGES)
+    for name in modules():
+        path = WORK / name
+        path.write_text(rewrite(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
+
+
 def change(path: Path, pattern: str, text: str) -> None:
     """Replace what a pattern finds in a file. Exits where it finds nothing, so that no build is quietly another."""
     changed, times = re.subn(pattern, text, path.read_text(), flags=re.MULTILINE)
@@ -192,6 +204,7 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
+    make_tuples_directly()
     compile_modules()
     make_environment(directory)
     environment = {**os.environ, "PYTHONSAFEPATH": "1"}

@@ -16,7 +16,8 @@ import can
 from can.bus import BusABC, CanProtocol
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
-from drivers.bus.local_medium import LocalMedium, channels
+from drivers.bus.local_channel import channels
+from drivers.bus.local_medium import LocalMedium
 from drivers.bus.recvmmsg import SO_TIMESTAMPNS
 from drivers.frame import (
     BRS,
@@ -87,7 +88,7 @@ class LocalBus(BusABC):
                 return None, False
 
     def _read(self, fd: int) -> can.Message | None:
-        """One message from one member; None for its greeting, its leaving, and FD frames that are not wanted."""
+        """One message from one member; None for its handshake, its leaving, and FD frames that are not wanted."""
         link = self._medium.link(fd)
         if link is None:
             return None

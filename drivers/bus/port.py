@@ -1,7 +1,16 @@
 """The control loop's access to a CAN bus: one Port, the same for SocketCAN and for the local bus.
 
-Everything a bus can do to a control loop shows up in a counter or in the state, and nothing here ever waits or
-retries: a torque that could not be sent in its tick is worth nothing in the next.
+Rules. Everything a bus can do to a control loop shows up in a counter or in the state. Nothing here waits or retries: a
+torque that could not be sent in its tick is worth nothing in the next. Once a port is open, nothing the bus does raises
+an exception.
+
+Theory of operation. A Port sits on a Medium: one CAN socket, or the links of a local bus, which carry the same bytes.
+`drain` empties every socket of it, once per tick, with one system call for up to 32 frames (receive_block.py): the fast
+path, for a tick in which all frames are alike. Anything else (an error frame, an echo, an odd length, a count of lost
+frames, a full block) takes the slow path, which looks at each message by itself. Of what has arrived, the newest
+`receive_limit` frames are returned, so that a flood cannot delay a tick. The kernel stamps frames with the wall clock;
+`drain` converts to the monotonic clock and keeps each stamp between the previous drain and the present one, so that
+setting the wall clock cannot move a sample in time. `send` hands a frame to the kernel or refuses it, at once.
 """
 
 import errno
@@ -22,7 +31,7 @@ from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import BusConfig
-from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, new_tuple, to_bytes
+from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, to_bytes
 from drivers.runtime import RuntimeDirectoryError
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
@@ -39,10 +48,9 @@ _PACKET = struct.Struct("=IBBH64s")
 _, _, _REFUSED, _OVERFLOW, _DISCARDED, _ERRORS, _NO_ACK, _BUS_OFF, _RESTARTED, _DOWN, _ECHO, _STATE = range(
     len(PortCounters._fields)
 )
-# Used in every tick: compiled code looks a name up at every use, unless it is Final.
+# Used in every tick; compiled code reads a Final faster than a global.
 _RECEIVED: Final[int] = PortCounters._fields.index("received")
 _SENT: Final[int] = PortCounters._fields.index("sent")
-_COUNTERS: Final = PortCounters
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
 
@@ -75,11 +83,11 @@ class Medium(Protocol):
         """Drop what waits to be sent; False where something may still wait."""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Leave the bus."""
 
 
 class Port:
-    """A place on a CAN bus, for one thread. Once it is open, nothing the bus does raises an exception."""
+    """One member of a CAN bus, for use by one thread."""
 
     def __init__(
         self, open_medium: Callable[[], Medium], *, fd: bool, receive_limit: int, echo_id: int | None = None
@@ -144,7 +152,7 @@ class Port:
         return self._sort_out(fd, offset_ns, earliest_ns) if frames is None else frames
 
     def _sort_out(self, fd: int, offset_ns: int, earliest_ns: int) -> list[Frame]:
-        """The long way: what the block holds, message by message, and then whatever else the socket has."""
+        """The slow path: what the block holds, message by message, and then whatever else the socket has."""
         block, frames = self._block, list[Frame]()
         for _ in range(_READS_PER_DRAIN):
             if not self._take(fd, offset_ns, earliest_ns, frames) or 0 < block.count < SLOTS:
@@ -169,7 +177,7 @@ class Port:
                 self._note_dropped(dropped)
             classic = size == CAN_MTU
             if not (classic or size == self._size) or length > size - _HEADER:
-                self._note_stranger(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
+                self._note_unknown_frame(fd, _PACKET.pack(can_id, length, flags, rest, data)[:size])
             elif can_id & ERROR:
                 self._note_error(can_id, data[:length])
             elif message_flags & _OWN_ECHO and can_id != self._echo_id:
@@ -182,7 +190,7 @@ class Port:
                 if message_flags & _OWN_ECHO:
                     self._counts[_ECHO] += 1
                     kind |= ECHO
-                frames.append(new_tuple(Frame, (can_id, data[:length], kind, stamp_ns)))
+                frames.append(Frame(can_id, data[:length], kind, stamp_ns))
                 if first and size == self._size:
                     block.expect(length, flags)
                 first = False
@@ -204,8 +212,8 @@ class Port:
         self._counts[_OVERFLOW] += (dropped - self._dropped) & _UNSIGNED_32
         self._dropped = dropped
 
-    def _note_stranger(self, fd: int, packet: bytes) -> None:
-        """Something that is no frame to this port: the medium's own, or what a classic controller cannot read."""
+    def _note_unknown_frame(self, fd: int, packet: bytes) -> None:
+        """A packet that is no frame to this port: the medium's own, or what a classic controller cannot read."""
         if not self._medium.service(fd, packet):
             self._counts[_ERRORS] += 1
 
@@ -241,7 +249,7 @@ class Port:
 
     def counters(self) -> PortCounters:
         """Everything counted since the port was opened, and the bus' state."""
-        return new_tuple(_COUNTERS, self._counts)  # once a tick: half a microsecond less than naming them all
+        return PortCounters._make(self._counts)
 
     def rebind(self) -> bool:
         """Open the bus anew, after it went down or its adapter was unplugged; True when it can be used again.
@@ -272,9 +280,9 @@ class Port:
 
 
 class EchoingPort(Port):
-    """A Port on a medium that gives nobody his own frames back: the clock of the sender stamps their echoes.
+    """A Port on a medium that does not return a sender's own frames: it makes the echoes itself, with its own clock.
 
-    On the local bus, where no wire takes time, a frame is out when it has been sent.
+    On the local bus transmission takes no time, so a frame is out when it has been sent.
     """
 
     def _use(self, medium: Medium) -> None:

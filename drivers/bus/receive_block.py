@@ -1,4 +1,4 @@
-"""The frames among the messages that recvmmsg(2) has brought.
+"""The frames among the messages that recvmmsg(2) has received.
 
 Works for SocketCAN and for the AF_UNIX links of the local bus alike: both deliver `struct can_frame` (16 B) or
 `struct canfd_frame` (72 B).
@@ -19,7 +19,7 @@ from drivers.bus.recvmmsg import (
     failed,
     recvmmsg,
 )
-from drivers.frame import CANFD_MTU, ECHO, ERROR, FD, FD_LENGTHS, Frame, new_tuple
+from drivers.frame import CANFD_MTU, ECHO, ERROR, FD, FD_LENGTHS, Frame
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]
@@ -49,18 +49,17 @@ _ORDINARY = {
 }
 
 _SECOND: Final = 1_000_000_000
-_FRAME: Final = Frame  # compiled code looks a class up by its name at every use, unless the name is Final
 
 
 class ReceiveBlock:
-    """What one call has brought, at most SLOTS messages; reused by every call.
+    """What one system call received, at most SLOTS messages; reused by every call.
 
-    `frames` is the short way, for what almost every tick brings: frames of one length with nothing to tell but their
-    data. Anything else is left to the long way, message by message: `results` and `contents`.
+    `frames` is the fast path, for what almost every tick receives: frames of one length that carry nothing besides
+    their data. Everything else takes the slow path, message by message: `results` and `contents`.
     """
 
     def __init__(self, size: int) -> None:
-        """size: of the messages that the short way is for, CAN_MTU or CANFD_MTU."""
+        """size: of the messages that the fast path is for, CAN_MTU or CANFD_MTU."""
         self._mark = FD if size == CANFD_MTU else 0
         self.count = 0  # messages received last
         self._memory = memory = MessageMemory(CANFD_MTU, size)  # kept: `address` leads to all of it
@@ -75,7 +74,7 @@ class ReceiveBlock:
         self.expect(0, 0)
 
     def expect(self, length: int, flags: int) -> None:
-        """The short way is for frames of `length` data bytes with these raw flags, from now on."""
+        """From now on the fast path is for frames of `length` data bytes with these raw flags."""
         unpack = _ORDINARY.get(length)
         if unpack is not None:
             self._unpack: Callable[[memoryview], Iterator[Ordinary]] = unpack
@@ -92,10 +91,10 @@ class ReceiveBlock:
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
 
-        None where any of the `count` messages is out of the ordinary: of another size, length or flags than expected,
-        an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present second, a
-        count of dropped frames with it; or SLOTS of them, as there may be more. They are then to be had from `results`
-        and `contents`.
+        None where the fast path is not for any of the `count` messages: of another size, length or flags than
+        expected, an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present
+        second, a count of dropped frames with it; or SLOTS of them, as there may be more. Read them from `results` and
+        `contents` then.
         Raises OSError as `receive` does.
         """
         count = self.receive(fd)
@@ -109,11 +108,10 @@ class ReceiveBlock:
         first = last - (latest_ns - earliest_ns)
         base_ns = latest_ns - last
         frames: list[Frame] = []
-        # Local names, as this is the innermost loop.
-        expected, flags, kind = self._head, self._flags, _FRAME
+        expected, flags = self._head, self._flags
         for can_id, head, data, ns in self._unpack(slots):
             if head == expected and first <= ns <= last and (can_id < ERROR or not can_id & ERROR):
-                frames.append(new_tuple(kind, (can_id, data, flags, base_ns + ns)))
+                frames.append(Frame(can_id, data, flags, base_ns + ns))
         if len(frames) != count:
             return None
         used[:] = fresh

@@ -7,11 +7,11 @@ layouts.
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
+from drivers.arbitration import arbitration_key
 from drivers.bus_load.response_time import UNBOUNDED, Bus, ErrorModel, Item, solve
 from drivers.frame import EXTENDED
 from drivers.frame_length import worst_case_bits
 from drivers.protocols.base import Message
-from drivers.wire.node import arbitration_key
 
 NO_ERRORS = ErrorModel()
 MOST_FAULTS = 100  # further than that nobody wants to know

@@ -1,6 +1,6 @@
 """`protocol = "dbc:<file>"`: drives that some other DBC file describes, bound to the rig by message and signal name.
 
-What the binding (drivers.config.DbcBinding) means:
+Rules. What the binding (drivers.config.DbcBinding) means:
 - position: one signal per axis, each in a message of its own (a frame gives one sample). counts = physical * scale.
 - torque: one signal per axis, in any messages. N (N m) = physical * scale; it has to reach the rated force.
 - enable: one signal per axis; or one for all, of a bit per axis, or of one bit (set while any axis is enabled). Without
@@ -10,119 +10,28 @@ What the binding (drivers.config.DbcBinding) means:
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
 - checksum: any bound message's 8-bit checksum over its other bytes.
-All command messages are sent every tick, the one with the highest identifier last: its reception is the SYNC.
+
+Theory of operation. The file is read once, before a bus is opened: dbc_binding.py finds the bound signals, and
+dbc_codec.py compiles each message to shifts and masks on raw values. All command messages are sent every tick, the one
+with the highest identifier last: its reception triggers the drives, as SYNC does. Frames of a DBC carry no sampling
+time, so sampling_clock.py estimates it.
 """
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from cantools.database.can import Database
-from cantools.database.can import Message as DbcMessage
-
+from drivers.arbitration import arbitration_key
 from drivers.config import BusConfig, DbcBinding, SignalBinding
-from drivers.frame import BRS, ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, FD_LENGTHS, REMOTE, Frame
+from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
-from drivers.protocols.checksum import ALGORITHMS
-from drivers.protocols.dbc_codec import Codec, LayoutError, compile_codec, load_dbc
+from drivers.protocols.dbc_binding import Bound, bind_messages, bound_items, check_binding
+from drivers.protocols.dbc_codec import LayoutError, load_dbc
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
 PREFIX = "dbc:"
 ENABLED = int(DriveStatus.ENABLED)
-
-
-class Place(NamedTuple):
-    """A bound signal: place among its message's values; counts or N = raw * gain + offset; raw range; is_float."""
-
-    at: int
-    gain: float
-    offset: float
-    low: float
-    high: float
-    is_float: bool
-    bits: int
-
-    def value(self, raw: Any) -> float:
-        """Counts or N of a raw value."""
-        return float(raw * self.gain + self.offset)
-
-    def raw(self, value: float) -> Any:
-        """Raw value nearest to counts or N, within the signal's range."""
-        raw = (value - self.offset) / self.gain
-        return max(self.low, min(self.high, raw if self.is_float else round(raw)))
-
-
-class BoundMessage:
-    """One message of the file that the rig uses.
-
-    checksum_at: byte of its checksum, or -1. Signals that are not bound are sent as zero and not looked at.
-    """
-
-    def __init__(self, message: DbcMessage, algorithm: str) -> None:
-        self.name = str(message.name)
-        self.can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        self.fd = bool(message.is_fd)
-        self.codec: Codec = compile_codec(message)
-        self.length = self.codec.length
-        if self.length not in FD_LENGTHS or (self.length > 8 and not self.fd):
-            raise LayoutError(
-                f"message {self.name} has {self.length} bytes, which no {'FD' if self.fd else 'classic'} frame has"
-            )
-        self._signals = {str(signal.name): signal for signal in message.signals}
-        self._checksum = ALGORITHMS[algorithm]
-        self.checksum_at = -1
-
-    def place(self, binding: SignalBinding) -> Place:
-        """Where a signal is and how it scales."""
-        signal = self._signals[binding.signal]
-        gain, offset = float(signal.scale) * binding.scale, float(signal.offset) * binding.scale
-        sign = 1 << (signal.length - 1) if signal.is_signed else 0
-        low, high = -sign, (1 << signal.length) - 1 - sign
-        if signal.is_float:
-            return Place(self.codec.names.index(binding.signal), gain, offset, -3.4e38, 3.4e38, True, signal.length)
-        return Place(self.codec.names.index(binding.signal), gain, offset, low, high, False, signal.length)
-
-    def whole(self, key: str, binding: SignalBinding) -> None:
-        """Raise LayoutError unless the signal is an unsigned integer: bits or a counter."""
-        signal = self._signals[binding.signal]
-        if signal.is_float or signal.is_signed:
-            raise LayoutError(f"{key}: {self.name}.{binding.signal} is not an unsigned integer")
-
-    def protect(self, binding: SignalBinding) -> None:
-        """Use the signal as the message's checksum."""
-        signal = self._signals[binding.signal]
-        if signal.length != 8 or signal.start % 8 not in (0, 7):
-            raise LayoutError(f"bus.dbc.checksum: {self.name}.{binding.signal} is not one whole byte")
-        self.checksum_at = signal.start // 8
-
-    def fits(self, frame: Frame) -> Reject | None:
-        """Why a frame with this identifier cannot be unpacked, or None."""
-        if bool(frame.flags & FD) != self.fd:
-            return Reject.WRONG_FORMAT
-        if len(frame.data) != self.length:
-            return Reject.WRONG_LENGTH
-        at = self.checksum_at
-        if at >= 0 and self._checksum(frame.data[:at] + frame.data[at + 1 :]) != frame.data[at]:
-            return Reject.BAD_CHECKSUM
-        return None
-
-    def frame(self, values: Sequence[Any]) -> Frame:
-        """Frame of raw values, checksum filled in."""
-        data = self.codec.pack(*values)
-        at = self.checksum_at
-        if at >= 0:
-            head, tail = data[:at], data[at + 1 :]
-            data = head + bytes((self._checksum(head + tail),)) + tail
-        return Frame(self.can_id, data, FD | BRS if self.fd else 0)
-
-
-class _Bound(NamedTuple):
-    """A binding resolved: its message and the place in it."""
-
-    message: BoundMessage
-    place: Place
 
 
 class DbcLayout:
@@ -135,11 +44,11 @@ class DbcLayout:
         if binding is None:
             raise LayoutError(f"bus.protocol = {bus.protocol!r} needs a table [bus.dbc] that binds its signals")
         path = base_dir / bus.protocol.removeprefix(PREFIX)
-        _check_binding(binding, n_axes)
+        check_binding(binding, n_axes)
         self.n_axes = n_axes
         self._rated = list(rated_force)
-        self._messages = _bind_messages(load_dbc(path), binding, path.name)
-        for key, item in _items(binding):
+        self._messages = bind_messages(load_dbc(path), binding, path.name)
+        for key, item in bound_items(binding):
             if not key.startswith(("bus.dbc.position", "bus.dbc.torque")):
                 self._messages[item.message].whole(key, item)
         for checksum in binding.checksum:
@@ -153,15 +62,15 @@ class DbcLayout:
         self._counters = [self._bound(item) for item in binding.command_counter]
         self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
         commands = [bound.message for bound in [*self._torque, *self._enable, *self._reset, *self._counters]]
-        self._commands = sorted(dict.fromkeys(commands), key=lambda message: _arbitration(message.can_id))
+        self._commands = sorted(dict.fromkeys(commands), key=lambda message: arbitration_key(message.can_id))
         self._feedback = [bound.message for bound in self._position]
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
         self._check_places(binding, path.name)
 
-    def _bound(self, binding: SignalBinding) -> _Bound:
+    def _bound(self, binding: SignalBinding) -> Bound:
         message = self._messages[binding.message]
-        return _Bound(message, message.place(binding))
+        return Bound(message, message.place(binding))
 
     def _check_places(self, binding: DbcBinding, file: str) -> None:
         """Feedback signals of one axis share a message; each axis has its own; counters echo; torques reach."""
@@ -213,7 +122,7 @@ class DbcHost(DbcLayout):
         self._enabled = 0
 
     def decode(self, frame: Frame) -> Sample | Reject:
-        """Sample of a feedback message; its stamp is an estimate (sampling.py)."""
+        """Sample of a feedback message; its stamp is an estimate (sampling_clock.py)."""
         axis = self._axis.get(frame.can_id)
         if axis is None:
             if frame.flags & ECHO:
@@ -287,7 +196,7 @@ class DbcDevice(DbcLayout):
         return self._assemble(received)
 
     def _assemble(self, received: dict[int, Sequence[Any]]) -> Command | Reject:
-        def raw(bound: _Bound) -> Any:
+        def raw(bound: Bound) -> Any:
             return received[bound.message.can_id][bound.place.at]
 
         force = [bound.place.value(raw(bound)) for bound in self._torque]
@@ -326,14 +235,6 @@ class DbcDevice(DbcLayout):
         return message.frame(values)
 
 
-def _arbitration(can_id: int) -> tuple[int, int]:
-    """Sorts identifiers as arbitration does: base identifier first, standard before extended."""
-    if can_id & EXTENDED:
-        identifier = can_id & EXTENDED_MASK
-        return identifier >> 18, 1 + (identifier & 0x3FFFF)
-    return can_id, 0
-
-
 def _reject_id(can_id: int, known: Any, own: Any) -> Reject:
     """Why a frame whose identifier is none that is listened to carries nothing."""
     if can_id & ERROR:
@@ -341,64 +242,3 @@ def _reject_id(can_id: int, known: Any, own: Any) -> Reject:
     if can_id & REMOTE:
         return Reject.WRONG_FORMAT if can_id & ~REMOTE in known else Reject.UNKNOWN_ID
     return Reject.OWN_ECHO if can_id in own else Reject.UNKNOWN_ID
-
-
-def _check_binding(binding: DbcBinding, n_axes: int) -> None:
-    """Lists have one entry per axis; counters come in pairs."""
-    for key in ("position", "torque"):
-        count = len(getattr(binding, key))
-        if count != n_axes:
-            raise LayoutError(f"bus.dbc.{key} has {count} signals for {n_axes} axes")
-    for key in ("status", "feedback_counter"):
-        count = len(getattr(binding, key))
-        if count not in (0, n_axes):
-            raise LayoutError(f"bus.dbc.{key} has {count} signals for {n_axes} axes; it may also be left out")
-    if len(binding.enable) not in (0, 1, n_axes):
-        raise LayoutError(
-            f"bus.dbc.enable has {len(binding.enable)} signals for {n_axes} axes; it may also have one or none"
-        )
-    if bool(binding.feedback_counter) != bool(binding.command_counter):
-        raise LayoutError("bus.dbc: feedback_counter echoes command_counter; bind both or neither")
-
-
-def _bind_messages(database: Database, binding: DbcBinding, file: str) -> dict[str, BoundMessage]:
-    """Every message the binding names. Raises LayoutError with every name that is not in the file, and the nearest."""
-    problems: list[str] = []
-    messages: dict[str, BoundMessage] = {}
-    for key, item in _items(binding):
-        try:
-            message = database.get_message_by_name(item.message)
-        except KeyError:
-            problems.append(
-                f"{key}: {file} has no message {item.message!r}{_nearest(item.message, database.messages, '')}"
-            )
-            continue
-        if item.signal not in [signal.name for signal in message.signals]:
-            problems.append(
-                f"{key}: message {item.message} has no signal {item.signal!r}"
-                f"{_nearest(item.signal, message.signals, item.message + '.')}"
-            )
-        elif message.is_multiplexed():
-            problems.append(f"{key}: message {item.message} is multiplexed, which is not supported")
-        elif item.message not in messages:
-            messages[item.message] = BoundMessage(message, binding.checksum_algorithm)
-    if problems:
-        raise LayoutError("; ".join(problems))
-    return messages
-
-
-def _items(binding: DbcBinding) -> list[tuple[str, SignalBinding]]:
-    items: list[tuple[str, SignalBinding]] = []
-    for key in ("position", "torque", "status", "enable", "reset", "command_counter", "feedback_counter", "checksum"):
-        items += [(f"bus.dbc.{key}[{at}]", item) for at, item in enumerate(getattr(binding, key))]
-    return items
-
-
-def _nearest(name: str, candidates: Sequence[Any], prefix: str) -> str:
-    """'; did you mean ...?' with the nearest names, in any case; all of them where none is near."""
-    names = [str(candidate.name) for candidate in candidates]
-    lower = {candidate.lower(): candidate for candidate in reversed(names)}
-    near = [lower[match] for match in get_close_matches(name.lower(), lower, n=3, cutoff=0.5)]
-    if near:
-        return f"; did you mean {' or '.join(prefix + candidate for candidate in near)}?"
-    return f"; it has {', '.join(names[:8])}" + (", ..." if len(names) > 8 else "")

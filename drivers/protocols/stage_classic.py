@@ -83,7 +83,7 @@ class StageClassicHost(_Layout):
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
-        sequence, force, enable, reset = command[:]  # a true tuple is unpacked quicker
+        sequence, force, enable, reset = command
         check_force(force, self._rated)
         torque, can_id = [], self._command_id
         for axis, rated in enumerate(self._rated):

@@ -7,7 +7,7 @@ from typing import Final
 from zlib import crc32 as _crc32
 
 from drivers.config import BusConfig
-from drivers.frame import BRS, FD, Frame, new_tuple
+from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Command, Message, Reject, Sample
 from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
 from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
@@ -27,7 +27,6 @@ RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it,
 _WRAP: Final = 1 << 32  # sample_time, ns
 _HALF: Final = 1 << 31
 crc32: Final = _crc32
-_FRAME: Final = Frame  # compiled code looks a class up by its name at every use, unless the name is Final
 _SINGLE = Struct("<f")
 
 
@@ -96,7 +95,7 @@ class StageFdHost(_Layout):
         flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
         data = self._pack_command(a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
         data += crc32(data, self._command_id).to_bytes(4, "little")
-        return [new_tuple(_FRAME, (self._command_id, data, FD | BRS, 0))]
+        return [Frame(self._command_id, data, FD | BRS)]
 
     def messages(self, period_ns: int) -> list[Message]:
         """One command, then one feedback per axis."""
@@ -132,4 +131,4 @@ class StageFdDevice(_Layout):
         position, stamp = (sample.position + _HALF) % _WRAP - _HALF, sample.stamp_ns % _WRAP
         data = self._feedback.pack(position, stamp, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0)
         data = data[:FEEDBACK_CHECKED]
-        return new_tuple(Frame, (can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS, 0))
+        return Frame(can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS)

@@ -1,33 +1,33 @@
-"""Error frames, error counters and bus-off on the simulated CAN segment (ISO 11898-1:2015, 10.11 and 12.1.4)."""
+"""Error frames, error counters and bus-off on the simulated CAN segment (ISO 11898-1:2015, 10.11 and 12.1.4).
 
-from typing import TYPE_CHECKING
+Rules: a transmit error adds 8 to the sender's TEC, a receive error 1 to each receiver's REC, a success takes 1 from
+both. Above 127 a node is error-passive and lets the others go first; above 255 its TEC takes it off the bus, and it
+stays there until it is restarted (`WireNode.restart`).
+"""
 
 from drivers.frame_length import INTERMISSION
-from drivers.wire.node import BUS_OFF_LIMIT, PASSIVE_LIMIT, WireNode
-
-if TYPE_CHECKING:
-    from drivers.wire.wire import Wire
+from drivers.wire.node import BUS_OFF_LIMIT, FRAME, PASSIVE_LIMIT, WireNode, topology_changed
+from drivers.wire.segment import Segment
 
 # bits at the nominal rate
 ERROR_FRAME = 12 + 8  # the flag of the first node to see the error, the echo of the others behind it, the delimiter
 UNACKNOWLEDGED = 6 + 8 - 8  # flag and delimiter, in place of the frame's own ACK delimiter and EOF
 SUSPEND = 8  # an error-passive sender waits so much longer than the intermission
-RECOVERY = 128 * 11
 
 
 class Confinement:
-    """Keeps the error counters of a wire's nodes. healthy: all of them are zero, so nothing has to be counted down."""
+    """Keeps the error counters of a segment's nodes. healthy: all of them are zero: there is nothing to count down."""
 
-    def __init__(self, wire: "Wire") -> None:
+    def __init__(self, segment: Segment[WireNode]) -> None:
         self.healthy = True
-        self._wire = wire
+        self._segment = segment
 
     def failed(self, sender: WireNode) -> None:
         """A bit error seen by all nodes; its error frame has ended, and the sender will try again."""
-        wire = self._wire
-        senders = wire.collision or (sender,)
-        wire.collision = ()
-        wire.abandon()
+        segment = self._segment
+        senders = segment.collision or (sender,)
+        segment.collision = ()
+        self._abandon()
         self._count_receive_error(senders)
         for node in senders:
             node.errors += 1
@@ -35,17 +35,17 @@ class Confinement:
 
     def failed_in_last_bit(self, sender: WireNode) -> None:
         """The receivers have taken the frame, but its sender saw an error in the last bit of EOF and will repeat it."""
-        wire = self._wire
-        error_frame_ns = wire.nominal_ns[ERROR_FRAME]
-        wire.free_ns += error_frame_ns
-        wire.busy_ns += error_frame_ns
+        segment = self._segment
+        error_frame_ns = segment.nominal_ns[ERROR_FRAME]
+        segment.free_ns += error_frame_ns
+        segment.busy_ns += error_frame_ns
         sender.repeating = True
         sender.errors += 1
         self._count_transmit_error(sender)
 
     def not_acknowledged(self, sender: WireNode) -> None:
         """Nobody else is on the bus. The sender tries again, for ever."""
-        self._wire.abandon(self._wire.nominal_ns[UNACKNOWLEDGED])
+        self._abandon(self._segment.nominal_ns[UNACKNOWLEDGED])
         self.count_missing_acknowledgement(sender)
         if sender.tec > PASSIVE_LIMIT:
             self._suspend(sender)
@@ -61,7 +61,7 @@ class Confinement:
     def attempt_alone_ns(self, node: WireNode, duration_ns: int) -> int:
         """Time from one attempt to the next of a node that nobody hears."""
         suspended = SUSPEND if node.tec > PASSIVE_LIMIT else 0
-        return duration_ns + self._wire.nominal_ns[UNACKNOWLEDGED + INTERMISSION + suspended]
+        return duration_ns + self._segment.nominal_ns[UNACKNOWLEDGED + INTERMISSION + suspended]
 
     def succeeded(self, sender: WireNode) -> None:
         """A frame went through: its sender's TEC and every receiver's REC go down by one."""
@@ -69,7 +69,7 @@ class Confinement:
         if sender.tec > PASSIVE_LIMIT:
             self._suspend(sender)
         healthy = True
-        for node in self._wire.nodes.values():
+        for node in self._segment.nodes.values():
             if node is not sender and node.listening and node.rec:
                 node.rec -= 1
             healthy = healthy and not node.tec and not node.rec
@@ -88,45 +88,32 @@ class Confinement:
         self.cut_short(node)
         node.queue.clear()
         node.repeating = False
-        if node in self._wire.waiting:
-            self._wire.waiting.remove(node)
-        self._wire.topology_changed()
+        if node in self._segment.waiting:
+            self._segment.waiting.remove(node)
+        topology_changed(self._segment)
 
     def cut_short(self, node: WireNode) -> None:
         """If the node is sending: it falls silent within its frame, and the others answer the stuff error."""
-        wire = self._wire
-        if wire.sender is node:
-            wire.collision = ()
-            wire.abandon(wire.nominal_ns[ERROR_FRAME])
+        segment = self._segment
+        if segment.sender is node:
+            segment.collision = ()
+            self._abandon(segment.nominal_ns[ERROR_FRAME])
             self._count_receive_error((node,))
 
-    def restart(self, node: WireNode, at_ns: int) -> None:
-        """Begin the recovery from bus-off: 128 times 11 recessive bits."""
-        if node.is_bus_off:
-            self._wire.at(at_ns, self._recover, node, RECOVERY * self._wire.nominal_ns[1])
-
-    def _recover(self, node: WireNode, idle_wanted_ns: int) -> None:
-        """Wait until the bus was idle for so long. (The recessive ends of frames count, too, in a real controller: on a
-        busy bus it may be back earlier.)"""
-        wire = self._wire
-        if idle_wanted_ns > 0:
-            # The frame on the wire enters busy_ns only at its end, so what is left of it is waited for here.
-            busy_before_ns = wire.busy_ns
-            wait_until_ns = max(wire.now_ns, wire.free_ns) + idle_wanted_ns
-            wire.at(wait_until_ns, self._check_idle, node, busy_before_ns)
-        elif node.is_bus_off:
-            node.is_bus_off = False
-            node.tec = node.rec = 0
-            node.restarted += 1
-            node.ready_ns = wire.now_ns
-            wire.topology_changed()
-
-    def _check_idle(self, node: WireNode, busy_before_ns: int) -> None:
-        self._recover(node, self._wire.busy_ns - busy_before_ns)
+    def _abandon(self, error_frame_ns: int = 0) -> None:
+        """The frame on the wire ends without success; the bus is free after that error frame and an intermission."""
+        segment = self._segment
+        sender = segment.sender
+        assert sender is not None
+        segment.free_ns = segment.now_ns + error_frame_ns + segment.nominal_ns[INTERMISSION]
+        segment.busy_ns += segment.free_ns - segment.start_ns
+        segment.sender = segment.fate = None
+        if segment.observer is not None:
+            segment.observer(segment.start_ns, segment.now_ns, sender.name, sender.queue[0][FRAME], False)
 
     def _count_receive_error(self, senders: tuple[WireNode, ...]) -> None:
         self.healthy = False
-        for node in self._wire.nodes.values():
+        for node in self._segment.nodes.values():
             if node not in senders and node.listening:
                 node.errors += 1
                 node.rec = min(node.rec + 1, PASSIVE_LIMIT + 1)
@@ -141,4 +128,4 @@ class Confinement:
 
     def _suspend(self, node: WireNode) -> None:
         """An error-passive sender lets the others go first."""
-        node.not_before(self._wire.free_ns + self._wire.nominal_ns[SUSPEND])
+        node.not_before(self._segment.free_ns + self._segment.nominal_ns[SUSPEND])

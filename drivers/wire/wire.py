@@ -1,8 +1,13 @@
 """A CAN segment in virtual time: exact frame lengths, arbitration, finite queues, and every way a bus can misbehave.
 
-Time is integer nanoseconds and passes only in `Wire.advance`. Nothing is random except through the seed, so a run is
-the same on every machine. A frame that has begun is never interrupted by another one; its last EOF bit is its time
-stamp; three bits later the bus is free, and of the frames then waiting the one with the lowest identifier begins.
+Theory of operation. Time is integer nanoseconds and passes only in `Wire.advance`, which does whatever comes first: an
+action that is planned for an instant (`Segment.at`), the end of the frame on the wire, or, when the bus is free, the
+next arbitration. Nothing is random except through the seed, so a run is the same on every machine.
+
+Rules. A frame that has begun is never interrupted by another one; the end of its last EOF bit is its time stamp; three
+bits later the bus is free, and of the frames then waiting the one with the lowest arbitration field begins. What is
+planned for an instant precedes what the bus does at that instant. An error, scripted or by collision, ends the frame
+early and counts in its nodes (confinement.py); everything else the script can do is in injection.py.
 
 Not modelled: bit timing below one bit (propagation, resynchronisation). Two nodes that would begin within the same bit
 contend only if both were ready at the instant the first began; the schedulability analysis counts that bit as the
@@ -10,31 +15,27 @@ paper does.
 """
 
 from collections.abc import Callable, Container, Sequence
-from heapq import heappop, heappush
-from typing import Any
+from heapq import heappop
 
 from drivers.config import BusConfig, WireConfig
-from drivers.frame import Frame, new_tuple
+from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits, longest_bits
 from drivers.wire.confinement import ERROR_FRAME, Confinement
-from drivers.wire.faults import FRAME_FAULTS, FaultKind, FrameFaults, Random, WireFault
+from drivers.wire.faults import FRAME_FAULTS, FaultKind, FrameFaults, WireFault
 from drivers.wire.injection import LateDeliveries, NodeFaults
-from drivers.wire.node import DURATION, FRAME, READY, WireNode, elapsed_ns
+from drivers.wire.node import DURATION, FRAME, READY, WireNode, attach
+from drivers.wire.segment import Observer, Segment, elapsed_ns
 
-LONGEST = 800  # bits; more than any frame has at either rate
 COLLISION_BIT = 20  # two senders with one identifier differ behind the arbitration field
 
-Observer = Callable[[int, int, str, Frame, bool], None]
 
-
-class Wire:
-    """The segment. Attach nodes, let them send, advance.
+class Wire(Segment[WireNode]):
+    """The segment as its users see it: attach nodes, let them send, advance.
 
     bitrate, data_bitrate: bit/s. drop_probability: of each frame, to be acknowledged and lost behind the wire, at
     every receiver. faults: the script; more can be injected at any time. observer: called at the end of every attempt
     to send, with start ns, end ns, sender's name, frame, and whether it was sent without an error.
-    now_ns: virtual time reached. busy_ns: time the bus was not idle so far. dropped: frames lost silently so far.
-    The other public attributes serve the parts of this simulation (drivers/wire_*.py), not its users.
+    now_ns, busy_ns, dropped: see `Segment`, whose other attributes serve the parts of this simulation, not its users.
     """
 
     def __init__(
@@ -49,36 +50,17 @@ class Wire:
         observer: Observer | None = None,
         worst_stuffing: bool = False,
     ) -> None:
-        data_bitrate = data_bitrate or bitrate
-        if bitrate < 1 or data_bitrate < 1:
-            raise ValueError(f"bitrate = {bitrate}, data_bitrate = {data_bitrate}: both must be positive")
+        super().__init__(bitrate, data_bitrate or bitrate, seed, start_ns, observer)
         if not 0.0 <= drop_probability < 1.0:
             raise ValueError(f"drop_probability = {drop_probability}, allowed 0 <= p < 1")
-        self.frame_bits = longest_bits if worst_stuffing else frame_bits
-        self.nominal_ns = [-(-bits * 1_000_000_000 // bitrate) for bits in range(LONGEST)]
-        self.data_ns = [-(-bits * 1_000_000_000 // data_bitrate) for bits in range(LONGEST)]
-        self.now_ns = start_ns
-        self.busy_ns = 0
-        self.dropped = 0
-        self.observer = observer
-        self.nodes: dict[str, WireNode] = {}
-        self.waiting: list[WireNode] = []  # those on the bus with something to send
-        self.random = Random(seed)
-        # the frame on the wire: whose, since when, until when, what the script does to it, who else sends the same id
-        self.sender: WireNode | None = None
-        self.start_ns = start_ns
-        self.end_ns = start_ns
-        self.free_ns = start_ns  # the bus is free from here on
-        self.fate: WireFault | None = None
-        self.collision: tuple[WireNode, ...] = ()
+        if worst_stuffing:
+            self.frame_bits = longest_bits
         self.confinement = Confinement(self)
         self.frame_faults = FrameFaults(self.random)
         self.late = LateDeliveries(self)
-        self.node_faults = NodeFaults(self)
+        self.node_faults = NodeFaults(self, self.confinement)
         self._drop_probability = drop_probability
         self._intermission_ns = self.nominal_ns[INTERMISSION]
-        self._agenda: list[tuple[int, int, Callable[..., object], tuple[Any, ...]]] = []
-        self._planned = 0
         for fault in faults:
             self.inject(fault)
 
@@ -107,11 +89,7 @@ class Wire:
         queue_length: frames, the one on the wire included. accept: identifiers (with Linux's flags) its acceptance
         filter lets through; None: all. fifo: one transmit queue, as under Linux; False: its most urgent frame first.
         """
-        if name in self.nodes:
-            raise ValueError(f"node {name!r} is attached already")
-        node = self.nodes[name] = WireNode(self, name, receive, queue_length, accept, fifo)
-        self.topology_changed()
-        return node
+        return attach(self, name, receive, queue_length, accept, fifo)
 
     def inject(self, fault: WireFault) -> None:
         """Add a fault to the script. One whose window is open already begins at once, before any further frame."""
@@ -124,7 +102,7 @@ class Wire:
         """Let time pass until `until_ns`; every frame whose last bit ends by then has been delivered."""
         if until_ns < self.now_ns:
             raise ValueError(f"advance to {until_ns} ns, but the wire is at {self.now_ns} ns")
-        agenda = self._agenda
+        agenda = self.agenda
         while True:
             horizon = until_ns
             if agenda and agenda[0][0] <= until_ns:
@@ -138,26 +116,6 @@ class Wire:
             else:
                 break
         self.now_ns = until_ns
-
-    def at(self, time_ns: int, action: Callable[..., object], *arguments: Any) -> None:
-        """Plan an action; those of one instant run in the order in which they were planned."""
-        self._planned += 1
-        heappush(self._agenda, (max(time_ns, self.now_ns), self._planned, action, arguments))
-
-    def topology_changed(self) -> None:
-        """A node joined or left: who takes whose frames is worked out anew."""
-        for node in self.nodes.values():
-            node.targets.clear()
-
-    def abandon(self, error_frame_ns: int = 0) -> None:
-        """The frame on the wire ends without success; the bus is free after that error frame and an intermission."""
-        sender = self.sender
-        assert sender is not None
-        self.free_ns = self.now_ns + error_frame_ns + self._intermission_ns
-        self.busy_ns += self.free_ns - self.start_ns
-        self.sender = self.fate = None
-        if self.observer is not None:
-            self.observer(self.start_ns, self.now_ns, sender.name, sender.queue[0][FRAME], False)
 
     def _arbitrate(self, horizon_ns: int) -> bool:
         """Begin the next frame if it begins by `horizon_ns`."""
@@ -231,7 +189,7 @@ class Wire:
         if not targets and not self._acknowledged(sender):
             self.confinement.not_acknowledged(sender)
             return
-        received = new_tuple(Frame, (can_id, data, flags, end_ns))
+        received = Frame(can_id, data, flags, end_ns)
         self.sender = self.fate = None
         self.free_ns = end_ns + self._intermission_ns
         self.busy_ns += self.free_ns - self.start_ns

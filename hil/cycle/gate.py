@@ -7,12 +7,10 @@ never delays zero.
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
-from drivers.frame import Frame, new_tuple
+from drivers.frame import Frame
 from drivers.protocols.base import Command, HostProtocol
-
-_COMMAND: Final = Command  # compiled code looks a class up by its name at every use, unless the name is Final
 
 
 class ForceLimits(NamedTuple):
@@ -76,7 +74,7 @@ class TorqueGate:
             if let_out != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._encode(new_tuple(_COMMAND, (sequence, force, self._all_axes, False)))
+        return self._encode(Command(sequence, force, self._all_axes, False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

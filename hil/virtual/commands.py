@@ -11,19 +11,23 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from hil.cli.output import axis_table, drawable, writable, write_json
+from hil.cli.options import RigFile, shipped_scenario
+from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 
 
 def sim(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
     overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
     json_target: Annotated[
         str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
     ] = "",
-    faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
+    faults: Annotated[
+        Path | None,
+        typer.Option(callback=shipped_scenario, help="faults to inject: a scenario file, or a shipped one's name"),
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
@@ -38,6 +42,7 @@ def sim(
     refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
+    print_plant_notes(console, config)
 
     recorder = _recorder(record, config, rig)
     with Progress(console=console, transient=True) as bar:
@@ -138,6 +143,7 @@ def emulate(
     from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
     from hil.live.runtime_paths import places
+    from hil.rig.plant import plant_notes
     from hil.virtual.emulate import emulated_stage, live_scenario
     from sim_plant.process import Emulator
     from sim_plant.scenario.injector import Injector
@@ -156,6 +162,8 @@ def emulate(
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)
     emulator = Emulator(stage, port, target)
+    for note in plant_notes(config):
+        print(f"hil emulate: {note}", flush=True)
     print(f"hil emulate: {config.name} on {config.bus.channel}, status in {target}", flush=True)
     try:
         emulator.run()

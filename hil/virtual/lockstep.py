@@ -59,8 +59,8 @@ class LockstepRun:
         self.cycle = ControlCycle(rig, base_dir)
         self._operator = operator
         self._observer = observer
-        axes = list(rig.axes.values())
-        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, [axis.rated_force for axis in axes], base_dir)
+        rated = [axis.rated_force for axis in rig.axes.values()]
+        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives)
         self.wire = Wire.from_config(rig.bus, rig.wire)
         for fault in wire_faults:
             self.wire.inject(fault)

@@ -1,4 +1,4 @@
-"""A filter's design is made once and cached for the next process, which trusts it where nobody else can have written."""
+"""A filter's design is made once and cached for the next process, which trusts it where nobody else can write."""
 
 import json
 import os

@@ -2,7 +2,16 @@
 
 import re
 
-from docs.make_pages import FOLDER, faults_page, gains_table, laws_page, states_page
+from docs.make_pages import (
+    FOLDER,
+    SCHEMA,
+    faults_page,
+    gains_table,
+    laws_page,
+    rig_file_page,
+    rig_schema,
+    states_page,
+)
 from hil.control.law_registry import LAWS, law_class
 from hil.cycle.fault_table import RULES, Fault
 from hil.rig.schema import LawConfig
@@ -12,6 +21,8 @@ from tests.support.paths import ROOT
 def test_the_pages_are_up_to_date() -> None:
     assert (FOLDER / "states.md").read_text() == states_page()
     assert (FOLDER / "faults.md").read_text() == faults_page()
+    assert (FOLDER / "rig-file.md").read_text() == rig_file_page()
+    assert SCHEMA.read_text() == rig_schema()
     assert (FOLDER / "laws.md").read_text() == laws_page()
 
 

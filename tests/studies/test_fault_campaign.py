@@ -31,7 +31,7 @@ from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, in_fork, p
 from sim_plant.drives.servo import ServoDrive
 from tests.support.paths import RIGS
 
-STRIDE = 4  # about a thousand cells of the two rigs
+STRIDE = 8  # about five hundred cells of the two rigs; the slow lane tries all
 THIN = 16  # over the layouts they do not have
 
 
@@ -58,8 +58,8 @@ def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(chunk: Chunk)
     assert failed == []
 
 
-def test_the_sample_has_a_thousand_cells() -> None:
-    assert sum(len(chunk.cells) for chunk in CHUNKS) >= 1000
+def test_the_sample_has_hundreds_of_cells() -> None:
+    assert sum(len(chunk.cells) for chunk in CHUNKS) >= 500
 
 
 @pytest.mark.slow

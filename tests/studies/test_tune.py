@@ -135,6 +135,7 @@ def test_a_simulation_equals_a_batch_bit_for_bit(law: str) -> None:
         assert np.all(late.largest[:, 2] != figures.largest[:, 0])
 
 
+@pytest.mark.slow
 def test_late_and_lost_commands_in_a_simulation_are_those_of_the_wire() -> None:
     """Not the same numbers, as the wire draws its own, but the same size: what is tuned for is what happens."""
     changes = ["law.name=structured-kalman", "task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5"]
@@ -181,6 +182,7 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
 SMALL_PLAN = ["cells=1", "approach_s=0.3", "transfer_s=0.2", "withdraw_s=0.2", "dwell_s=0.1"]
 
 
+@pytest.mark.slow
 def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -> None:
     """Each trial over a window of its own, whatever runs beside it."""
     rig = load_rig(MICROSCOPE, ["wire.stuffing=worst", *(f"task.injection.{change}" for change in SMALL_PLAN)])
@@ -434,7 +436,7 @@ def test_compare_runs_every_combination_asked_for() -> None:
     [
         ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
         ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
-        ("pid", "rate_hz=500", [50.0], "plant.watchdog_s = 0.01"),
+        ("pid", "rate_hz=500", [50.0], "drives.watchdog_s = 0.01"),
     ],
 )
 def test_compare_refuses_what_cannot_run_before_anything_runs(
@@ -488,6 +490,7 @@ def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None
     assert (tmp_path / "c.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
     from hil.studies.compare.velocity_estimators import compare_velocity
 

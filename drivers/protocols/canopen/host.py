@@ -1,18 +1,20 @@
 """CANopen drives in cyclic synchronous torque mode (CiA 301, CiA 402). Contract: cia402.eds.
 
-Every tick the host sends one RPDO that all nodes share, with four target torques (6071h) of which each node takes its
-own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and answer with position
-and statusword. Behind them goes at most one service frame, so that it delays no SYNC; cia402_master.py decides which.
+Theory of operation. Every tick the host sends one RPDO that all nodes share, with four target torques (6071h) of which
+each node takes its own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and
+answer with position and statusword. Behind them goes at most one service frame, so that it delays no SYNC; master.py
+decides which. node.py follows one drive: it configures the drive over SDO, starts it and watches its states.
 
-Controlwords: two RPDOs carry them. A frame that disables any drive acts at once (RPDO 2), all others at the next SYNC
-(RPDO 3), so that an enabled drive has its torque from the first moment: until it had, it would let a weight fall. Where
-a drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
-disable; the drive is then enabled, without torque, until the host has seen it and says so again (4 ticks).
+Rules. Controlwords: two RPDOs carry them. A frame that disables any drive acts at once (RPDO 2), all others at the next
+SYNC (RPDO 3), so that an enabled drive has its torque from the first moment: until then a weight would fall. Where a
+drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
+disable; the drive is then enabled, without torque, until the host has seen it and repeats the command (4 ticks).
 
 Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
-32767 thousandths that 6071h can say. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
+32767 thousandths that 6071h can express. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
 
-Sampling time: CANopen carries none; sampling.py estimates it from the first TPDO behind SYNC.
+Sampling time: CANopen carries none; sampling_clock.py takes it from the echo of SYNC, or estimates it from the first
+TPDO behind SYNC.
 """
 
 import math
@@ -161,8 +163,8 @@ class Cia402Host:
         }
 
     def decode(self, frame: Frame) -> Sample | Reject:
-        """Sample of a TPDO; its stamp is an estimate (sampling.py), its sequence -1."""
-        can_id, data, flags, stamp_ns = frame[:]  # a true tuple is unpacked quicker
+        """Sample of a TPDO; its stamp is an estimate (sampling_clock.py), its sequence -1."""
+        can_id, data, flags, stamp_ns = frame
         axis = self._axis.get(can_id)
         if axis is None:
             if flags & ECHO:
@@ -208,7 +210,7 @@ class Cia402Host:
 
     def encode(self, command: Command) -> list[Frame]:
         """RPDO, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
-        _, force, enable, reset = command[:]
+        _, force, enable, reset = command
         check_force(force, self._rated)
         self._tick += 1
         self._clock.trigger()

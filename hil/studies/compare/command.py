@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.output import drawable, writable, write_json
+from hil.cli.output import drawable, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
@@ -57,6 +57,7 @@ def compare(
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
+    print_plant_notes(console, rig)
     if velocity:
         from hil.studies.compare.velocity_estimators import compare_velocity, velocity_table
 

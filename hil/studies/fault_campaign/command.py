@@ -10,17 +10,19 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hil.cli.output import writable, write_json
-from hil.rig.schema import RigError
+from hil.cli.output import print_plant_notes, writable, write_json
+from hil.rig.file import load_rig
+from hil.rig.shipped import by_name, names
 from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
 
 PAPER = 150  # columns of a table that no terminal bounds
-SHIPPED = Path(__file__).parents[3] / "deploy" / "rigs"
 
 
 def faults(
-    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
+    rigs: Annotated[
+        list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
+    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
     ] = None,
@@ -36,12 +38,12 @@ def faults(
 
     Exit status 1 when a cell fails.
     """
-    paths = rigs or sorted(SHIPPED.glob("*.toml"))
-    if not paths:
-        raise RigError([f"no rig file named, and none in {SHIPPED}"])
+    paths = [by_name("rigs", rig) for rig in rigs or map(Path, names("rigs"))]
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console = Console(stderr=json_target == "-", width=PAPER)
+    for path in paths:
+        print_plant_notes(console, load_rig(path, overrides or ()))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:

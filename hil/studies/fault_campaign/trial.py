@@ -122,7 +122,7 @@ def periods(seconds: float, rig: RigConfig) -> int:
 
 def watchdog(rig: RigConfig) -> int:
     """Ticks after the last command by which a drive has let go by itself."""
-    return periods(rig.plant.watchdog_s, rig) + 1
+    return periods(rig.drives.watchdog_s, rig) + 1
 
 
 def disable_timeout(rig: RigConfig) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import metres, writable, write_json
+from hil.cli.output import metres, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -51,6 +51,7 @@ def sweep(
 
     base = load_rig(rig_file, overrides or ())
     console = Console(stderr=json_target == "-")
+    print_plant_notes(console, base)
     output.mkdir(parents=True, exist_ok=True)
     names = (
         list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]

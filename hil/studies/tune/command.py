@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import metres
+from hil.cli.output import metres, print_plant_notes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.objective import Margins, Outcome
@@ -52,6 +52,7 @@ def tune(
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH
+    print_plant_notes(console, rig)
     chosen = [key.strip() for key in only.split(",") if key.strip()]
     for key in chosen:
         if key not in space_of(rig, name):

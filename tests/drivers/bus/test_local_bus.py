@@ -19,9 +19,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.bus import local_bus, local_medium
+from drivers.bus import local_bus, local_channel
 from drivers.bus.local_bus import LocalBus, from_message, to_message
-from drivers.bus.local_medium import FIRST_DEPTH, LocalMedium, channel_dir
+from drivers.bus.local_channel import channel_dir
+from drivers.bus.local_link import FIRST_DEPTH, Link
+from drivers.bus.local_medium import LocalMedium
 from drivers.bus.port import Port, PortCounters, PortError, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame, to_bytes
@@ -188,7 +190,7 @@ def test_whoever_joins_or_leaves_each_frame_reaches_exactly_the_others(steps: li
 
 def test_a_full_member_loses_frames_alone_and_is_told_how_many(join: OpenPort) -> None:
     sender, reads, sleeps = join(), join(receive_limit=32), join("device", transmit_queue=16)
-    take(sender)  # the greetings, with the depths
+    take(sender)  # the handshakes, with the depths
     for number in range(300):
         assert sender.send(Frame(0x100, number.to_bytes(2, "little")))
         assert take(reads) == [(0x100, number.to_bytes(2, "little"))]
@@ -220,15 +222,15 @@ def test_a_queue_is_as_deep_as_its_reader_asked_for_though_it_has_never_read(
         reader, sender = join("device", transmit_queue=30), join()
     else:
         sender, reader = join(), join("device", transmit_queue=30)
-    assert sum(sender.send(Frame(1, b"")) for _ in range(100)) == 30 - reader_joins_first  # the sender's greeting
+    assert sum(sender.send(Frame(1, b"")) for _ in range(100)) == 30 - reader_joins_first  # the sender's handshake
     assert len(take(reader)) == 30 - reader_joins_first
 
 
-def test_a_greeting_that_comes_late_is_followed_when_the_queue_runs_full() -> None:
+def test_a_handshake_that_comes_late_is_adopted_when_the_queue_runs_full() -> None:
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    link = local_medium.Link(here)
+    link = Link(here)
     assert sum(link.deliver(to_bytes(Frame(1, b""))) for _ in range(50)) == FIRST_DEPTH
-    local_medium.Link(there).greet(30)
+    Link(there).send_handshake(30)
     assert sum(link.deliver(to_bytes(Frame(2, b""))) for _ in range(50)) == 30 - FIRST_DEPTH - 1  # one is the notice
     link.close()
     there.close()
@@ -283,22 +285,22 @@ def test_a_stopped_process_stalls_nobody_and_learns_what_it_missed(
 
 
 def test_a_member_stopped_while_joining_is_named_as_the_reason(join: OpenPort, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local_medium, "JOIN_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(local_channel, "JOIN_TIMEOUT_S", 0.05)
     with (
-        local_medium._locked(channel_dir("can0")),
+        local_channel.locked(channel_dir("can0")),
         pytest.raises(PortError, match=r"another process has been joining this bus for 0\.05 s; is one stopped"),
     ):
         join()
 
 
-def test_a_member_that_waits_answers_a_knock_before_who_knocks_has_joined(join: OpenPort) -> None:
+def test_a_member_that_waits_accepts_a_join_before_the_other_has_joined(join: OpenPort) -> None:
     """It may have precedence on the core on which the other is joining: waking for nothing would keep that one out."""
     waits = join("device")
     poll = select.poll()
     poll.register(waits.fileno(), select.POLLIN)
-    (door,) = channel_dir("can0").glob("*.sock")
+    (listening,) = channel_dir("can0").glob("*.sock")
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as joining:
-        joining.connect(str(door))  # the first thing that joining does; counting up is the last
+        joining.connect(str(listening))  # the first thing that joining does; counting up is the last
         assert poll.poll(0)
         assert take(waits) == []
         assert not poll.poll(0)

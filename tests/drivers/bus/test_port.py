@@ -45,7 +45,7 @@ ORDINARY_AND_NOT = [
     to_bytes(FEEDBACK)[:4] + bytes((65,)) + to_bytes(FEEDBACK)[5:],  # longer than any frame
     to_bytes(Frame(0x701, b"\x05")),
     to_bytes(Frame(ERROR | 0x004, bytes.fromhex("0001000000070000"))),
-    b"greeting",
+    b"handshake",
 ]
 
 
@@ -57,7 +57,7 @@ class Cable:
         near.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.next_error = 0
         self.present = BusState.ERROR_ACTIVE
-        self.strangers: list[bytes] = []
+        self.unknown: list[bytes] = []
         self.closed = False
 
     @classmethod
@@ -80,8 +80,8 @@ class Cable:
         self.closed = True
 
     def service(self, fd: int, packet: bytes) -> bool:
-        self.strangers.append(packet)
-        return packet == b"greeting"
+        self.unknown.append(packet)
+        return packet == b"handshake"
 
     def state(self) -> BusState:
         return self.present
@@ -334,7 +334,7 @@ def test_where_the_medium_gives_none_back_the_sender_stamps_the_echo(cable: Cabl
 
 @pytest.mark.parametrize("flags", [0x80, 0xFF])
 def test_nobody_else_can_send_an_echo(port: Port, cable: Cable, flags: int) -> None:
-    for _ in range(2):  # the long way, and then the short one
+    for _ in range(2):  # the slow path, and then the fast one
         cable.arrive(FEEDBACK._replace(flags=FD | flags))
         (frame,) = drain(port)
         assert not frame.flags & ECHO
@@ -377,11 +377,11 @@ def test_a_classic_port_takes_fd_frames_for_errors_as_a_classic_controller_does(
 
 
 def test_packets_of_the_mediums_own_are_handed_to_it(port: Port, cable: Cable) -> None:
-    cable.far.send(b"greeting")
+    cable.far.send(b"handshake")
     cable.arrive(FEEDBACK)
     cable.far.send(bytes(16)[:-1])
     assert bare(drain(port)) == [FEEDBACK]
-    assert cable.strangers == [b"greeting", bytes(15)]
+    assert cable.unknown == [b"handshake", bytes(15)]
     assert port.counters() == PortCounters(received=1, errors=1)
 
 
@@ -419,7 +419,7 @@ def test_the_short_way_of_reading_tells_the_same_as_the_long_one(ticks: list[lis
                 cable.far.send(packet)
         assert bare(drain(ports[0])) == bare(drain(ports[1]))
         assert ports[0].counters() == ports[1].counters()
-    assert short.strangers == long.strangers
+    assert short.unknown == long.unknown
     for port in ports:
         port.close()
 
