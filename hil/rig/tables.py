@@ -71,7 +71,7 @@ class LawConfig(BaseModel):
     """[law]: which control law, with which gains."""
 
     model_config = STRICT
-    name: str = key("pd-feedforward", "the control law: a name, package.module:Class, or ./file.py:Class beside the rig file")
+    name: str = key("pd-feedforward", "the law: its name, package.module:Class, or ./file.py:Class beside the rig file")
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
