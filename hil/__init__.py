@@ -20,7 +20,7 @@ _PUBLIC = {
     "Model": "hil.control.laws.base",
     "Reference": "hil.control.laws.base",
 }
-__all__ = sorted(_PUBLIC)  # noqa: PLE0605
+__all__ = sorted(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""LQR on the estimate of a Kalman filter of its own, both designed when the law is made; one axis at a time, on floats."""
+"""LQR on the estimate of a Kalman filter of its own, both designed when the law is made; one axis at a time."""
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
