@@ -111,36 +111,6 @@ def _capability_lines() -> list[str]:
     return lines
 
 
-def gains_table() -> str:
-    """The gains of every law, as docs/laws.md has them between its two markers."""
-    lines = ["| law | gain | default | unit | range | searched by `hil tune` | meaning |", "|---" * 7 + "|"]
-    for name in LAWS:
-        for key, gain in declared(law_class(LawConfig(name=name)).GAINS).items():
-            lines.append(_gain_row(name, key, gain))
-    lines += [_gain_row("any, learning", key, gain) for key, gain in LEARNING_GAINS.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _gain_row(law: str, key: str, gain: Gain) -> str:
-    default = "from the rig" if gain.default is None else str(gain.default)
-    allowed = ", ".join(gain.words) if gain.words else gain.allowed().removeprefix("a ").replace("finite number ", "")
-    ranges = [_knob(knob) + note for knob, note in ((gain.tune, ""), (gain.plan, " (injection plan)")) if knob]
-    cells = (law, f"`{key}`", default, gain.unit, allowed, "; ".join(ranges), gain.meaning)
-    return "| " + " | ".join(cell.replace("|", "&#124;") for cell in cells) + " |"
-
-
-def _knob(knob: Knob) -> str:
-    unit = " ".join(part for part in ("" if knob.scale == "1" else knob.scale, knob.of and f"`{knob.of}`") if part)
-    return f"{knob.low:g} to {knob.high:g}" + (f" × {unit}" if unit else "")
-
-
-def laws_page() -> str:
-    """docs/laws.md with its table of gains renewed; the text around it is written by hand."""
-    before, _, rest = (FOLDER / "laws.md").read_text(encoding="utf-8").partition(GAINS_BEGIN)
-    _, _, after = rest.partition(GAINS_END)
-    return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
-
-
 def rig_file_page() -> str:
     """docs/rig-file.md."""
     lines = [
@@ -169,6 +139,36 @@ def rig_file_page() -> str:
 def rig_schema() -> str:
     """deploy/rigs/rig.schema.json."""
     return json.dumps(json_schema(), indent=1) + "\n"
+
+
+def gains_table() -> str:
+    """The gains of every law, as docs/laws.md has them between its two markers."""
+    lines = ["| law | gain | default | unit | range | searched by `hil tune` | meaning |", "|---" * 7 + "|"]
+    for name in LAWS:
+        for key, gain in declared(law_class(LawConfig(name=name)).GAINS).items():
+            lines.append(_gain_row(name, key, gain))
+    lines += [_gain_row("any, learning", key, gain) for key, gain in LEARNING_GAINS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _gain_row(law: str, key: str, gain: Gain) -> str:
+    default = "from the rig" if gain.default is None else str(gain.default)
+    allowed = ", ".join(gain.words) if gain.words else gain.allowed().removeprefix("a ").replace("finite number ", "")
+    ranges = [_knob(knob) + note for knob, note in ((gain.tune, ""), (gain.plan, " (injection plan)")) if knob]
+    cells = (law, f"`{key}`", default, gain.unit, allowed, "; ".join(ranges), gain.meaning)
+    return "| " + " | ".join(cell.replace("|", "&#124;") for cell in cells) + " |"
+
+
+def _knob(knob: Knob) -> str:
+    unit = " ".join(part for part in ("" if knob.scale == "1" else knob.scale, knob.of and f"`{knob.of}`") if part)
+    return f"{knob.low:g} to {knob.high:g}" + (f" × {unit}" if unit else "")
+
+
+def laws_page() -> str:
+    """docs/laws.md with its table of gains renewed; the text around it is written by hand."""
+    before, _, rest = (FOLDER / "laws.md").read_text(encoding="utf-8").partition(GAINS_BEGIN)
+    _, _, after = rest.partition(GAINS_END)
+    return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
 
 
 def states_picture(path: Path) -> None:
@@ -209,9 +209,9 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
-    (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
+    (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     states_picture(folder / "states.svg")
 
 

@@ -75,7 +75,7 @@ class LawConfig(BaseModel):
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
-    source: str = key("", "text of the law's file where name is ./file.py:Class; read in when the rig file is loaded")
+    source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
 
     def effective_gains(self) -> dict[str, Any]:
         """Tuned gains of the named law, overridden by `gains`."""

@@ -135,7 +135,7 @@ def replay(
 
 
 def emulate(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    rig: RigFile,
     overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
     faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
@@ -163,6 +163,8 @@ def emulate(
     except (PortError, RuntimeDirectoryError) as error:
         print(f"hil emulate: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)
+    for note in plant_notes(config):
+        print(f"hil emulate: {note}", flush=True)
     emulator = Emulator(stage, port, target)
     for note in plant_notes(config):
         print(f"hil emulate: {note}", flush=True)

@@ -1,4 +1,4 @@
-"""A filter's design is made once and cached for the next process, which trusts it where nobody else can write."""
+"""A filter's design is made once and cached for the next process, which trusts what nobody else can have written."""
 
 import json
 import os

@@ -14,7 +14,8 @@ from hil.rig.former_keys import FormerKeyWarning
 from hil.rig.plant import plant_notes
 from hil.rig.provenance import describe_run, rig_of_run
 from hil.rig.schema import RigError
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"

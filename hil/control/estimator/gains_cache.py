@@ -35,7 +35,7 @@ def load(parameters: str) -> Any | None:
 
 
 def store(parameters: str, design: Any) -> None:
-    """Store a design, where there is room and a private directory; beyond MAX_ENTRIES the oldest are deleted."""
+    """Store a design where there is room and a private directory; delete the oldest beyond MAX_ENTRIES."""
     with contextlib.suppress(*_CACHE_ERRORS):
         directory, key = _directory(), _key(parameters)
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from hil.cli.options import RigFile
 from hil.cli.output import drawable, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
@@ -29,7 +30,7 @@ def _numbers(text: str) -> list[float]:
 
 
 def compare(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
+    rig_file: RigFile,
     *,
     laws: Annotated[str, typer.Option(help=f"comma-separated; X{LEARNING} is X inside iterative learning")] = "",
     corners: Annotated[bool, typer.Option("--corners", help="five corners of mass and friction")] = False,

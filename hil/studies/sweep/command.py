@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hil.cli.options import RigFile
 from hil.cli.output import metres, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
@@ -30,7 +31,7 @@ from hil.virtual.sim import usable
 
 
 def sweep(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
+    rig_file: RigFile,
     *,
     plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,

@@ -2,11 +2,11 @@
 
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from hil.cli.options import RigFile
 from hil.cli.output import metres, print_plant_notes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -19,7 +19,7 @@ WIDTH = 120  # characters of a table that goes to a file
 
 
 def tune(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
+    rig_file: RigFile,
     *,
     law: Annotated[str, typer.Option(help="law to tune; default: the rig's own")] = "",
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
