@@ -49,7 +49,7 @@ hil/live: loop miss_ledger pacing timing_record
 """
 
 OTHERS = """
-hil/control/trajectories: base displaced figures minimum_jerk segments
+hil/control/trajectories: base displaced figures minimum_jerk paths segments
 hil/cycle: record
 hil/live: mailbox ring
 drivers: arbitration frame frame_length

@@ -14,6 +14,7 @@ from drivers.toml_file import TomlError, parse_toml, read_toml, short, shown
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.task_file import TaskFileError, read_task_file
 
 
 def _describe(error: ValidationError) -> list[str]:
@@ -89,6 +90,18 @@ def _read_law_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> N
             raise RigError([f"law.name = {shown(law['name'])}: {path}: {text}"]) from None
 
 
+def _read_task_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
+    """Put the samples of the task's file into task.samples and the axes it names into task.axes, as a law's file."""
+    task = document.get("task")
+    if not isinstance(task, dict) or not isinstance(task.get("file", ""), str) or not task.get("file"):
+        return
+    if chosen or not task.get("samples"):
+        try:
+            task["axes"], task["samples"] = read_task_file(folder / task["file"])
+        except TaskFileError as error:
+            raise RigError([f"task.file: {line}" for line in str(error).splitlines()]) from None
+
+
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
@@ -100,6 +113,7 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
     try:
         lines = modernise(document)
         _read_law_file(document, folder, chosen=["law", "name"] in paths)
+        _read_task_file(document, folder, chosen=["task", "file"] in paths)
         return RigConfig.model_validate(document), lines
     except FormerKeyError as error:
         raise RigError([str(error)]) from None
