@@ -1,4 +1,4 @@
-"""Laws that users bring (tests/laws_of_users): found by every door, run by every command, and trusted with nothing."""
+"""Laws that users bring (tests/laws_of_users): found in every way, run by every command, and trusted with nothing."""
 
 import importlib.metadata
 import shutil
