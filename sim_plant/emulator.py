@@ -179,6 +179,13 @@ class EmulatedStage:
         self._push[axis] = force
         self._update()
 
+    def change_plant(self, axis: int, key: str, value: float) -> float:
+        """From now on that quantity of the axis' truth (Truth.changed) is `value`. Returns what it was."""
+        self._run_physics()
+        truth, before = self._stage.truth.changed(axis, key, value)
+        self._stage.change(truth)
+        return before
+
     def advance(self, now_ns: int) -> list[Frame]:
         """Let time pass to now_ns, through everything that falls due on the way; a time already past changes nothing.
 

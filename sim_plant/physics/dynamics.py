@@ -21,12 +21,13 @@ One source for floats and arrays (number.py).
 from typing import NamedTuple
 
 from sim_plant.physics.exact_trigonometry import TURN
-from sim_plant.physics.number import Number, anywhere, decay, root, select, sincos
+from sim_plant.physics.number import Number, anywhere, decay, greater, root, select, sincos
 
-MODE_STEP = 0.25  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
+MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
 BRISTLE_STEP = 0.35  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): 0.25 rad of a stuck axis' ring, openness 2
+TURN_STEP = 6e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
 LINE_STEP = 0.4  # rad of a sinusoid
-SLOPE_STEP = 0.15  # of the other rates, and of v_s on the way through a Stribeck peak
+SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 LINES = 4  # sinusoids of one kind an axis can have
 
 
@@ -145,9 +146,9 @@ class Dynamics:
         steepest = 3.0 * s.membrane * s.puncture_depth * s.puncture_depth
         rate = (abs(s.viscous) + s.drag) * self.inverse_mass + root(steepest * self.inverse_mass)
         rate = (rate + root(s.cable_stiffness * self.inverse_mass)) * (1.0 / SLOPE_STEP)
+        self._ring_rate: Number = 0.0 * motor
         if self.has_mode:
-            ring = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load))
-            rate = rate + ring * (1.0 / MODE_STEP)
+            self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
         per_speed = 0.0 * motor
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
@@ -167,18 +168,20 @@ class Dynamics:
         dry = s.coulomb + s.stribeck
         reach = h * (abs(drive) + dry + s.mode_stiffness * abs(at.load_position - at.position)) * self.inverse_mass
         fastest = speed + reach
-        work = h * (self._rate + fastest * self._speed_rate)
+        work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
             slowness = s.slowness * (s.stribeck > 0.0)
-            work = work + (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness))
+            work = greater(work, (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness)))
         if self.has_bristle:
             towards = select(at.velocity < 0.0, -1.0, 1.0)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
-            work = work + (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing))
+            turning = select(speed <= reach, reach * h * (1.0 / TURN_STEP), 0.0)
+            work = greater(work, root(turning))
+            work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))
         return work
 
     def _prepare_lag(self, h: float) -> Triple:

@@ -26,6 +26,13 @@ def select(condition: Any, then: Number, otherwise: Number) -> Number:
     return chosen
 
 
+def greater(a: Number, b: Number) -> Number:
+    """The larger of both."""
+    if isinstance(a, float):
+        return a if a > b else b
+    return np.maximum(a, b)
+
+
 def anywhere(condition: Any) -> bool:
     """Whether the condition holds for any of the axes."""
     if isinstance(condition, bool):

@@ -42,7 +42,7 @@ __all__ = ["Stage", "Truth", "per_axis_array"]
 Array = NDArray[np.float64]
 
 IDEAL_PIECE_NS = 1_000_000
-CHUNK = 8192  # axes integrated together: their temporaries stay in a core's cache
+CHUNK = 8192
 
 
 def _filled(value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -105,6 +105,28 @@ class Truth:
         """Batch of plants, arrays of shape (len(truths), ..., n_axes)."""
         return cls(**{field.name: np.stack([getattr(truth, field.name) for truth in truths]) for field in fields(cls)})
 
+    def changed(self, axis: int, key: str, value: float) -> tuple["Truth", float]:
+        """One stage's truth with another value of a key on an axis, and the value before.
+
+        key: a field; cogging and vibration: the amplitude of the axis' first line. What the axis has none of yet gets
+        what the rest of [plant] has by default: a mode 30 % of the mass and damping 0.02, a cogging line the ripple's
+        period, the floor 25 Hz.
+        """
+        arrays = {field.name: getattr(self, field.name).copy() for field in fields(self)}
+        if key in ("cogging", "vibration"):
+            lines = arrays[key]
+            if lines["wavenumber"][axis, 0] == 0.0:
+                lines["wavenumber"][axis, 0] = 1.0 / self.ripple_period[axis] if key == "cogging" else 25.0
+            target: NDArray[Any] = lines["amplitude"][axis]
+            place = 0
+        else:
+            if key == "mode_frequency" and self.mode_load[axis] == 0.0:
+                arrays["mode_load"][axis], arrays["mode_damping"][axis] = 0.3, 0.02
+            target, place = arrays[key], axis
+        before = float(target[place])
+        target[place] = value
+        return Truth(**arrays), before
+
     @property
     def shape(self) -> tuple[int, ...]:
         """(..., n_axes)."""
