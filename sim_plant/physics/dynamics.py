@@ -24,8 +24,8 @@ from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.number import Number, anywhere, decay, greater, root, select, sincos
 
 MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
-BRISTLE_STEP = 0.35  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): 0.25 rad of a stuck axis' ring, openness 2
-TURN_STEP = 6e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): 0.25 rad of a stuck axis' ring, openness 2
+TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
 LINE_STEP = 0.4  # rad of a sinusoid
 SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 LINES = 4  # sinusoids of one kind an axis can have
