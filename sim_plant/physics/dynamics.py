@@ -24,8 +24,9 @@ from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.number import Number, anywhere, decay, greater, root, select, sincos
 
 MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
-BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): 0.25 rad of a stuck axis' ring, openness 2
+BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
 TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP = 0.4  # rad of a sinusoid
 SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 LINES = 4  # sinusoids of one kind an axis can have
@@ -180,7 +181,8 @@ class Dynamics:
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
             turning = select(speed <= reach, reach * h * (1.0 / TURN_STEP), 0.0)
-            work = greater(work, root(turning))
+            turns = root(turning)
+            work = greater(work, select(turns > MOST_TURN_STEPS, MOST_TURN_STEPS, turns))
             work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))
         return work
 
@@ -208,8 +210,9 @@ class Dynamics:
     def bend(self, at: Motion, velocity: Number, moved: Number, span: float) -> Number:
         """The bristle `span` seconds and `moved` metres later, at this velocity; at most one reversal in between."""
         z, v0 = at.bristle, at.velocity
-        limit = self.limit_at(velocity)
-        before = self.limit_at(v0)
+        limit = before = self.structure.presliding
+        if self.has_stribeck:
+            limit, before = self.limit_at(velocity), self.limit_at(v0)
         towards = select(velocity < 0.0, -1.0, 1.0)
         turned = velocity * v0 < 0.0
         if anywhere(turned):  # at a third of the way, say: a uniform deceleration to there, which is short against z

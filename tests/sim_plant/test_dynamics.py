@@ -104,25 +104,26 @@ def test_agrees_with_an_implicit_integrator_to_a_nanometre(case: str) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_the_answer_does_not_depend_on_how_time_is_divided(case: str) -> None:
     keys, amplitude = CASES[case]
-    coarse, fine = stage_of(**keys), stage_of(**keys)
+    coarse, fine, travel = stage_of(**keys), stage_of(**keys), 0.0
     for i in range(60):
         force = [amplitude * math.sin(2 * math.pi * i / 40)]
         coarse.advance(MS, force)
         for _ in range(8):
             fine.advance(MS // 8, force)
-        assert abs(coarse.positions[0] - fine.positions[0]) < 1e-9
+        travel = max(travel, abs(fine.positions[0]))
+        assert abs(coarse.positions[0] - fine.positions[0]) < max(1e-9, 2e-6 * travel)
 
 
 def test_the_virgin_curve_and_the_loop_of_presliding_are_dahls() -> None:
     """Pulled slowly by a drive that outweighs inertia: friction = F (1 - exp(-x / D)), after a reversal doubled."""
     reach, f, top_force = 1e-5, 0.66, 0.7 * 0.66
     stage = stage_of(mass=[0.1], coulomb=[f], viscous=[20.0], quadratic=[0.0], presliding=reach, presliding_damping=0.7)
-    for i in range(100):  # slowly up to 0.7 F
-        stage.advance(20 * MS, [top_force * (i + 1) / 100])
+    for i in range(1000):  # slowly up to 0.7 F
+        stage.advance(2 * MS, [top_force * (i + 1) / 1000])
     top = stage.positions[0]
     assert top == pytest.approx(-reach * math.log(1 - 0.7), rel=0.02)
-    for i in range(200):  # and back to -0.7 F
-        stage.advance(20 * MS, [top_force * (1 - 2 * (i + 1) / 200)])
+    for i in range(2000):  # and back to -0.7 F
+        stage.advance(2 * MS, [top_force * (1 - 2 * (i + 1) / 2000)])
     # after the reversal: friction = -F + (0.7 F + F) exp(-(top - x) / D)
     assert top - stage.positions[0] == pytest.approx(-reach * math.log(0.3 / 1.7), rel=0.02)
 
