@@ -31,6 +31,37 @@ class DbcBinding(BaseModel):
     checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = "crc8-sae-j1850"
 
 
+class ObjectValue(BaseModel):
+    """A value to write into a drive's object dictionary; its size is what the drive's EDS says."""
+
+    model_config = STRICT
+    object: Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")]  # "6007h", "1029h:01"
+    value: Annotated[int, Field(ge=-(2**31), lt=2**32)]
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        index, _, subindex = self.object.partition(":")
+        return int(index.rstrip("h"), 16), int(subindex or "0", 16)
+
+
+class Cia402Config(BaseModel):
+    """[bus.cia402]: CiA 402 drives as their makers describe them. Without it they are the project's own (cia402.eds).
+
+    Lists have one entry per axis; `eds` may also have one for all.
+    """
+
+    model_config = STRICT
+    eds: Annotated[list[str], Field(min_length=1)]  # EDS or DCF files; relative to the rig file
+    nodes: list[Annotated[int, Field(ge=1, le=126)]] = []  # node numbers; empty: bus.node_id and the next ones
+    rpdo: Literal["auto", "shared", "own"] = "auto"  # one RPDO for the torques of all drives, or one per drive
+    sync_counter: Literal["auto", "on", "off"] = "auto"  # the counter of 1019h; auto: where all drives have it
+    rated_torque: list[Annotated[float, Field(gt=0, lt=1e6)]] = []  # N m (N) that 6076h stands for; empty: read it
+    write_rated_torque: bool = False  # write 6076h, on many drives a property of the motor
+    start: Literal["nmt", "autostart"] = "nmt"  # autostart: the drives go to operational by themselves
+    write: list[ObjectValue] = []  # further objects, written in this order before the drive is started
+
+
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
@@ -46,6 +77,7 @@ class BusConfig(BaseModel):
     feedback_id: Annotated[int, Field(ge=0, le=0x7F0)] = 0x100  # stage layouts: axis i answers on feedback_id + i
     node_id: Annotated[int, Field(ge=1, le=120)] = 1  # cia402: node of the first axis
     dbc: DbcBinding | None = None
+    cia402: Cia402Config | None = None
 
 
 class WireConfig(BaseModel):
