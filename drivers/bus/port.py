@@ -124,7 +124,7 @@ class Port:
         from CLOCK_REALTIME to CLOCK_MONOTONIC and kept between the previous drain and the present: setting the wall
         clock cannot move a stamp out of the interval in which the frame must have come.
         Error frames and own echoes are counted, not returned (but see `echo_id`). What has gathered before the first
-        drain of an opened bus is no flood: what is beyond the limit, or was lost, counts neither as discarded nor as overflow.
+        drain of an opened bus is no flood: what is beyond the limit counts neither as discarded nor as overflow.
         """
         earliest_ns, self._drained_ns = self._drained_ns, now_ns
         sources = self._ready()
