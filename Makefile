@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint lock proto docs mutants hashes profile
+.PHONY: help setup run test lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -23,7 +23,7 @@ run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
 test: setup  ## unit, lockstep and live tests on this machine (about three minutes)
-	@$(BIN)/python -m pytest -n 2 -m "not slow and not vcan and not controller"
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
 lint: setup  ## ruff and mypy --strict
 	@$(BIN)/ruff check .
@@ -45,7 +45,7 @@ proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
 
 docs: setup  ## renew the pages that are made from tables in code
-	@$(BIN)/python -m hil.docs
+	@$(BIN)/python -m docs.make_pages
 
 mutants: setup  ## branch coverage and every mutant of the gate and the state machine
 	@tests/mutation/mutants.sh
@@ -53,5 +53,11 @@ mutants: setup  ## branch coverage and every mutant of the gate and the state ma
 hashes: setup  ## a run of TICKS (10^6) has one hash: idle, loaded, other hash seeds, old processors, Python 3.11 to 3.13
 	@$(BIN)/python -m tests.support.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"
 
-profile: setup  ## where a tick's time goes, function by function; see docs/what-costs-what.md
-	@$(BIN)/hil bench profile
+bench: setup  ## a benchmark: ARGS="tick --json FILE"; without ARGS, their list. bench-compiled: of the compiled build
+	@$(BIN)/python -m tests.benchmarks $(or $(ARGS),--help)
+
+bench-compiled: setup compiled
+	@PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m tests.benchmarks $(or $(ARGS),--help)
+
+wheel: setup  ## dist/hil-VERSION-py3-none-any.whl and the sdist; HIL_COMPILED=1: the wheel of this platform, compiled
+	@$(BIN)/python -m hatchling build -d dist

@@ -14,9 +14,9 @@ $(COMPILED)/.built: $(VENV)/.installed $(shell find hil drivers sim_plant deploy
 test-compiled: setup  ## the compiled build computes the same bytes and passes the tests of the source
 	@$(BIN)/python deploy/compiled/build.py --check || { echo "test-compiled: skipped"; exit 0; }; \
 	$(MAKE) --no-print-directory compiled && \
-	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 -m "not slow and not vcan and not controller"
+	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
 test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills; on the compiled build where there can be one
 	@if $(BIN)/python deploy/compiled/build.py --check; then \
 	    $(MAKE) --no-print-directory compiled && python=$(COMPILED)/bin/python; else python=$(BIN)/python; fi && \
-	PYTHONSAFEPATH=1 $$python -m pytest -n 2 -m "slow and not vcan and not controller" --durations=10
+	PYTHONSAFEPATH=1 $$python -m pytest -n 2 --dist worksteal -m "slow and not vcan and not controller" --durations=10

@@ -1,5 +1,6 @@
 """Pages of docs/ made from the tables in code: `python -m docs.make_pages`. A test holds them up to date."""
 
+import json
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -7,14 +8,20 @@ from typing import TYPE_CHECKING
 
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
+from hil.control.gain import Gain, Knob, declared
+from hil.control.law_registry import LAWS, law_class
+from hil.control.laws.iterative_learning import LEARNING_GAINS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
-from hil.studies.fault_campaign.layout_capabilities import TEXTS, Means, fixed_means
+from hil.rig.reference import Table, json_schema, tables
+from hil.rig.schema import LawConfig
+from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FOLDER = Path(__file__).parent.parent / "docs"
+SCHEMA = FOLDER.parent / "deploy" / "rigs" / "rig.schema.json"
 REACTION_TEXT = {
     Reaction.COUNT: "R0 count",
     Reaction.BRIDGE: "R1 bridge on the prediction, at most 2 ticks",
@@ -28,6 +35,8 @@ PLACES = {
 }  # fmt: skip
 
 
+GAINS_BEGIN = "<!-- gains: made by `make docs` from Law.GAINS -->"
+GAINS_END = "<!-- end of gains -->"
 EVERYWHERE = {
     (Event.ESTOP, State.ESTOP),
     (Event.FAULT_ZERO, State.FAULT),
@@ -77,13 +86,13 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join([*lines, *_means_lines()]) + "\n"
+    return "\n".join([*lines, *_capability_lines()]) + "\n"
 
 
-def _means_lines() -> list[str]:
+def _capability_lines() -> list[str]:
     """What a layout cannot tell, from the properties the campaign goes by."""
     has = {
-        name: fixed_means(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
+        name: fixed_capabilities(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
         for name in ("stage_fd", "stage_classic", "cia402")
     }
     lines = ["", "## What a layout cannot tell", ""]
@@ -93,12 +102,73 @@ def _means_lines() -> list[str]:
         "",
     ]
     lines += ["| what it takes | " + " | ".join(has) + " | without it |", "|---" * (len(has) + 2) + "|"]
-    for means, text in TEXTS.items():
+    for capability, text in TEXTS.items():
         marks = [
-            "as its load leaves" if means is Means.ROOM else "yes" if means & own else "no" for own in has.values()
+            "as its load leaves" if capability is Capability.ROOM else "yes" if capability & own else "no"
+            for own in has.values()
         ]
-        lines.append(f"| {text.means} | {' | '.join(marks)} | {text.follows} |")
+        lines.append(f"| {text.capability} | {' | '.join(marks)} | {text.follows} |")
     return lines
+
+
+def rig_file_page() -> str:
+    """docs/rig-file.md."""
+    lines = [
+        "# The rig file",
+        "",
+        "Made from the schema (`hil/rig/schema.py`) by `make docs`. `hil explain KEY` prints the same for one key; "
+        "editors that know JSON schemas complete and check rig files by `deploy/rigs/rig.schema.json`. NAME stands for "
+        "an axis' name. Units are SI; where an axis is rotary, the unit in brackets holds. A key that is not required "
+        "has its default; where that is another key, it is that key's value.",
+    ]
+    alike: dict[tuple[str, ...], list[Table]] = defaultdict(list)
+    for table in tables():  # the signals of [bus.dbc] are all of one kind
+        alike[table.description, *(key.path.rpartition(".")[2] for key in table.keys)].append(table)
+    for group in alike.values():
+        lines += ["", f"## {', '.join(f'`[{table.path}]`' for table in group if table.path) or 'The file'}", ""]
+        lines += [group[0].description.partition("]: ")[2] or group[0].description, ""]
+        lines += ["| key | type | unit | allowed | default | meaning |", "|---|---|---|---|---|---|"]
+        for key in group[0].keys:
+            allowed, meaning = (text.replace("|", "\\|") for text in (key.allowed, key.description))
+            lines.append(
+                f"| `{key.path.rpartition('.')[2]}` | {key.kind} | {key.unit} | {allowed} | {key.default} | {meaning} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def rig_schema() -> str:
+    """deploy/rigs/rig.schema.json."""
+    return json.dumps(json_schema(), indent=1) + "\n"
+
+
+def gains_table() -> str:
+    """The gains of every law, as docs/laws.md has them between its two markers."""
+    lines = ["| law | gain | default | unit | range | searched by `hil tune` | meaning |", "|---" * 7 + "|"]
+    for name in LAWS:
+        for key, gain in declared(law_class(LawConfig(name=name)).GAINS).items():
+            lines.append(_gain_row(name, key, gain))
+    lines += [_gain_row("any, learning", key, gain) for key, gain in LEARNING_GAINS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _gain_row(law: str, key: str, gain: Gain) -> str:
+    default = "from the rig" if gain.default is None else str(gain.default)
+    allowed = ", ".join(gain.words) if gain.words else gain.allowed().removeprefix("a ").replace("finite number ", "")
+    ranges = [_knob(knob) + note for knob, note in ((gain.tune, ""), (gain.plan, " (injection plan)")) if knob]
+    cells = (law, f"`{key}`", default, gain.unit, allowed, "; ".join(ranges), gain.meaning)
+    return "| " + " | ".join(cell.replace("|", "&#124;") for cell in cells) + " |"
+
+
+def _knob(knob: Knob) -> str:
+    unit = " ".join(part for part in ("" if knob.scale == "1" else knob.scale, knob.of and f"`{knob.of}`") if part)
+    return f"{knob.low:g} to {knob.high:g}" + (f" × {unit}" if unit else "")
+
+
+def laws_page() -> str:
+    """docs/laws.md with its table of gains renewed; the text around it is written by hand."""
+    before, _, rest = (FOLDER / "laws.md").read_text(encoding="utf-8").partition(GAINS_BEGIN)
+    _, _, after = rest.partition(GAINS_END)
+    return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
 
 
 def states_picture(path: Path) -> None:
@@ -139,6 +209,9 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
+    (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
+    SCHEMA.write_text(rig_schema(), encoding="utf-8")
+    (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     states_picture(folder / "states.svg")
 
 

@@ -1,91 +1,143 @@
-"""The part of a rig file that describes the bus: [bus] and [wire]."""
+"""The part of a rig file that describes the bus and what is on it: [bus], [wire] and [drives].
 
-from typing import Annotated, Literal
+Every key of the rig file is declared with `key`: default, meaning and unit in one place. docs/rig-file.md, the JSON
+schema for editors and `hil explain` are made from these declarations.
+"""
+
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+REQUIRED = ...
+
+
+def key(default: Any, description: str, unit: str = "", *, derived: str = "", **bounds: Any) -> Any:
+    """A key of the rig file, as a pydantic field.
+
+    default: its value where the file says nothing, REQUIRED where the file has to say it. unit: SI, "1" for a number
+    without one. derived: where the value comes from if not from the file, in words. bounds: pydantic's ge, gt, le, lt.
+    """
+    extra: dict[str, Any] = {name: text for name, text in (("unit", unit), ("derived", derived)) if text}
+    return Field(default, description=description, json_schema_extra=extra, **bounds)
 
 
 class SignalBinding(BaseModel):
     """One value in a DBC file, by message and signal name."""
 
     model_config = STRICT
-    message: str
-    signal: str
-    scale: Annotated[float, Field(gt=0)] = 1.0  # raw counts (position) or N (force) per physical unit of the DBC
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key(REQUIRED, "name of the signal in that message")
+    scale: float = key(1.0, "encoder counts (position) or N (torque) per physical unit of the DBC file", "1", gt=0)
+
+
+Signals = list[SignalBinding]
 
 
 class DbcBinding(BaseModel):
-    """How an arbitrary DBC file carries the rig: lists in the order of the axes."""
+    """[bus.dbc]: how an arbitrary DBC file carries the rig. Lists are in the order of [axes]."""
 
     model_config = STRICT
-    position: list[SignalBinding]
-    status: list[SignalBinding] = []
-    torque: list[SignalBinding]
-    enable: list[SignalBinding] = []  # one signal (a bit for all, or a bit per axis), or one per axis
-    reset: list[SignalBinding] = []
-    feedback_counter: list[SignalBinding] = []
-    command_counter: list[SignalBinding] = []
-    checksum: list[SignalBinding] = []
-    checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = "crc8-sae-j1850"
+    position: Signals = key(REQUIRED, "encoder position of each axis")
+    status: Signals = key([], "drive status bits of each axis")
+    torque: Signals = key(REQUIRED, "force (torque) demanded of each axis")
+    enable: Signals = key([], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis")
+    reset: Signals = key([], "clears a latched drive fault; one for all axes, or one per axis")
+    feedback_counter: Signals = key([], "sequence number in the answers")
+    command_counter: Signals = key([], "sequence number in the commands")
+    checksum: Signals = key([], "checksums in the payload, besides CAN's own")
+    checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = key("crc8-sae-j1850", "how they are computed")
 
 
 class ObjectValue(BaseModel):
     """A value to write into a drive's object dictionary; its size is what the drive's EDS says."""
 
     model_config = STRICT
-    object: Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")]  # "6007h", "1029h:01"
-    value: Annotated[int, Field(ge=-(2**31), lt=2**32)]
+    object: Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")] = key(
+        REQUIRED, 'index and sub-index, hexadecimal: "6007h", "1029h:01"'
+    )
+    value: int = key(REQUIRED, "value to write", "1", ge=-(2**31), lt=2**32)
 
     @property
-    def key(self) -> tuple[int, int]:
+    def place(self) -> tuple[int, int]:
         """Index and sub-index."""
         index, _, subindex = self.object.partition(":")
         return int(index.rstrip("h"), 16), int(subindex or "0", 16)
 
 
-class Cia402Config(BaseModel):
-    """[bus.cia402]: CiA 402 drives as their makers describe them. Without it they are the project's own (cia402.eds).
+NodeNumber = Annotated[int, Field(ge=1, le=126)]
+RatedTorque = Annotated[float, Field(gt=0, lt=1e6)]
 
-    Lists have one entry per axis; `eds` may also have one for all.
+
+class Cia402Config(BaseModel):
+    """[bus.cia402]: CiA 402 drives as their makers describe them. Lists are in the order of [axes], one entry per axis.
+
+    Without this table the drives are the project's own (drivers/protocols/canopen/cia402.eds).
     """
 
     model_config = STRICT
-    eds: Annotated[list[str], Field(min_length=1)]  # EDS or DCF files; relative to the rig file
-    nodes: list[Annotated[int, Field(ge=1, le=126)]] = []  # node numbers; empty: bus.node_id and the next ones
-    rpdo: Literal["auto", "shared", "own"] = "auto"  # one RPDO for the torques of all drives, or one per drive
-    sync_counter: Literal["auto", "on", "off"] = "auto"  # the counter of 1019h; auto: where all drives have it
-    rated_torque: list[Annotated[float, Field(gt=0, lt=1e6)]] = []  # N m (N) that 6076h stands for; empty: read it
-    write_rated_torque: bool = False  # write 6076h, on many drives a property of the motor
-    start: Literal["nmt", "autostart"] = "nmt"  # autostart: the drives go to operational by themselves
-    write: list[ObjectValue] = []  # further objects, written in this order before the drive is started
+    eds: list[str] = key(REQUIRED, "EDS or DCF files, beside the rig file: one per axis, or one for all", min_length=1)
+    nodes: list[NodeNumber] = key([], "CANopen node of each axis", derived="bus.node_id and the numbers after it")
+    rpdo: Literal["auto", "shared", "own"] = key(
+        "auto", "shared: one RPDO with the torques of all drives; own: one per drive; auto: shared where all drives can"
+    )
+    sync_counter: Literal["auto", "on", "off"] = key("auto", "counter in SYNC (1019h); auto: where all drives have it")
+    rated_torque: list[RatedTorque] = key(
+        [],
+        "torque (force) that 6076h stands for; compared with the drive's",
+        "N or N m",
+        derived="read from each drive",
+    )
+    write_rated_torque: bool = key(False, "write 6076h, which on many drives is a property of the motor")
+    start: Literal["nmt", "autostart"] = key("nmt", "autostart: the drives go to operational by themselves")
+    write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
     model_config = STRICT
-    interface: Literal["auto", "socketcan", "local"] = "auto"
-    channel: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,15}$")] = "can0"
-    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = "stage_fd"
-    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
-    data_bitrate: Annotated[int, Field(ge=10_000, le=8_000_000)] = 5_000_000
-    transmit_queue: Annotated[int, Field(ge=1, le=1000)] = 16  # frames
-    receive_limit: Annotated[int, Field(ge=4, le=32)] = 32  # frames handed to one tick; more is a flood
-    host_id: Annotated[int, Field(ge=0, le=0x7FF)] = 0x080  # stage layouts: the command frame
-    feedback_id: Annotated[int, Field(ge=0, le=0x7F0)] = 0x100  # stage layouts: axis i answers on feedback_id + i
-    node_id: Annotated[int, Field(ge=1, le=120)] = 1  # cia402: node of the first axis
-    dbc: DbcBinding | None = None
-    cia402: Cia402Config | None = None
+    interface: Literal["auto", "socketcan", "local"] = key(
+        "auto", "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is"
+    )
+    channel: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,15}$")] = key("can0", "name of the CAN interface")
+    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = key(
+        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, or dbc:FILE with FILE beside the rig file"
+    )
+    bitrate: int = key(1_000_000, "nominal bit rate", "bit/s", ge=10_000, le=1_000_000)
+    data_bitrate: int = key(5_000_000, "bit rate of the data phase of CAN FD", "bit/s", ge=10_000, le=8_000_000)
+    transmit_queue: int = key(16, "frames that may wait to be sent", "frames", ge=1, le=1000)
+    receive_limit: int = key(32, "frames handed to one tick; more is a flood", "frames", ge=4, le=32)
+    host_id: int = key(0x080, "stage layouts: identifier of the command frame", "1", ge=0, le=0x7FF)
+    feedback_id: int = key(0x100, "stage layouts: axis i (from 0) answers on feedback_id + i", "1", ge=0, le=0x7F0)
+    node_id: int = key(1, "cia402: CANopen node of the first axis; the others follow", "1", ge=1, le=120)
+    dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
+    cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
 
 
 class WireConfig(BaseModel):
-    """[wire]: the simulated CAN segment of lockstep runs (drivers/wire/wire.py)."""
+    """[wire]: the simulated CAN segment of runs in virtual time (drivers/wire/wire.py)."""
 
     model_config = STRICT
-    drop_probability: Annotated[float, Field(ge=0, lt=1)] = 0.0  # per frame
-    jitter: Annotated[float, Field(ge=0, le=0.01)] = 0.0  # s, the host's sending instant, uniform in +- jitter
-    # worst: every frame is as long as any of its size can be, so that timing does not depend on payloads (hil sweep)
-    stuffing: Literal["exact", "worst"] = "exact"
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    drop_probability: float = key(0.0, "probability that a frame is lost", "1", ge=0, lt=1)
+    jitter: float = key(0.0, "variation of the host's sending instant, uniform in +- jitter", "s", ge=0, le=0.01)
+    # worst: timing then does not depend on payloads (hil sweep)
+    stuffing: Literal["exact", "worst"] = key(
+        "exact", "frame lengths: exact bit stuffing, or as long as any frame of its size can be"
+    )
+    seed: int = key(1, "seed of the losses and of the jitter", "1", ge=0, lt=2**32)
+
+
+class DrivesConfig(BaseModel):
+    """[drives]: what the drives on the bus do by themselves. Safety rules go by it; the emulated drives do the same.
+
+    Lists are in the order of [axes].
+    """
+
+    model_config = STRICT
+    watchdog_s: float = key(
+        0.01, "without a valid command for this long a drive goes to zero torque and latches a fault", "s", gt=0, le=1
+    )
+    brake: bool | list[bool] = key(
+        False, "at zero torque the axis is held by a brake that its drive engages; false: it is free to move"
+    )

@@ -43,4 +43,9 @@ def shown(value: Any) -> str:
         text = repr(value)
     except ValueError:  # a number of thousands of digits, which TOML can write in hexadecimal
         return "a number of thousands of digits"
+    return short(text)
+
+
+def short(text: str) -> str:
+    """The beginning of a text that may be of any length."""
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.config import BusConfig
+from drivers.config import BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject
@@ -45,7 +45,8 @@ class EmulatedStage:
     """Stage and drives behind one of the frame layouts.
 
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
-    sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value.
+    sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value. drives: their
+    watchdog and brakes.
 
     now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
     that carried no command, by reason. sampled: truth (positions in m, velocities in m/s) at the latest sampling,
@@ -62,6 +63,8 @@ class EmulatedStage:
         rated_force: Sequence[float],
         base_dir: Path,
         start_ns: int = 0,
+        *,
+        drives: DrivesConfig | None = None,
     ) -> None:
         n_axes = len(axis_names)
         self.axis_names = list(axis_names)
@@ -77,7 +80,7 @@ class EmulatedStage:
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
-        self.drives = self._make_drives(plant, rated_force)
+        self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
         self._nodes = self._make_nodes(bus.node_id) if canopen else []
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
         self._jam = [0.0] * n_axes
@@ -92,12 +95,12 @@ class EmulatedStage:
         self._deadline_ns = NEVER_NS
         self._update()
 
-    def _make_drives(self, plant: PlantConfig, rated_force: Sequence[float]) -> list[ServoDrive]:
+    def _make_drives(self, plant: PlantConfig, config: DrivesConfig, rated_force: Sequence[float]) -> list[ServoDrive]:
         n_axes = len(self.axis_names)
         resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
-        brake = per_axis_array("plant.brake", plant.brake, n_axes).astype(bool).tolist()
+        brake = per_axis_array("drives.brake", config.brake, n_axes).astype(bool).tolist()
         modulus = int(getattr(self._protocol, "sequence_modulus", 0))
-        watchdog_ns = round(plant.watchdog_s * 1e9)
+        watchdog_ns = round(config.watchdog_s * 1e9)
         return [
             ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
             for axis in range(n_axes)

@@ -42,14 +42,11 @@ pip install --no-compile --no-deps --target "$root/$packages" "$stage"/hil-*.whl
 rm -rf "$root/$packages/bin"
 if [ $control_path = compiled ]; then  # the same packages with the extension modules beside their sources
     built=.venv-compiled/lib/python$minor/site-packages
-    rm -rf "$root/$packages"/{hil,drivers,sim_plant}
     cp -r "$built"/{hil,drivers,sim_plant,*.so} "$root/$packages/"
     find "$root/$packages"/{hil,drivers,sim_plant} -name __pycache__ -prune -exec rm -rf {} +
 fi
 # a tenth of the package, and never imported by it
 find "$root/$packages"/{numpy,scipy,matplotlib} -type d -name tests -prune -exec rm -rf {} +
-mkdir -p "$root/$packages/hil/deploy"
-cp -r deploy/systemd deploy/rigs "$root/$packages/hil/deploy/"
 # byte code once, here; hash-based, so that no file time can make it stale
 $PYTHON -m compileall -q -j 0 -s "$root" -p / --invalidation-mode unchecked-hash "$root/$packages" || true
 # guarded: worker processes of hil faults and hil reproduce read this file too

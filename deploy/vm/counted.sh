@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Runs `hil ARGUMENTS` of the compiled build on a machine whose clock counts instructions: a guest of one core in software
+# Runs a benchmark (`make bench ARGS=...`) of the compiled build on a machine whose clock counts instructions: a guest of one core in software
 # emulation where an instruction takes a nanosecond (QEMU's icount) and idle time is skipped. While this machine stalls, that
 # clock stands still. A slot lost there was lost by what was executed there, in the loop or in the kernel under it.
-# usage: counted.sh [ARGUMENTS]     none: a million ticks of bench misses, two hours. The guest can write to RESULTS alone,
+# usage: counted.sh [ARGUMENTS]     none: a million ticks of `misses`, two hours. The guest can write to RESULTS alone,
 #                                   which is .vm/results-counted unless the environment has another
 set -euo pipefail
 
@@ -10,7 +10,7 @@ PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
 VM=$PROJECT/.vm
 RESULTS=${RESULTS:-$VM/results-counted}
 LIMIT=${HIL_VM_LIMIT:-14400}  # s
-[ $# -gt 0 ] || set -- bench misses --blocks 20 --ticks 50000 --json "$RESULTS/misses.json"
+[ $# -gt 0 ] || set -- misses --blocks 20 --ticks 50000 --json "$RESULTS/misses.json"
 
 "$PROJECT/deploy/vm/prepare.sh" "$VM"
 mkdir -p "$RESULTS"

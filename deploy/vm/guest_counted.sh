@@ -1,5 +1,5 @@
 #!/bin/bash
-# Runs inside the guest whose clock counts instructions: `hil ARGUMENTS` of PROJECT's compiled build. Leaves bench.log and,
+# Runs inside the guest whose clock counts instructions: benchmark ARGUMENTS on PROJECT's compiled build. Leaves bench.log and,
 # last of all, `status` in RESULTS.
 #
 # Idle time is skipped in that guest, and it idles while it waits for this machine's files. So that no process's start lasts
@@ -20,7 +20,7 @@ cd "$1" || exit 70
 export HOME=/tmp PYTHONDONTWRITEBYTECODE=1 LANG=C.UTF-8 PATH=$PATH:/usr/sbin:/sbin
 results=$2
 shift 2
-.venv-compiled/bin/hil "$@" >"$results/bench.log" 2>&1
+PYTHONSAFEPATH=1 .venv-compiled/bin/python -m tests.benchmarks "$@" >"$results/bench.log" 2>&1
 INNER
 chroot $host /bin/bash /run/inside.sh "$project" "$results" "$@"
 echo $? > "$results/status"

@@ -16,7 +16,7 @@ vm-mutants: setup  ## prove that the VM lane turns red when drivers/bus/port.py 
 test-vcan: setup  ## the same vcan tests on this machine, where its kernel has vcan
 	@deploy/vm/test_vcan.sh
 
-counted: setup compiled  ## a million ticks on a machine whose clock counts instructions, which no stall of this one delays (2 hours; ARGS='bench tick' for another)
+counted: setup compiled  ## a million ticks on a machine whose clock counts instructions, which no stall of this one delays (2 hours; ARGS=tick for another)
 	@deploy/vm/counted.sh $(ARGS)
 
 vm-lock:  ## renew deploy/vm/requirements.lock (needs uv)

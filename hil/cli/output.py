@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
+from hil.rig.plant import plant_notes
 from hil.rig.schema import RigConfig
 
 PICTURES = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tiff", ".webp")  # by suffix, as matplotlib knows them
@@ -71,6 +73,14 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_plant_notes(console: Console, rig: RigConfig) -> None:
+    """For commands that simulate: what of the emulated stage the rig file leaves to the nominal model, or states to be
+    unlike it.
+    """
+    for note in plant_notes(rig):
+        console.print(note, soft_wrap=True, markup=False, highlight=False)
 
 
 def metres(value: float, kind: str = "linear") -> str:

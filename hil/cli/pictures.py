@@ -16,9 +16,7 @@ _UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad
 
 
 class Tracked(Protocol):
-    """A run to draw: hil.virtual.lockstep.Traces or hil.operate.summary.RunData. Arrays (ticks, n_axes); NaN where
-    there is nothing.
-    """
+    """A run to draw, from lockstep or from a recording. Arrays (ticks, n_axes); NaN where there is nothing."""
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
@@ -30,7 +28,7 @@ class Tracked(Protocol):
 
     @property
     def force(self) -> NDArray[np.float64]:
-        """Force let out, N."""
+        """Applied force, N."""
 
 
 def tracking_picture(path: Path, rig: RigConfig, run: Tracked, lateness: NDArray[np.float64] | None = None) -> None:

@@ -14,7 +14,7 @@ _NEVER: Final = -(1 << 60)  # ns
 
 
 def nominal_net_force(force: Number, model: Model, mean_velocity: Number, mean_sign: Number) -> Number:
-    """Force let out, less gravity hold and the nominal friction at the setpoint's mean velocity: the filter's known
+    """Applied force, less gravity hold and the nominal friction at the setpoint's mean velocity: the filter's known
     input, N.
     """
     wet = (abs(mean_velocity) * model.quadratic + model.viscous) * mean_velocity
@@ -66,7 +66,9 @@ class Setpoints:
         self.task_ns = sample_ns[0] - self.origin[0]
 
     def _update_axis(self, trajectory: Trajectory, axis: int, sampled: int, begins: int) -> None:
-        """An interval mostly begins where the last one ended: then the objects change places and keep their values."""
+        """An interval mostly begins where the last one ended: the Reference objects are then swapped, not computed
+        again.
+        """
         x, period, ends = self._inputs[axis], self._period, begins + self._period_ns
         sample, start, end = x.sample, x.start, x.end
         if sampled == self._starts[axis]:

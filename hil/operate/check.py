@@ -12,16 +12,18 @@ from rich.table import Table
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
 from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
+from hil.cli.options import Overrides, RigFile
 from hil.cli.output import drawable, writable, write_json
 from hil.control.stability import StabilityReport, check_stability
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
 from hil.rig.file import load_rig
+from hil.rig.plant import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
 def check(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    rig_file: RigFile,
+    overrides: Overrides = None,
     json_path: Annotated[
         str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
     ] = None,
@@ -34,6 +36,8 @@ def check(
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
+    for note in encoder_notes(rig):
+        console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
     if tolerated >= 0:

@@ -15,7 +15,8 @@ from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, runtime_dir
-from hil.cli.output import write_json
+from hil.cli.options import Overrides, RigFile
+from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import DEMO_PREFIX, Places, places_in
@@ -312,9 +313,9 @@ def _what_next(scene: Scene, console: Console) -> None:
 
 
 def demo(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
+    rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.5, max=1e6, help="how long the task runs")] = 20.0,
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
     """Exit status 0: it went as planned; 1: something failed, said what; 130 or 143: interrupted, in good order."""
@@ -331,6 +332,7 @@ def demo(
         "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,
     )
+    print_plant_notes(console, config)
     stage = Demo(scene, console, signals)
     try:
         stage.run(seconds)

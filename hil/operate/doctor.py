@@ -73,8 +73,8 @@ def examine() -> list[Finding]:
         interrupts_finding(max(os.sched_getaffinity(0))),
         runtime_finding(),
         tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
-        tool_finding("strace", "`hil bench tick` counts system calls with it: apt install strace"),
-        tool_finding("cc", "`hil bench tick` builds its C reference with it: apt install gcc"),
+        tool_finding("strace", "the benchmarks (make bench) count system calls with it: apt install strace"),
+        tool_finding("cc", "the compiled build and the benchmarks need it: apt install gcc"),
     ]
 
 

@@ -16,6 +16,7 @@ import typer
 from drivers.config import BusConfig
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.shipped import shipped
 
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"
@@ -29,15 +30,6 @@ Links = dict[str, str]  # path relative to the root -> what the symbolic link sa
 
 class InstallError(Exception):
     """What cannot be installed, and what to do instead."""
-
-
-def assets() -> Path:
-    """The deploy directory: beside the package in a checkout, inside it in a wheel. Raises InstallError."""
-    here = Path(__file__).resolve().parents[1]
-    for candidate in (here / "deploy", here.parent / "deploy"):
-        if (candidate / "systemd").is_dir():
-            return candidate
-    raise InstallError(f"no deploy/systemd beside {here}: this copy of hil is not complete")
 
 
 def escape(name: str) -> str:
@@ -59,7 +51,7 @@ def system_files(executable: str, *, packaged: bool) -> Files:
 
     executable: absolute path of `hil` for ExecStart. packaged: at a package's places, else at an administrator's.
     """
-    source = assets() / "systemd"
+    source = shipped("systemd")
     base, udev = ("usr/lib", "usr/lib/udev") if packaged else ("etc", "etc/udev")
     units = {
         f"{base}/systemd/system/{name}": (source / "units" / name)
@@ -77,7 +69,7 @@ def system_files(executable: str, *, packaged: bool) -> Files:
 
 def network_files(bus: BusConfig, *, fd: bool) -> Files:
     """systemd-networkd's and udev's files for the rig's CAN interface; `fd` says whether its layout needs CAN FD."""
-    source = assets() / "systemd/network"
+    source = shipped("systemd") / "network"
     place = f"etc/systemd/network/80-hil-{bus.channel}"
     if bus.channel.startswith("vcan"):
         return {

@@ -51,7 +51,7 @@ class RunData:
 
     @property
     def force(self) -> NDArray[np.float64]:
-        """Force let out, N, (ticks, n_axes)."""
+        """Applied force, N, (ticks, n_axes)."""
         return self.columns["force"]
 
     @property

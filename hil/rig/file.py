@@ -3,22 +3,26 @@
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.toml_file import TomlError, parse_toml, read_toml, shown
+from drivers.toml_file import TomlError, parse_toml, read_toml, short, shown
+from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
+from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError
 
 
 def _describe(error: ValidationError) -> list[str]:
     lines = []
     for item in error.errors():
-        path = ".".join(str(part) for part in item["loc"]) or "rig"
+        path = ".".join(short(str(part)) for part in item["loc"]) or "rig"
         value = item.get("input")
         given = "" if isinstance(value, dict) else f" = {shown(value)}"
-        lines.append(f"{path}{given}: {item['msg']}")
+        text = f"no such key; {nearest(item['loc'])}" if item["type"] == "extra_forbidden" else item["msg"]
+        lines.append(f"{path}{given}: {text}")
     return lines
 
 
@@ -39,12 +43,6 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
         law = document.setdefault("law", {})
         if isinstance(law, dict) and law.get("name") != value:
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
-    if path == ["plant", "encoder_resolution"]:
-        # Another encoder is another data sheet: the belief follows, else every position would be scaled wrongly.
-        axes = document.get("axes")
-        tables = [axis for axis in axes.values() if isinstance(axis, dict)] if isinstance(axes, dict) else []
-        for index, axis in enumerate(tables):
-            axis["encoder_resolution"] = value[index] if isinstance(value, list) and index < len(value) else value
     table = document
     for part in path[:-1]:
         child = table.setdefault(part, {})
@@ -54,19 +52,49 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
     table[path[-1]] = value
 
 
-def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigConfig:
-    """Validate a parsed rig document with `key=value` overrides applied. Raises RigError with every problem."""
+def _exchange_encoder(document: dict[str, Any], resolution: Any) -> None:
+    """An override of plant.encoder_resolution alone means another encoder, with another data sheet: [axes] follows. A
+    difference between the two is a modelling error, which has to be stated on both sides.
+    """
+    axes = document.get("axes")
+    tables = [axis for axis in axes.values() if isinstance(axis, dict)] if isinstance(axes, dict) else []
+    for index, axis in enumerate(tables):
+        own = isinstance(resolution, list) and index < len(resolution)
+        axis["encoder_resolution"] = resolution[index] if own else resolution
+
+
+def _build(document: dict[str, Any], overrides: Sequence[str]) -> tuple[RigConfig, list[str]]:
+    """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
+    paths = [path for path, _ in parsed]
     for path, value in parsed:
+        if path == ["plant", "encoder_resolution"] and not any(_is_axis_encoder(other) for other in paths):
+            _exchange_encoder(document, value)
         _apply_override(document, path, value)
     try:
-        return RigConfig.model_validate(document)
+        lines = modernise(document)
+        return RigConfig.model_validate(document), lines
+    except FormerKeyError as error:
+        raise RigError([str(error)]) from None
     except ValidationError as error:
         raise RigError(_describe(error)) from None
 
 
+def _is_axis_encoder(path: list[str]) -> bool:
+    return len(path) == 3 and path[0] == "axes" and path[2] == "encoder_resolution"
+
+
+def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigConfig:
+    """Validate a parsed rig document, of this version or an earlier one, with `key=value` overrides applied. Raises
+    RigError with every problem.
+    """
+    return _build(document, overrides)[0]
+
+
 def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> RigConfig:
-    """Read and validate a rig file. Raises RigError naming key, value and allowed range of every problem."""
+    """Read and validate a rig file. Raises RigError naming key, value and allowed range of every problem. A key of an
+    earlier version is understood; a FormerKeyWarning then says what to write instead.
+    """
     try:
         document = read_toml(path)
     except OSError as error:
@@ -74,9 +102,12 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     except TomlError as error:
         raise RigError([f"{path}: {error}"]) from None
     try:
-        return build_rig(document, overrides)
+        rig, lines = _build(document, overrides)
     except RigError as error:
         raise RigError([f"{path}: {line}" for line in error.problems]) from None
+    for line in lines:
+        warnings.warn(f"{path}: {line}", FormerKeyWarning, stacklevel=2)
+    return rig
 
 
 def rig_hash(rig: RigConfig) -> str:

@@ -50,7 +50,7 @@ class Bounds:
 class BatchRun:
     """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the rig becomes ACTIVE.
 
-    error: true position less setpoint at the samples' instant of the latest tick (m). force: let out in it (N).
+    error: true position less setpoint at the samples' instant of the latest tick (m). force: applied in it (N).
     Both (plants, n_axes); the next tick writes into the error's array.
     """
 
@@ -66,11 +66,11 @@ class BatchRun:
         self._bounds = Bounds(force_limits(rig))
         axes = rig.axes.values()
         self._law = rig_law(rig)
-        self._belief = np.array([axis.encoder_resolution for axis in axes])
+        self._nominal_resolution = np.array([axis.encoder_resolution for axis in axes])
         self._resolution = per_axis(rig.plant.encoder_resolution, n)
         initial = per_axis(rig.plant.initial_position, n)
         self._stage = Stage(truth, np.zeros(shape) + initial)
-        self._origin = np.rint(initial / self._resolution) * self._belief
+        self._origin = np.rint(initial / self._resolution) * self._nominal_resolution
         # What all plants have in common, on floats as in the cycle.
         self._shared = [axis_inputs() for _ in range(n)]
         for x in self._shared:
@@ -101,7 +101,7 @@ class BatchRun:
 
     def _estimate(self) -> None:
         motion, interval = self._filter, self._period_ns * 1e-9
-        self._measured = np.rint(self._stage.position / self._resolution) * self._belief
+        self._measured = np.rint(self._stage.position / self._resolution) * self._nominal_resolution
         motion.correct(self._net_before, interval, self._measured)
         motion.look_ahead(self._net_last, interval)
 

@@ -6,11 +6,8 @@ Same protocol, wire, drives, plant and cycle as a live run; same bytes every tim
 
 import hashlib
 import struct
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +18,7 @@ from drivers.wire.wire import Wire
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, CycleResult, OperatorCommand, Tick
-from hil.rig.schema import RigConfig, RigError
-from hil.virtual.figures_of_merit import axis_statistics
+from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.injector import Injector
 from sim_plant.scenario.language import Scenario
@@ -63,8 +59,8 @@ class LockstepRun:
         self.cycle = ControlCycle(rig, base_dir)
         self._operator = operator
         self._observer = observer
-        axes = list(rig.axes.values())
-        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, [axis.rated_force for axis in axes], base_dir)
+        rated = [axis.rated_force for axis in rig.axes.values()]
+        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives)
         self.wire = Wire.from_config(rig.bus, rig.wire)
         for fault in wire_faults:
             self.wire.inject(fault)
@@ -177,118 +173,3 @@ class LockstepRun:
     def true_velocity(self) -> NDArray[np.float64]:
         """The same for velocity, m/s."""
         return np.array(self._true[1])
-
-
-@dataclass
-class SimReport:
-    """What `hil sim` prints and writes; SI units."""
-
-    rig: str
-    law: str
-    gains: dict[str, Any]
-    rate_hz: float
-    ticks: int
-    realtime_factor: float
-    steady_from_s: float
-    axes: dict[str, dict[str, float]]
-    state: str
-    faults: dict[str, int]
-    trace_sha256: str
-    samples_lost: int = 0
-    wire_busy: float = 0.0
-    overrides: list[str] = field(default_factory=list)
-
-
-def simulate(
-    rig: RigConfig,
-    base_dir: Path,
-    seconds: float,
-    *,
-    progress: Callable[[int], None] | None = None,
-    observer: Observer | None = None,
-    scenario: Scenario | None = None,
-) -> tuple[SimReport, "Traces"]:
-    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
-    every sample.
-    """
-    run = LockstepRun(rig, base_dir, observer=observer, scenario=scenario)
-    ticks = round(seconds * 1e9 / rig.period_ns)
-    traces = Traces(ticks, len(rig.axes))
-    started = time.perf_counter()
-    for index in range(ticks):
-        run.tick()
-        traces.take(index, run)
-        if progress and index % 1000 == 0:
-            progress(index)
-    elapsed = time.perf_counter() - started
-    first = steady_from(run, ticks)
-    report = SimReport(
-        rig=rig.name,
-        law=rig.law.name,
-        gains=rig.law.effective_gains(),
-        rate_hz=rig.rate_hz,
-        ticks=ticks,
-        realtime_factor=seconds / elapsed,
-        steady_from_s=first * rig.period_ns * 1e-9,
-        axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
-        state=run.cycle.state.name,
-        faults=_faults_of(run),
-        trace_sha256=run.trace_sha256,
-        samples_lost=run.cycle.inbox.lost,
-        wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
-    )
-    return report, traces
-
-
-def _faults_of(run: LockstepRun) -> dict[str, int]:
-    """Ticks each fault was seen in; and the one that holds the run in FAULT, where it was latched without having been
-    looked for: a law's request that is not finite, drives that never enable.
-    """
-    seen = {name: count for name, count in run.cycle.monitor.named_counts().items() if count}
-    latched = run.cycle.fault
-    return seen if not latched else {latched.name.lower(): 1} | seen
-
-
-def steady_from(run: LockstepRun, ticks: int) -> int:
-    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for
-    that.
-    """
-    trajectory = run.cycle.setpoints.trajectory
-    if run.activated_at < 0 or trajectory is None:
-        return 0
-    first = run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns
-    return int(first) if first < ticks else (run.activated_at + ticks) // 2
-
-
-class Traces:
-    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
-    and force let out.
-    """
-
-    def __init__(self, ticks: int, n_axes: int) -> None:
-        shape = (ticks, n_axes)
-        self.error = np.full(shape, np.nan)
-        self.setpoint = np.full(shape, np.nan)
-        self.velocity_error = np.full(shape, np.nan)
-        self.force = np.zeros(shape)
-
-    def take(self, index: int, run: LockstepRun) -> None:
-        """Note the tick just run."""
-        cycle = run.cycle
-        self.force[index] = cycle.gate.force
-        if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
-            return
-        self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
-        self.error[index] = run.true_position - setpoint
-        self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity
-
-
-def usable(rig: RigConfig, rig_file: Path) -> RigConfig:
-    """The rig, if a run of it in lockstep can begin. Raises RigError where its task, law, filter, layout or plant do
-    not fit.
-    """
-    try:
-        LockstepRun(rig, rig_file.parent)
-    except (ValueError, OSError) as error:
-        raise RigError([f"{rig_file}: {error}"]) from None
-    return rig

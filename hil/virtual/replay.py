@@ -1,20 +1,14 @@
-"""`hil replay`: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
+"""Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
 
 import dataclasses
-import json
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
-import typer
 from google.protobuf.message import DecodeError
-from rich.console import Console
 
 from drivers.frame import Frame
-from hil.cli.output import writable, write_json
 from hil.cycle.record import MAX_RECEIVED
 from hil.cycle.step import ControlCycle
 from hil.rig.provenance import rig_of_run
@@ -131,39 +125,3 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
             report.other_law, report.other_force = other.law, other.result()
     report.truncated = recording.truncated
     return report
-
-
-def _show(report: Replayed, console: Console) -> None:
-    verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
-    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
-    if report.first_different is not None:
-        console.print(f"the first tick that differs is {report.first_different}")
-    if report.gap_at is not None:
-        console.print(f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there")
-    if report.truncated:
-        console.print("the recording was cut short or is damaged: replayed as far as it is whole")
-    for name, row in (report.other_force or {}).items():
-        console.print(f"  {report.other_law} would differ on {name} by {row['rms']:.3g} RMS, {row['max']:.3g} at most")
-
-
-def replay(
-    recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
-    law: Annotated[str, typer.Option(help="also show what this law would have asked for")] = "",
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="the same with key=value over the rig")] = None,
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
-    ] = "",
-) -> None:
-    """Exit status 0: every byte is the same; 1: some differ or nothing could be replayed."""
-    changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
-    try:
-        report = replay_run(recording, changes)
-    except RecordingError as error:
-        print(f"hil replay: {error}", file=sys.stderr)
-        raise typer.Exit(1) from None
-    _show(report, Console(stderr=json_target == "-"))
-    if json_target:
-        document: dict[str, Any] = dataclasses.asdict(report)
-        write_json(document, json_target)
-    if report.different or not report.ticks:
-        raise typer.Exit(1)

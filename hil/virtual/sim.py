@@ -1,85 +1,130 @@
-"""`hil sim`: one rig in lockstep, its figures as a table and as JSON."""
+"""A whole run in lockstep and its figures: what `hil sim` shows."""
 
-import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-from rich.console import Console
-from rich.progress import Progress
+import numpy as np
 
-from hil.cli.output import axis_table, drawable, writable, write_json
-from hil.rig.file import load_rig
+from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig, RigError
+from hil.virtual.figures_of_merit import axis_statistics
+from hil.virtual.lockstep import LockstepRun, Observer
+from sim_plant.scenario.language import Scenario
 
 
-def sim(
-    rig: Annotated[Path, typer.Argument(help="rig file (TOML)", show_default=False)],
-    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
-    overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
-    ] = "",
-    faults: Annotated[Path | None, typer.Option(help="scenario file of faults to inject (TOML)")] = None,
-    record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
-    picture: Annotated[
-        Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
-    ] = None,
-) -> None:
-    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
-    from hil.rig.bus_load import refuse_unschedulable
-    from hil.virtual.lockstep import simulate
-    from hil.virtual.scenario import load_scenario
+@dataclass
+class SimReport:
+    """What `hil sim` prints and writes; SI units."""
 
-    config = load_rig(rig, overrides)
-    refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
-    scenario = load_scenario(faults, config) if faults else None
-    console = Console(stderr=json_target == "-")
-
-    recorder = _recorder(record, config, rig)
-    with Progress(console=console, transient=True) as bar:
-        total = round(seconds * config.rate_hz)
-        job = bar.add_task(f"{config.name}: {config.law.name}", total=total)
-        try:
-            report, traces = simulate(
-                config,
-                rig.parent,
-                seconds,
-                progress=lambda done: bar.update(job, completed=done),
-                observer=recorder.observe if recorder else None,
-                scenario=scenario,
-            )
-        except ValueError as error:  # a task or layout the rig cannot carry
-            raise RigError([f"{rig}: {error}"]) from None
-        finally:
-            if recorder:
-                recorder.close()
-    report.overrides = list(overrides)
-    _show(console, config, report, traces, picture)
-    if json_target:
-        write_json(dataclasses.asdict(report), json_target)
+    rig: str
+    law: str
+    gains: dict[str, Any]
+    rate_hz: float
+    ticks: int
+    realtime_factor: float
+    steady_from_s: float
+    axes: dict[str, dict[str, float]]
+    state: str
+    faults: dict[str, int]
+    trace_sha256: str
+    samples_lost: int = 0
+    wire_busy: float = 0.0
+    overrides: list[str] = field(default_factory=list)
 
 
-def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
-    if path is None:
-        return None
-    from hil.telemetry.recorder import LockstepRecorder, RecordingError
+def simulate(
+    rig: RigConfig,
+    base_dir: Path,
+    seconds: float,
+    *,
+    progress: Callable[[int], None] | None = None,
+    observer: Observer | None = None,
+    scenario: Scenario | None = None,
+) -> tuple[SimReport, "Traces"]:
+    """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
+    every sample.
+    """
+    run = LockstepRun(rig, base_dir, observer=observer, scenario=scenario)
+    ticks = round(seconds * 1e9 / rig.period_ns)
+    traces = Traces(ticks, len(rig.axes))
+    started = time.perf_counter()
+    for index in range(ticks):
+        run.tick()
+        traces.take(index, run)
+        if progress and index % 1000 == 0:
+            progress(index)
+    elapsed = time.perf_counter() - started
+    first = steady_from(run, ticks)
+    report = SimReport(
+        rig=rig.name,
+        law=rig.law.name,
+        gains=rig.law.effective_gains(),
+        rate_hz=rig.rate_hz,
+        ticks=ticks,
+        realtime_factor=seconds / elapsed,
+        steady_from_s=first * rig.period_ns * 1e-9,
+        axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
+        state=run.cycle.state.name,
+        faults=_faults_of(run),
+        trace_sha256=run.trace_sha256,
+        samples_lost=run.cycle.inbox.lost,
+        wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
+    )
+    return report, traces
 
+
+def _faults_of(run: LockstepRun) -> dict[str, int]:
+    """Ticks each fault was seen in; and the one that holds the run in FAULT, where it was latched without having been
+    looked for: a law's request that is not finite, drives that never enable.
+    """
+    seen = {name: count for name, count in run.cycle.monitor.named_counts().items() if count}
+    latched = run.cycle.fault
+    return seen if not latched else {latched.name.lower(): 1} | seen
+
+
+def steady_from(run: LockstepRun, ticks: int) -> int:
+    """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for
+    that.
+    """
+    trajectory = run.cycle.setpoints.trajectory
+    if run.activated_at < 0 or trajectory is None:
+        return 0
+    first = run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns
+    return int(first) if first < ticks else (run.activated_at + ticks) // 2
+
+
+class Traces:
+    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
+    and applied force.
+    """
+
+    def __init__(self, ticks: int, n_axes: int) -> None:
+        shape = (ticks, n_axes)
+        self.error = np.full(shape, np.nan)
+        self.setpoint = np.full(shape, np.nan)
+        self.velocity_error = np.full(shape, np.nan)
+        self.force = np.zeros(shape)
+
+    def take(self, index: int, run: LockstepRun) -> None:
+        """Note the tick just run."""
+        cycle = run.cycle
+        self.force[index] = cycle.gate.force
+        if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
+            return
+        self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
+        self.error[index] = run.true_position - setpoint
+        self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity
+
+
+def usable(rig: RigConfig, rig_file: Path) -> RigConfig:
+    """The rig, if a run of it in lockstep can begin. Raises RigError where its task, law, filter, layout or plant do
+    not fit.
+    """
     try:
-        return LockstepRecorder(path, config, rig)
-    except RecordingError as error:
-        raise typer.BadParameter(str(error), param_hint="--record") from None
-
-
-def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:
-    run = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks"
-    title = f"{run}, steady from {report.steady_from_s:.3f} s"
-    console.print(axis_table(config, report.axes, title))
-    faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
-    console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
-    console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
-    if picture:
-        from hil.cli.pictures import tracking_picture
-
-        tracking_picture(picture, config, traces)
-        console.print(f"picture {picture}")
+        LockstepRun(rig, rig_file.parent)
+    except (ValueError, OSError) as error:
+        raise RigError([f"{rig_file}: {error}"]) from None
+    return rig

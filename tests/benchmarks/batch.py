@@ -1,4 +1,4 @@
-"""`hil bench batch`: plants times ticks per second of the batch engine, on one core and on all of them."""
+"""`make bench ARGS=batch`: plants times ticks per second of the batch engine, on one core and on all of them."""
 
 import dataclasses
 import os
@@ -11,11 +11,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from hil.cli.options import Overrides, RigFile
 from hil.cli.processes import worker_pool
-from hil.rig.file import load_rig
-from hil.virtual.batch import BatchRun
-from sim_plant.physics.stage import Truth
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Case,
     Figures,
     JsonTarget,
@@ -26,13 +24,16 @@ from tests.benchmarks.harness import (
     spread,
     values_of,
 )
+from hil.rig.file import load_rig
+from hil.virtual.batch import BatchRun
+from sim_plant.physics.stage import Truth
 
 SPREAD = 0.2  # of mass and friction, so that no two plants are alike
 
 
 def batch(
-    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/paper.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("paper"),
+    overrides: Overrides = None,
     law: Annotated[str, typer.Option(help="law to measure")] = "structured-kalman",
     plants: Annotated[int, typer.Option(min=1, help="plants per core")] = 2500,
     ticks: Annotated[int, typer.Option(min=1, help="ticks per block")] = 300,

@@ -1,4 +1,4 @@
-/* One tick's I/O of the bus layer in C: the yardstick of `hil bench io`.
+/* One tick's I/O of the bus layer in C: the yardstick of `make bench ARGS=io`.
  *
  * The same system calls on the same kind of socket as drivers/bus/port.py makes them on the local bus: one recvmmsg that
  * takes the four feedback frames with their time stamps, clock readings to bring the stamps to CLOCK_MONOTONIC, one

@@ -1,4 +1,4 @@
-"""`hil bench io`: one tick's I/O (four frames received, one sent) on the local bus, three ways in one run.
+"""`make bench ARGS=io`: one tick's I/O (four frames received, one sent) on the local bus, three ways in one run.
 
 ours: drivers.bus.port.Port. python-can: send and recv of its plug-in for the same bus, with its Message objects, as
 most people would write it. C: tests/benchmarks/io.c, the system calls of `ours` and nothing else. All three take
@@ -18,11 +18,10 @@ from typing import Annotated, Any
 import can
 import typer
 
-import hil
 from drivers.bus.port import Port, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Block,
     Case,
     Figures,
@@ -35,9 +34,10 @@ from tests.benchmarks.harness import (
     spread,
     values_of,
 )
-from tests.benchmarks.live import BenchError, build_reference, private_bus
+from hil.operate.bench.live_runs import BenchError, private_bus
+from tests.benchmarks.c_programs import build_reference
 
-C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "io.c"
+C_SOURCE = Path(__file__).with_name("io.c")
 OURS, PYTHON_CAN, C_PROGRAM = "ours", "python_can", "c"
 FD_BRS = FD | BRS
 FEEDBACK = [Frame(0x100 + axis, bytes(16), FD_BRS) for axis in range(4)]

@@ -1,4 +1,4 @@
-"""`hil bench lockstep`: virtual seconds per second of a whole rig (protocol, wire, drives, plant, cycle) on a core."""
+"""`make bench ARGS=lockstep`: virtual seconds per second of a whole rig (protocol, wire, drives, cycle) on a core."""
 
 import time
 from collections.abc import Sequence
@@ -9,12 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from drivers.frame import Frame
+from hil.cli.options import Overrides, RigFile
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CycleResult, Tick
-from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import LockstepRun, usable
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Case,
     Figures,
     JsonTarget,
@@ -25,13 +23,16 @@ from tests.benchmarks.harness import (
     spread,
     values_of,
 )
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.virtual.lockstep import LockstepRun, usable
 
 WARM_UP_TICKS = 500
 
 
 def lockstep(
-    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/microscope.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     laws: Annotated[
         str, typer.Option(help="laws to measure, separated by commas")
     ] = "pd-feedforward,structured-kalman",

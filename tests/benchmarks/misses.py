@@ -1,4 +1,4 @@
-"""`hil bench misses`: the slots that a long run loses, in turns with a C program that walks over memory."""
+"""`make bench ARGS=misses`: the slots that a long run loses, in turns with a C program that walks over memory."""
 
 import tempfile
 from collections.abc import Sequence
@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from hil.rig.file import load_rig
-from tests.benchmarks.harness import (
+from hil.cli.options import Overrides, RigFile
+from hil.operate.bench.blocks import (
     Block,
     Case,
     Figures,
@@ -21,7 +21,9 @@ from tests.benchmarks.harness import (
     publish,
     values_of,
 )
-from tests.benchmarks.live import BenchError, Run, build_reference, local, private_bus, run_control
+from hil.operate.bench.live_runs import BenchError, Run, local, private_bus, run_control
+from hil.rig.file import load_rig
+from tests.benchmarks.c_programs import build_reference
 from tests.benchmarks.walking import C_SOURCE, NAME, walking
 
 SUBJECT = "hil run"
@@ -29,8 +31,8 @@ LOST = ("own_misses", "host_misses")
 
 
 def misses(
-    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/microscope.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 20,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 50_000,
     as_json_to: JsonTarget = None,
@@ -48,7 +50,7 @@ def misses(
             ]
             measured = interleave(cases, blocks)
     except BenchError as error:
-        raise SystemExit(f"hil bench misses: {error}") from None
+        raise SystemExit(f"bench misses: {error}") from None
     result = _result(measured, runs, ticks)
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

@@ -1,4 +1,4 @@
-"""`hil bench peers`: the whole live tick against what other Python stacks need for a part of it.
+"""`make bench ARGS=peers`: the whole live tick against what other Python stacks need for a part of it.
 
 - python-can + cantools: receive four Messages, decode them, encode one, send it, on the same local bus against the same
   emulated stage. No filter, no law, no checks.
@@ -31,11 +31,10 @@ import typer
 from drivers.bus.port import open_port
 from drivers.config import BusConfig
 from drivers.frame import Frame
+from hil.cli.options import Overrides, RigFile
 from hil.live.pacing import Pacer
 from hil.live.realtime import claim
-from hil.rig.schema import TimingConfig
-from sim_plant.process import promote
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Case,
     Figures,
     JsonTarget,
@@ -47,7 +46,9 @@ from tests.benchmarks.harness import (
     ratios,
     spread,
 )
-from tests.benchmarks.live import TO_THE_DEADLINE, BenchError, cores, emulator, private_bus, run_control
+from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, cores, emulator, private_bus, run_control
+from hil.rig.schema import TimingConfig
+from sim_plant.process import promote
 
 PERIOD_NS = 1_000_000
 WARM_UP = 300
@@ -61,19 +62,15 @@ Tick = Callable[[int], Awaitable[int]]  # number of the tick -> answers understo
 
 
 def peers(
-    rig: Annotated[Path, typer.Argument(help="rig file with four axes, stage_fd")] = Path(
-        "deploy/rigs/microscope.toml"
-    ),
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="key=value, overrides the rig file; of blocks with a rig")
-    ] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
     as_json_to: JsonTarget = None,
 ) -> None:
     """The whole tick against python-can + cantools, canopen and moteus."""
     if importlib.util.find_spec("moteus") is None:
-        raise SystemExit("hil bench peers: moteus is not installed: pip install 'hil[bench]'")
+        raise SystemExit("bench peers: moteus is not installed: pip install 'hil[bench]'")
     sets = overrides or []
     cases = [
         Case(OURS, partial(_ours, rig, [*sets, TO_THE_DEADLINE], ticks)),
@@ -86,7 +83,7 @@ def peers(
         with private_bus():
             measured = interleave(cases, blocks)
     except BenchError as error:
-        raise SystemExit(f"hil bench peers: {error}") from None
+        raise SystemExit(f"bench peers: {error}") from None
     against = {case: spread(ratios(measured, OURS, case, "p50")) for case in (PYTHON_CAN, CANOPEN, MOTEUS)}
     result = {"ratio_p50": {case: r._asdict() for case, r in against.items()}, "blocks": as_json(measured)}
     lines = [f"hil's whole tick / {case}: {ratio.median:.2f}" for case, ratio in against.items()]

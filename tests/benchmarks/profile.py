@@ -1,4 +1,4 @@
-"""`hil bench profile`: where the time of a tick goes, by function (cProfile over a lockstep run, warm caches)."""
+"""`make bench ARGS=profile`: where the time of a tick goes, by function (cProfile over a lockstep run, warm caches)."""
 
 import cProfile
 import pstats
@@ -8,16 +8,17 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from hil.cli.options import Overrides, RigFile
+from hil.operate.bench.blocks import JsonTarget, publish
 from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
-from tests.benchmarks.harness import JsonTarget, publish
 
 WARM_UP_TICKS = 3000
 
 
 def profile(
-    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/microscope.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     ticks: Annotated[int, typer.Option(min=100)] = 4000,
     rows: Annotated[int, typer.Option(min=1)] = 30,
     save: Annotated[Path | None, typer.Option(help="keep the raw profile, for pstats or snakeviz")] = None,

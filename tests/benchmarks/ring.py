@@ -1,4 +1,4 @@
-"""`hil bench ring`: what leaving a record in the ring costs the control process, and how far a reader is behind it."""
+"""`make bench ARGS=ring`: what a record in the ring costs the control process, and how far a reader lags."""
 
 import os
 import tempfile
@@ -13,7 +13,7 @@ import typer
 from hil.cycle.record import RECORD_SIZE, RecordBuilder
 from hil.live.pacing import Pacer
 from hil.live.ring import RingReader, RingWriter
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Case,
     Figures,
     JsonTarget,

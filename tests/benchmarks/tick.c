@@ -1,7 +1,7 @@
-/* The tick of `hil run` as a C programmer would write it: the yardstick of `hil bench tick`.
+/* The tick of `hil run` as a C programmer would write it: the yardstick of `make bench ARGS=tick`.
  *
- * Joins the local bus by its rules (drivers/bus/local_medium.py: connect to every door, greet with "hil1" and a queue
- * depth, count up), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
+ * Joins the local bus by its rules (drivers/bus/local_medium.py: connect to every listening socket, send "hil1" and a
+ * queue depth, count up), then, at absolute deadlines: receive the drives' feedback, check and decode it (stage_fd), one three-state
  * constant-gain Kalman filter per axis with look-ahead, PD plus feedforward with friction, clamp and rate limit, encode,
  * send. Same sockets, same frames, same arithmetic. It never sets an enable bit, so the drives do not act on its torque.
  *
@@ -94,7 +94,7 @@ static void die(const char *what)
     exit(1);
 }
 
-static int connect_door(const char *directory, const char *name)
+static int connect_member(const char *directory, const char *name)
 {
     struct sockaddr_un address = {.sun_family = AF_UNIX};
     if (snprintf(address.sun_path, sizeof address.sun_path, "%s/%s", directory, name) >= (int)sizeof address.sun_path)
@@ -104,13 +104,13 @@ static int connect_door(const char *directory, const char *name)
         close(fd);
         return -1;
     }
-    struct { char mark[4]; uint32_t depth; } greeting = {{'h', 'i', 'l', '1'}, 64};
-    if (send(fd, &greeting, sizeof greeting, MSG_NOSIGNAL) < 0)
-        die("greeting");
+    struct { char mark[4]; uint32_t depth; } handshake = {{'h', 'i', 'l', '1'}, 64};
+    if (send(fd, &handshake, sizeof handshake, MSG_NOSIGNAL) < 0)
+        die("handshake");
     return fd;
 }
 
-/* Under the channel's lock: connect to every door, then count up in the lock file, so that the others look at theirs. */
+/* Under the channel's lock: connect to every member, then count up in the lock file, so that the others look at theirs. */
 static int join_bus(const char *directory, int *links)
 {
     int count = 0;
@@ -126,7 +126,7 @@ static int join_bus(const char *directory, int *links)
     for (struct dirent *entry; (entry = readdir(entries)) && count < MAX_LINKS;) {
         size_t length = strlen(entry->d_name);
         if (length > 5 && !strcmp(entry->d_name + length - 5, ".sock")) {
-            int fd = connect_door(directory, entry->d_name);
+            int fd = connect_member(directory, entry->d_name);
             if (fd >= 0)
                 links[count++] = fd;
         }

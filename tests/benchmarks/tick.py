@@ -1,4 +1,4 @@
-"""`hil bench tick`: what one tick of the live control process costs, against a C program that does the same work.
+"""`make bench ARGS=tick`: what one tick of the live control process costs, against a C program that does the same work.
 
 Both run in turns on the same core, at the same priority, paced at the rig's rate (so that caches are cold), on the same
 kind of socket, against the same emulated stage in a process of its own on another core. Both sleep to the deadline. So
@@ -16,12 +16,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-import hil
 from drivers.bus.local_channel import channel_dir
+from hil.cli.options import Overrides, RigFile
 from hil.live.timing_record import STAGES
-from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
-from tests.benchmarks.harness import (
+from hil.operate.bench.blocks import (
     Block,
     Case,
     Figures,
@@ -35,12 +33,11 @@ from tests.benchmarks.harness import (
     spread,
     values_of,
 )
-from tests.benchmarks.live import (
+from hil.operate.bench.live_runs import (
     TO_THE_DEADLINE,
     BenchError,
     DisturbedError,
     Run,
-    build_reference,
     cores,
     emulator,
     local,
@@ -48,18 +45,21 @@ from tests.benchmarks.live import (
     run_control,
     undisturbed,
 )
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from tests.benchmarks.c_programs import build_reference
 from tests.benchmarks.walking import C_SOURCE as WALK_SOURCE
 from tests.benchmarks.walking import NAME as WALKER
 from tests.benchmarks.walking import walking
 
-C_SOURCE = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "tick.c"
-READINGS = np.array([1, 1, 2, 1, 1])  # of the CPU clock in each stage (hil/stage_clock.py)
+C_SOURCE = Path(__file__).with_name("tick.c")
+READINGS = np.array([1, 1, 2, 1, 1])  # of the CPU clock in each stage (hil.live.timing_record)
 SUBJECT, REFERENCE = "hil run", "C program"
 
 
 def tick(
-    rig: Annotated[Path, typer.Argument(help="rig file, stage_fd layout")] = Path("deploy/rigs/microscope.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 5000,
     as_json_to: JsonTarget = None,
@@ -74,7 +74,7 @@ def tick(
             programs = [build_reference(source, Path(build)) for source in (C_SOURCE, WALK_SOURCE)]
             measured, runs, calls = _measure(rig, sets, config, programs, blocks, ticks)
     except BenchError as error:
-        raise SystemExit(f"hil bench tick: {error}") from None
+        raise SystemExit(f"bench tick: {error}") from None
     result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

@@ -12,13 +12,12 @@ from typing import Final
 
 import numpy as np
 
-import hil
 from hil.live.miss_ledger import own_share
+from hil.operate.bench.blocks import Figures, percentiles
+from hil.operate.bench.live_runs import BenchError, cores
 from hil.rig.schema import RigConfig
-from tests.benchmarks.harness import Figures, percentiles
-from tests.benchmarks.live import BenchError, cores
 
-C_SOURCE: Final = Path(hil.__file__).parent.parent / "tests" / "benchmarks" / "walk.c"
+C_SOURCE: Final = Path(__file__).with_name("walk.c")
 NAME: Final = "C program that walks"
 
 

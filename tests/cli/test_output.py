@@ -14,7 +14,7 @@ from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.output import PICTURES
 from hil.live.runtime_paths import known_sidecars
 from hil.rig.file import load_rig
-from hil.studies.tune.command import write_gains
+from hil.studies.tune.search import write_gains
 from tests.support.paths import ROOT
 
 PAPER = ROOT / "deploy" / "rigs" / "paper.toml"

@@ -25,11 +25,11 @@ REST, MOVE, WAY = 0.2, 0.6, 0.5e-3  # s, s, m
 
 def plan(time: float) -> tuple[float, float]:
     """Down, a rest, and up again: position (m) and velocity (m/s)."""
-    leg, begun = divmod(max(time, 0.0), REST + MOVE)
+    part, begun = divmod(max(time, 0.0), REST + MOVE)
     s, ds, _ = minimum_jerk(min(max((begun - REST) / MOVE, 0.0), 1.0))
-    if leg == 0:
+    if part == 0:
         return -WAY * s, -WAY / MOVE * ds
-    return (-WAY * (1.0 - s), WAY / MOVE * ds) if leg == 1 else (0.0, 0.0)
+    return (-WAY * (1.0 - s), WAY / MOVE * ds) if part == 1 else (0.0, 0.0)
 
 
 class Axis:

@@ -1,4 +1,4 @@
-"""A filter's design is made once and kept for the next process, which trusts it where nobody else can have written."""
+"""A filter's design is made once and cached for the next process, which trusts what nobody else can have written."""
 
 import json
 import os
@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hil.control.estimator import gains_cache as design_store
+from hil.control.estimator import gains_cache
 from hil.control.estimator.gains import design_gains
-from hil.control.estimator.gains_cache import keep, recall
+from hil.control.estimator.gains_cache import load, store
 from hil.rig.schema import RigConfig
 from tests.support.paths import ROOT
 
@@ -59,67 +59,67 @@ def test_the_second_process_has_the_first_ones_design(paper: RigConfig, director
     assert json.loads(first) == [gains.tolist(), variance.tolist()]
 
 
-def test_what_is_asked_must_be_the_same() -> None:
-    assert recall(PARAMETERS) is None
-    keep(PARAMETERS, DESIGN)
-    assert recall(PARAMETERS) == DESIGN
-    assert recall(json.dumps([{"mass": 0.50000001, "period": 1e-3}])) is None
+def test_an_entry_serves_the_same_parameters_alone() -> None:
+    assert load(PARAMETERS) is None
+    store(PARAMETERS, DESIGN)
+    assert load(PARAMETERS) == DESIGN
+    assert load(json.dumps([{"mass": 0.50000001, "period": 1e-3}])) is None
 
 
 def test_other_code_or_packages_make_another_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    keep(PARAMETERS, DESIGN)
-    monkeypatch.setattr(design_store, "version", lambda name: "0")
-    assert recall(PARAMETERS) is None
+    store(PARAMETERS, DESIGN)
+    monkeypatch.setattr(gains_cache, "version", lambda name: "0")
+    assert load(PARAMETERS) is None
 
 
 @given(st.integers(0, 10**6), st.integers(1, 255))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_damaged_file_is_no_design(directory: Path, place: int, change: int) -> None:
-    keep(PARAMETERS, DESIGN)
+    store(PARAMETERS, DESIGN)
     path = only_file(directory)
     content = bytearray(path.read_bytes())
     content[place % len(content)] ^= change
     path.write_bytes(content)
-    assert recall(PARAMETERS) is None
+    assert load(PARAMETERS) is None
     path.write_bytes(content[: place % len(content)])
-    assert recall(PARAMETERS) is None
+    assert load(PARAMETERS) is None
 
 
-def test_where_others_may_write_nothing_is_read_or_kept(directory: Path) -> None:
-    keep(PARAMETERS, DESIGN)
+def test_where_others_may_write_nothing_is_read_or_stored(directory: Path) -> None:
+    store(PARAMETERS, DESIGN)
     directory.chmod(0o770)
-    assert recall(PARAMETERS) is None
+    assert load(PARAMETERS) is None
     only_file(directory).unlink()
-    keep(PARAMETERS, DESIGN)
+    store(PARAMETERS, DESIGN)
     assert list(directory.iterdir()) == []
 
 
 def test_a_link_to_another_directory_is_not_followed(directory: Path, tmp_path: Path) -> None:
     directory.parent.mkdir(parents=True)
     directory.symlink_to(tmp_path)
-    keep(PARAMETERS, DESIGN)
-    assert recall(PARAMETERS) is None
+    store(PARAMETERS, DESIGN)
+    assert load(PARAMETERS) is None
     assert not list(tmp_path.glob("*.json"))
 
 
-def test_where_nothing_can_be_kept_nothing_fails(directory: Path) -> None:
+def test_where_nothing_can_be_stored_nothing_fails(directory: Path) -> None:
     directory.parent.parent.write_text("a file in its place")
-    keep(PARAMETERS, DESIGN)
-    assert recall(PARAMETERS) is None
+    store(PARAMETERS, DESIGN)
+    assert load(PARAMETERS) is None
 
 
 def test_a_service_keeps_it_in_the_directory_systemd_gives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "service"))
-    keep(PARAMETERS, DESIGN)
-    assert recall(PARAMETERS) == DESIGN
+    store(PARAMETERS, DESIGN)
+    assert load(PARAMETERS) == DESIGN
     assert only_file(tmp_path / "service" / "designs")
 
 
 def test_the_oldest_go(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design_store, "MOST_KEPT", 3)
+    monkeypatch.setattr(gains_cache, "MAX_ENTRIES", 3)
     for number in range(5):
-        keep(json.dumps([{"mass": number + 1.0}]), DESIGN)
+        store(json.dumps([{"mass": number + 1.0}]), DESIGN)
         for path in directory.iterdir():
             os.utime(path, ns=(0, path.stat().st_mtime_ns - 10**9))  # all the others are older
-    kept = [recall(json.dumps([{"mass": number + 1.0}])) is not None for number in range(5)]
-    assert kept == [False, False, True, True, True]
+    cached = [load(json.dumps([{"mass": number + 1.0}])) is not None for number in range(5)]
+    assert cached == [False, False, True, True, True]

@@ -6,16 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.control.laws import LAWS, make_axis_laws, make_law
+from hil.control.law_registry import LAWS
+from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.iterative_learning import IterativeLearning
 from hil.control.laws.structured_filter import sign_array, sign_float, slide
 from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig
+from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import CORNERS
-from hil.studies.tune.rehearsal import Rehearsal, Trial
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PERIOD = 1e-3
@@ -128,7 +130,7 @@ def test_at_rest_without_error_a_law_asks_for_feedforward_alone(name: str) -> No
         assert controller.force(inputs) == pytest.approx(GRAVITY, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if WITH_TUNED in n else []) for n in NAMES])
 def test_a_law_stays_bounded_however_long_the_error_lasts(name: str) -> None:
     """Anti-windup: an error that cannot be removed for 20 s must not pile up force that takes as long to go away."""
     controller = law(name)
@@ -236,7 +238,7 @@ def test_structured_kalman_holds_sub_micrometre_error_on_tasks_of_all_sizes() ->
     for axis in range(2):
         trials = [trial._replace(error=0.06) for trial in chosen]
         gains = {key: np.array([values[axis]]) for key, values in rig.law.effective_gains().items()}
-        figures = Rehearsal(rig, axis, trials, 4000, 5500, 1).run(rig.law.name, gains)
+        figures = CandidateSimulation(rig, axis, trials, 4000, 5500, 1).run(rig.law, gains)
         for trial, largest, rms in zip(trials, figures.largest[0], figures.rms[0], strict=True):
             assert (rms if trial.rms else largest) < trial.good * 1e-7, trial
 
@@ -406,7 +408,7 @@ def test_structured_kalman_inside_learning_meets_what_neither_meets_alone() -> N
 
 
 def test_learnt_friction_never_drives_the_axis() -> None:
-    """A frictionless axis under a model that believes in friction: what is learnt ends at minus the model's."""
+    """A frictionless axis under a nominal model with friction: what is learnt ends at minus the model's."""
     controller: Any = law("structured-kalman")
     controller.reset(np.zeros(2), GRAVITY)
     scene, force, lowest = Scene(400), np.zeros(2), np.zeros(2)

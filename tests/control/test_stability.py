@@ -72,7 +72,7 @@ def test_gain_margin_is_where_the_loop_turns_unstable() -> None:
     assert axis.gain_margin is not None
     assert axis.phase_margin_deg is not None
     assert 20 < axis.phase_margin_deg < 80
-    # A plant lighter than believed is a higher loop gain: just inside and just outside the margin.
+    # A plant lighter than the nominal model is a higher loop gain: just inside and just outside the margin.
     inside, _ = pulse_response(rig, 2000, 0.97 * axis.gain_margin)
     outside, _ = pulse_response(rig, 2000, 1.03 * axis.gain_margin)
     assert np.abs(inside[-100:, 0]).max() < 1e-3

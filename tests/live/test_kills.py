@@ -20,8 +20,8 @@ from hil.operate.demo import STALL_FAULTS
 from tests.support.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 
 pytestmark = pytest.mark.live
-WATCHDOG = ("plant.watchdog_s=0.01",)
-PATIENT = ("plant.watchdog_s=0.25",)  # where the story must get as far as ACTIVE on a machine that stalls for 20 ms
+WATCHDOG = ("drives.watchdog_s=0.01",)
+PATIENT = ("drives.watchdog_s=0.25",)  # where the story must get as far as ACTIVE on a machine that stalls for 20 ms
 MOMENTS = int(os.environ.get("HIL_KILLS", "200"))
 CHUNKS = 8
 LATEST_S = 2.5  # after the start: interpreter, set-up, CONNECTED, READY and ACTIVE all lie before

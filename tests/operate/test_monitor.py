@@ -142,11 +142,11 @@ def test_without_bokeh_the_command_says_what_to_install(
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 7, 5000])
-def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, microscope: RigConfig, ticks: int) -> None:
-    values = np.sin(np.arange(ticks)[:, None] * 1e-2 + np.arange(4))
+def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, paper: RigConfig, ticks: int) -> None:
+    values = np.sin(np.arange(ticks)[:, None] * 1e-2 + np.arange(2))
     values[: ticks // 3] = np.nan
-    run = SimpleNamespace(setpoint=values, error=values * 1e-6, force=np.zeros((ticks, 4)))
-    tracking_picture(tmp_path / "deep" / "tracking.png", microscope, run, np.full(ticks, 3e-5))
+    run = SimpleNamespace(setpoint=values, error=values * 1e-6, force=np.zeros((ticks, 2)))
+    tracking_picture(tmp_path / "deep" / "tracking.png", paper, run, np.full(ticks, 3e-5))
     assert (tmp_path / "deep" / "tracking.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -9,20 +9,20 @@ import sys
 import numpy as np
 import pytest
 
-from hil.operate.machine import machine_facts
-from hil.rig.file import load_rig
-from tests.benchmarks import tick, walking
-from tests.benchmarks.harness import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
-from tests.benchmarks.jitter import lateness_in_histogram
-from tests.benchmarks.live import (
+from hil.operate.bench.blocks import Block, Case, as_json, interleave, percentiles, publish, ratios, spread, values_of
+from hil.operate.bench.jitter import lateness_in_histogram
+from hil.operate.bench.live_runs import (
     ATTEMPTS,
     BenchError,
     DisturbedError,
-    build_reference,
     calls_per_tick,
     cores,
     undisturbed,
 )
+from hil.operate.machine import machine_facts
+from hil.rig.file import load_rig
+from tests.benchmarks import tick, walking
+from tests.benchmarks.c_programs import build_reference
 from tests.benchmarks.lockstep import measure
 from tests.benchmarks.tick import allocations_per_tick
 from tests.support.paths import ROOT
@@ -154,10 +154,16 @@ def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():
     assert allocations_per_tick(rig, RIG.parent, 500) < 0.5
 
 
-def test_the_command_lists_every_benchmark_and_loads_only_the_one_asked_for():
-    code = "import sys; sys.argv = ['hil', 'bench', '--help']\nfrom tests.benchmarks.command import BENCHES, bench\n"
-    code += "assert len(bench.registered_commands) == len(BENCHES)\n"
-    code += (
-        "assert not [m for m in sys.modules if m.startswith('tests.benchmarks.') and m != 'tests.benchmarks.command']"
-    )
+@pytest.mark.parametrize("module", ["tests.benchmarks.__main__", "hil.operate.bench.command"])
+def test_a_list_of_benchmarks_loads_none_of_them(module):
+    code = f"import sys; sys.argv = ['hil', 'bench', '--help']; import {module} as command\n"
+    code += "targets = [entry.target.partition(':')[0] for entry in command.BENCHES.values()]\n"
+    code += "assert targets and not set(targets) & set(sys.modules)\n"
+    code += "import importlib; [importlib.import_module(name) for name in targets]"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_what_people_measure_at_a_rig_needs_no_tests():
+    code = "import sys, hil.operate.bench.jitter; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert not [name for name in loaded if name.split(".")[0] == "tests"]

@@ -2,14 +2,25 @@
 
 import re
 
-from docs.make_pages import FOLDER, faults_page, states_page
+from docs.make_pages import FOLDER, SCHEMA, faults_page, gains_table, laws_page, rig_file_page, rig_schema, states_page
+from hil.control.law_registry import LAWS, law_class
 from hil.cycle.fault_table import RULES, Fault
+from hil.rig.schema import LawConfig
 from tests.support.paths import ROOT
 
 
 def test_the_pages_are_up_to_date() -> None:
     assert (FOLDER / "states.md").read_text() == states_page()
     assert (FOLDER / "faults.md").read_text() == faults_page()
+    assert (FOLDER / "rig-file.md").read_text() == rig_file_page()
+    assert SCHEMA.read_text() == rig_schema()
+    assert (FOLDER / "laws.md").read_text() == laws_page()
+
+
+def test_every_gain_of_every_law_is_in_the_table() -> None:
+    table = gains_table()
+    assert "| pid | `ki` | from the rig | N/(m s) |" in table
+    assert table.count("\n") - 2 == sum(len(law_class(LawConfig(name=name)).GAINS) for name in LAWS) + 5
 
 
 def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:

@@ -65,7 +65,7 @@ def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
     assert load_rig(PAPER, ["law.gains.kp=[1.0, 1.0]", "law.name=robust-pd"]).law.gains == {"kp": [1.0, 1.0]}
 
 
-def test_another_encoder_changes_the_belief_with_the_truth() -> None:
+def test_an_override_of_the_emulated_encoder_alone_changes_the_axes_with_it() -> None:
     rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9"])
     assert [axis.encoder_resolution for axis in rig.axes.values()] == [5e-9, 5e-9]
 
@@ -94,7 +94,7 @@ def test_another_encoder_changes_the_belief_with_the_truth() -> None:
             "axes.x.limits.force = 5e-324: Input should be greater than or equal to 0.000000000000001",
         ),
         ("axes.x.model.mass=1e300", "axes.x.model.mass = 1e+300: Input should be less than or equal to"),
-        ("rate_hz=100", "plant.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next"),
+        ("rate_hz=100", "drives.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next"),
     ],
 )
 def test_a_bad_value_is_refused_with_its_key_and_the_allowed_range(override: str, expected: str) -> None:
@@ -151,6 +151,8 @@ def test_a_file_without_an_end_is_refused() -> None:
         ["rate_hz=" + "1" * 5000],
         ["law.gains=" + "[" * 5000],
         ["plant.mass=0x" + "f" * 5000],
+        ["drives=5", "plant.watchdog_s=0.1"],
+        ["plant=5"],
     ],
 )
 def test_overrides_that_make_no_sense_together_are_refused(overrides: list[str]) -> None:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.bus.port import Port, open_port
-from drivers.config import BusConfig
+from drivers.config import BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
@@ -33,14 +33,14 @@ PLANT = PlantConfig(
     quadratic=[0.0, 0.0, 0.0],
     gravity=[0.0, 0.0, -2.5],
     encoder_resolution=1e-8,
-    brake=[False, False, True],
     brake_force=40.0,
 )
+DRIVES = DrivesConfig(brake=[False, False, True])
 
 
 def make(protocol: str = "stage_fd", start_ns: int = 0) -> tuple[EmulatedStage, HostProtocol]:
     bus = BusConfig(protocol=protocol)
-    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), start_ns)
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), start_ns, drives=DRIVES)
     return stage, host_protocol(bus, len(AXES), RATED, Path())
 
 

@@ -68,7 +68,7 @@ def chunks_done(address: str) -> set[str]:
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.studies.sweep.CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("hil.studies.sweep.plants.CONNECT_TIMEOUT_S", 0.2)
     outcome = CliRunner().invoke(
         build_app("sweep"), ["sweep", str(PAPER), "--output", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]
     )

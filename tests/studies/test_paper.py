@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
@@ -154,7 +153,7 @@ def test_verdicts_follow_the_figures(claim: str, max_um: tuple[float, float], ve
     assert agrees(CLAIMS[claim], max_um) is same
 
 
-def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_not_believed(runs: dict[Job, Run]) -> None:
+def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_reported_as_unreliable(runs: dict[Job, Run]) -> None:
     claim = CLAIMS["pdff-modelling-error"]
     first = dataclasses.replace(runs[Job(claim.id, 0, 0)], max_um=(100.0, 85.7))
     finer = dataclasses.replace(first, job=Job(claim.id, 0, 1), max_um=(99.8, 85.9))
@@ -164,8 +163,13 @@ def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_not_believed(run
 
 
 def test_runs_come_back_from_worker_processes_the_same(runs: dict[Job, Run]) -> None:
-    got = run_claims([CLAIMS["pdff-solver-noise"]], Console(quiet=True), workers=1, shorten=0.02)
+    shares: dict[Job, list[float]] = {}
+    got = run_claims(
+        [CLAIMS["pdff-solver-noise"]], lambda job, share: shares.setdefault(job, []).append(share), 1, shorten=0.02
+    )
     job = Job("pdff-solver-noise", 0, 0)
+    assert set(shares) == set(got)
+    assert all(done[-1] == 1.0 for done in shares.values())
     assert got[job].max_um == runs[job].max_um
 
 

@@ -14,32 +14,33 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
+from hil.control.gain import Knob, knobs
+from hil.control.law_registry import LAWS, law_class
 from hil.control.stability import check_stability, refuse_unstable
 from hil.rig.file import load_rig
-from hil.rig.schema import RigError
-from hil.studies.compare.command import LEARNING, case_rig, cases, disturbances, run_case
+from hil.rig.schema import LawConfig, RigError
+from hil.studies.compare.cases import LEARNING, case_rig, cases, disturbances, run_case
 from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
-from hil.studies.sweep import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
-from hil.studies.tune.command import front, rounded, search, write_gains
+from hil.studies.sweep.plants import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import (
     NO_MARGINS,
-    SPACE,
     Bench,
-    Knob,
     Margins,
-    at_rate,
-    knob_scale,
     margins_of,
-    space_of,
     trials,
 )
-from hil.studies.tune.rehearsal import Rehearsal, Trial
+from hil.studies.tune.search import front, rounded, search, write_gains
+from hil.studies.tune.search_space import at_rate, knob_scale, space_of
 from hil.virtual.batch import BatchRun
 from hil.virtual.invariants import Invariants
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from sim_plant.physics.stage import Truth
 from tests.support.paths import RIGS
 
+SPACE = {law: knobs(law_class(LawConfig(name=law)).GAINS, plan=False) for law in LAWS}
+STRUCTURED = LawConfig(name="structured-kalman")
 PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
@@ -110,7 +111,7 @@ def test_every_law_can_be_tuned_and_points_turn_back_into_gains(rig_file: Path) 
 
 
 @pytest.mark.parametrize("law", ["structured-kalman", "slotine-li"])
-def test_a_rehearsal_equals_a_batch_bit_for_bit(law: str) -> None:
+def test_a_simulation_equals_a_batch_bit_for_bit(law: str) -> None:
     """One axis of many candidates beside other tasks, or both axes of one plant: the same errors."""
     rig = load_rig(PAPER, [*QUICK, f"law.name={law}"])
     truth = Truth.from_config(rig.plant, 2, rig.axis_names)
@@ -122,28 +123,29 @@ def test_a_rehearsal_equals_a_batch_bit_for_bit(law: str) -> None:
             largest = np.maximum(largest, np.abs(batch.error[0]))
     for axis in range(2):
         chosen = [Trial("own", {}, 4.0), Trial("other", {"radius": 0.02}, 4.0), Trial("late", {}, 4.0, jitter=5e-5)]
-        rehearsal = Rehearsal(rig, axis, chosen[:2], 200, 600, 1)
+        simulation = CandidateSimulation(rig, axis, chosen[:2], 200, 600, 1)
         known = rig.law.effective_gains()
         gains = {key: np.full(2, float(np.broadcast_to(value, (2,))[axis])) for key, value in known.items()}
         gains = gains or {"rate": np.full(2, 0.15 / 1e-3)}
-        figures = rehearsal.run(law, gains)
+        figures = simulation.run(rig.law, gains)
         assert np.all(figures.largest[:, 0] == largest[axis])
         assert np.all(figures.largest[:, 1] != largest[axis])
-        late = Rehearsal(rig, axis, chosen, 200, 600, 1).run(law, gains)
+        late = CandidateSimulation(rig, axis, chosen, 200, 600, 1).run(rig.law, gains)
         assert np.all(late.largest[:, :2] == figures.largest)
         assert np.all(late.largest[:, 2] != figures.largest[:, 0])
 
 
-def test_late_and_lost_commands_in_a_rehearsal_are_those_of_the_wire() -> None:
+@pytest.mark.slow
+def test_late_and_lost_commands_in_a_simulation_are_those_of_the_wire() -> None:
     """Not the same numbers, as the wire draws its own, but the same size: what is tuned for is what happens."""
     changes = ["law.name=structured-kalman", "task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5"]
     rig = load_rig(PAPER, changes)
     trials = [Trial("late", {}, 1.0, jitter=5e-5), Trial("lost", {}, 1.0, loss=0.01)]
     gains = {key: np.array([values[0]]) for key, values in rig.law.effective_gains().items()}
-    rehearsed = Rehearsal(rig, 0, trials, 1000, 4000, 1).run("structured-kalman", gains).rms[0]
+    simulated = CandidateSimulation(rig, 0, trials, 1000, 4000, 1).run(STRUCTURED, gains).rms[0]
     for index, change in enumerate(("wire.jitter=5e-5", "wire.drop_probability=0.005")):
         report, _ = simulate(load_rig(PAPER, [*changes, change]), RIGS, 4.0)
-        assert 0.5 < report.axes["x"]["rms_error"] / rehearsed[index] < 2.0
+        assert 0.5 < report.axes["x"]["rms_error"] / simulated[index] < 2.0
 
 
 @pytest.mark.usefixtures("short_trials")
@@ -171,8 +173,8 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
     assert {trial.task["injection"].approach_s for trial in plans} == {1.6, 2.0, 2.4}
     assert {(0.8, 0.7), (1.2, 1.3)} < {(trial.mass, trial.friction) for trial in plans}
     near, far = (
-        {trial.good for trial in plans if (abs(trial.mass - 1.0) > 0.1) == off_the_belief}
-        for off_the_belief in (False, True)
+        {trial.good for trial in plans if (abs(trial.mass - 1.0) > 0.1) == off_the_nominal_resolution}
+        for off_the_nominal_resolution in (False, True)
     )
     assert max(near) < min(far)  # a plant like the rig's own weighs more
 
@@ -180,6 +182,7 @@ def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
 SMALL_PLAN = ["cells=1", "approach_s=0.3", "transfer_s=0.2", "withdraw_s=0.2", "dwell_s=0.1"]
 
 
+@pytest.mark.slow
 def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -> None:
     """Each trial over a window of its own, whatever runs beside it."""
     rig = load_rig(MICROSCOPE, ["wire.stuffing=worst", *(f"task.injection.{change}" for change in SMALL_PLAN)])
@@ -190,7 +193,7 @@ def test_a_plan_is_judged_from_the_focal_range_until_it_ends_as_hil_sim_does() -
     for axis in (0, 2):
         gains = {key: np.array([values[axis]]) for key, values in rig.law.effective_gains().items()}
         beside, alone = (
-            Rehearsal(rig, axis, chosen, None, None, 1).run("structured-kalman", gains) for chosen in (pair, pair[1:])
+            CandidateSimulation(rig, axis, chosen, None, None, 1).run(STRUCTURED, gains) for chosen in (pair, pair[1:])
         )
         figures = report.axes[rig.axis_names[axis]]
         assert beside.largest[0, 1] == alone.largest[0, 0] == figures["max_error"]
@@ -217,12 +220,12 @@ def test_late_trials_of_one_jitter_move_together_and_as_they_would_alone() -> No
     rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
     chosen = [Trial("late", {}, 4.0, jitter=5e-5), Trial("on time", {}, 4.0), Trial("heavy", {}, 4.0, 1.2, jitter=5e-5)]
     gains = {key: np.array([values[0]]) for key, values in rig.law.effective_gains().items()}
-    together = Rehearsal(rig, 0, chosen, 200, 500, 1)
+    together = CandidateSimulation(rig, 0, chosen, 200, 500, 1)
     assert np.array_equal(together.schedule.delay[:, 0], together.schedule.delay[:, 2])
     assert together.schedule.delay[:, 0].max() > 9e4
     assert not together.schedule.delay[:, 1].any()
-    alike = Rehearsal(rig, 0, [chosen[0], chosen[1], chosen[0]], 200, 500, 1).run("structured-kalman", gains)
-    figures = together.run("structured-kalman", gains)
+    alike = CandidateSimulation(rig, 0, [chosen[0], chosen[1], chosen[0]], 200, 500, 1).run(STRUCTURED, gains)
+    figures = together.run(STRUCTURED, gains)
     assert alike.largest[0, 0] == alike.largest[0, 2] == figures.largest[0, 0]
     assert figures.largest[0, 2] != figures.largest[0, 0]
 
@@ -433,7 +436,7 @@ def test_compare_runs_every_combination_asked_for() -> None:
     [
         ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
         ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
-        ("pid", "rate_hz=500", [50.0], "plant.watchdog_s = 0.01"),
+        ("pid", "rate_hz=500", [50.0], "drives.watchdog_s = 0.01"),
     ],
 )
 def test_compare_refuses_what_cannot_run_before_anything_runs(
@@ -487,6 +490,7 @@ def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None
     assert (tmp_path / "c.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
     from hil.studies.compare.velocity_estimators import compare_velocity
 

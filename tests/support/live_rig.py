@@ -34,7 +34,7 @@ CALM = (
     "law.gains.kp=[100.0, 50.0]",
     "law.gains.kd=[2.0, 1.0]",
     "task.kind=hold",
-    "plant.watchdog_s=0.5",
+    "drives.watchdog_s=0.5",
     "safety.overrun_zero_s=1.0",
     "safety.overrun_streak=1000",
     "safety.silent_stop_ticks=250",
@@ -52,7 +52,9 @@ class Emulator(threading.Thread):
         super().__init__(daemon=True)
         rated = [axis.rated_force for axis in rig.axes.values()]
         now = time.monotonic_ns()
-        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, PAPER.parent, start_ns=now)
+        self.stage = EmulatedStage(
+            rig.plant, rig.bus, rig.axis_names, rated, PAPER.parent, start_ns=now, drives=rig.drives
+        )
         self.commands: list[tuple[int, bytes]] = []
         self._port = open_port(rig.bus, role="device", fd=True)
         self._ended = threading.Event()

@@ -12,7 +12,8 @@ from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 MakeRun = Callable[..., LockstepRun]
@@ -58,7 +59,7 @@ def test_activation_starts_at_rest_where_the_axes_are(lockstep: MakeRun) -> None
     assert np.abs(run.stage.position - [0.01, -0.02]).max() < 1e-3  # the approach begins gently
 
 
-def test_the_circle_is_followed_to_a_micrometre_where_belief_and_truth_agree(paper: RigConfig) -> None:
+def test_the_circle_is_followed_to_a_micrometre_where_nominal_model_and_plant_agree(paper: RigConfig) -> None:
     report, _ = simulate(paper, RIGS, 10.0, observer=Invariants(paper, RIGS).observe)
     assert report.state == "ACTIVE"
     assert not report.faults
@@ -73,7 +74,7 @@ def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
         assert axis["plateau_error"] == pytest.approx(0.3 / kp, rel=0.05)
 
 
-def test_four_axes_follow_the_injection_plan_with_a_belief_off_by_some_per_cent(
+def test_four_axes_follow_the_injection_plan_with_a_nominal_model_off_by_some_per_cent(
     microscope: RigConfig, lockstep: MakeRun
 ) -> None:
     run = lockstep(microscope)
@@ -165,7 +166,7 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
 
 @pytest.mark.parametrize("skipped", [1, 2, 5])
 def test_the_filter_stays_with_the_axes_when_slots_are_skipped_all_the_time(lockstep: MakeRun, skipped: int) -> None:
-    rig = load_rig(RIGS / "microscope.toml", ["rate_hz=50", "plant.watchdog_s=1.0", "safety.silent_zero_ticks=100"])
+    rig = load_rig(RIGS / "microscope.toml", ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"])
     run = lockstep(rig, operator=commands({}))
     run_until(run, State.READY)
     for _ in range(300):

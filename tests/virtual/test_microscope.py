@@ -6,7 +6,7 @@ import pytest
 from hil.control.stability import check_stability, pulse_response
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import SimReport, simulate
+from hil.virtual.sim import SimReport, simulate
 from tests.support.paths import ROOT
 
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
@@ -38,8 +38,8 @@ def test_every_loop_has_the_margins_that_are_shown(microscope: RigConfig) -> Non
     assert up.min() > 2.0
     assert down.max() < 0.5
     assert min(axis.phase_margin_deg or 180.0 for axis in axes) > 30.0
-    # Plants lighter and heavier than believed are a higher and a lower loop gain: a pulse dies out as long as it is
-    # within the margin, on every axis, and not beyond.
+    # Plants lighter and heavier than the nominal model are a higher and a lower loop gain: a pulse dies out as long as
+    # it is within the margin, on every axis, and not beyond.
     for gain, dies_out in ((0.97 * up, True), (1.03 * up, False), (0.5, True)):
         answer, _ = pulse_response(microscope, 1500, gain)
         assert ((np.abs(answer[-100:]).max(axis=0) < 1e-2) == dies_out).all(), gain
@@ -87,7 +87,9 @@ def test_another_plan_is_tracked_as_well(scale: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "friction"), [(0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3)])
-def test_a_plant_far_from_the_belief_is_tracked_within_a_tenth_of_a_micrometre(mass: float, friction: float) -> None:
+def test_a_plant_far_from_the_nominal_model_is_tracked_within_a_tenth_of_a_micrometre(
+    mass: float, friction: float
+) -> None:
     report = track(f"plant.mass_scale={mass}", f"plant.friction_scale={friction}")
     assert max(rms(report).values()) < 100e-9
     assert max(figures["max_error"] for figures in report.axes.values()) < 2e-6

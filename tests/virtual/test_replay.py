@@ -14,8 +14,8 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
-from hil.virtual.lockstep import simulate
 from hil.virtual.replay import replay_run
+from hil.virtual.sim import simulate
 from tests.support.paths import ROOT
 
 RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"

@@ -27,7 +27,7 @@ def run(rig: RigConfig, to_stage: Carry, to_host: Carry) -> list[tuple[int, Stat
     """Sequence of (tick, state, frames sent) of a run in virtual time; the two functions carry frames across."""
     cycle = ControlCycle(rig, RIGS)
     rated = [axis.rated_force for axis in rig.axes.values()]
-    stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, RIGS)
+    stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, RIGS, drives=rig.drives)
     waiting: list[Frame] = []
     trace = []
     activated = 0

@@ -144,7 +144,7 @@ class _Planner:
         if axis.period_ns:
             self._cycle_period()
         for item in settings.write:
-            self._write(*item.key, item.value, "extra", "bus.cia402.write")
+            self._write(*item.place, item.value, "extra", "bus.cia402.write")
         self.plan.warnings += eds.warnings[:20]
 
     # parts of the plan ------------------------------------------------------------------------------------------------

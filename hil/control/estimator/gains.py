@@ -1,6 +1,6 @@
 """The rig's Kalman filter: position, velocity and disturbance force of every axis, from one sample per period.
 
-Model per axis: mass * acceleration = input - disturbance, where the input is the force let out less the nominal
+Model per axis: mass * acceleration = input - disturbance, where the input is the applied force less the nominal
 friction at the setpoint's velocity. The gains are filterpy's (hil/control/estimator/filterpy_design.py), constant; a
 test holds the two filters equal.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.control.estimator.gains_cache import keep, recall
+from hil.control.estimator.gains_cache import load, store
 from hil.rig.schema import RigConfig
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ def per_axis(value: Any, n: int) -> Array:
 
 
 def filter_parameters(rig: RigConfig) -> list[dict[str, float]]:
-    """Per axis, what estimation_design.make_filter needs. The noise of a sample is a count's quantisation, floored."""
+    """Per axis, the arguments of filterpy_design.make_filter. A sample's noise is a count's quantisation, floored."""
     n = len(rig.axes)
     disturbance = per_axis(rig.estimator.disturbance_noise, n).tolist()
     acceleration = per_axis(rig.estimator.acceleration_noise, n).tolist()
@@ -55,9 +55,9 @@ def _design_in_child(parameters: str) -> list[Any]:
             return design(json.loads(parameters))
         except (ArithmeticError, ValueError) as error:
             raise ValueError(_NO_GAINS + str(error)) from None
-    kept = recall(parameters)
-    if kept is not None:
-        return list(kept)
+    cached = load(parameters)
+    if cached is not None:
+        return list(cached)
     child = subprocess.run(
         [sys.executable, "-m", "hil.control.estimator.filterpy_design"],
         input=parameters,
@@ -68,7 +68,7 @@ def _design_in_child(parameters: str) -> list[Any]:
     if child.returncode != 0:
         raise ValueError(_NO_GAINS + "".join(child.stderr.strip().splitlines()[-1:]))
     designed = list(json.loads(child.stdout))
-    keep(parameters, designed)
+    store(parameters, designed)
     return designed
 
 

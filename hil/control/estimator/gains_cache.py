@@ -1,9 +1,9 @@
-"""Designs of the rig's filter, kept from one process to the next: filterpy's imports take a second of every start.
+"""A cache on disk of the rig filter's designed gains, shared by processes.
 
-A control process that begins again after a crash should be back as soon as it can.
-
-What is kept is a function of what is asked, of the code that designs and of the packages under it; anything else found
-is ignored, and so is a directory that anybody else could have written to. Nothing here may stop a process.
+Importing filterpy takes about a second, and a control process that restarts after a crash should be back as soon as it
+can. An entry is keyed by everything a design depends on: the parameters, the code that designs, and the versions of the
+packages it uses. An entry that is damaged or has another key is ignored, and so is a directory that anybody else could
+have written to. No failure here may stop a process: it costs time only.
 """
 
 import contextlib
@@ -18,55 +18,55 @@ from typing import Any
 
 from drivers.runtime import write_private
 
-MOST_KEPT = 200
-_NOT_TO_BE_HAD = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata
+MAX_ENTRIES = 200
+_CACHE_ERRORS = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata
 
 
-def recall(parameters: str) -> Any | None:
-    """The design kept for these parameters (JSON); None where there is none that can be trusted."""
-    with contextlib.suppress(*_NOT_TO_BE_HAD):
-        directory, asked = _directory(), _asked(parameters)
-        if _is_ours(directory):
-            digest, _, text = _file(directory, asked).read_text(encoding="ascii").partition("\n")
+def load(parameters: str) -> Any | None:
+    """The cached design for these parameters (JSON); None where no valid entry exists."""
+    with contextlib.suppress(*_CACHE_ERRORS):
+        directory, key = _directory(), _key(parameters)
+        if _is_private(directory):
+            digest, _, text = _entry_path(directory, key).read_text(encoding="ascii").partition("\n")
             if digest == _digest(text):
-                kept = json.loads(text)
-                return kept["design"] if kept["asked"] == asked else None
+                entry = json.loads(text)
+                return entry.get("design") if entry.get("key") == key else None
     return None
 
 
-def keep(parameters: str, design: Any) -> None:
-    """Keep a design, where there is room and a directory of our own; the oldest go beyond MOST_KEPT."""
-    with contextlib.suppress(*_NOT_TO_BE_HAD):
-        directory, asked = _directory(), _asked(parameters)
+def store(parameters: str, design: Any) -> None:
+    """Store a design where there is room and a private directory; delete the oldest beyond MAX_ENTRIES."""
+    with contextlib.suppress(*_CACHE_ERRORS):
+        directory, key = _directory(), _key(parameters)
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_ours(directory):
+        if not _is_private(directory):
             return
-        text = json.dumps({"asked": asked, "design": design})
-        write_private(_file(directory, asked), f"{_digest(text)}\n{text}")
+        text = json.dumps({"key": key, "design": design})
+        write_private(_entry_path(directory, key), f"{_digest(text)}\n{text}")
         by_age = sorted(directory.iterdir(), key=lambda path: path.stat().st_mtime_ns)
-        for old in by_age[:-MOST_KEPT]:
+        for old in by_age[:-MAX_ENTRIES]:
             old.unlink(missing_ok=True)
 
 
 def _directory() -> Path:
-    """$CACHE_DIRECTORY (set by systemd), $XDG_CACHE_HOME/hil or ~/.cache/hil; of designs, in it."""
+    """$CACHE_DIRECTORY (set by systemd), $XDG_CACHE_HOME/hil or ~/.cache/hil; the folder of designs in it."""
     service = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0]
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return (Path(service) if service else Path(base) / "hil") / "designs"
 
 
-def _is_ours(directory: Path) -> bool:
+def _is_private(directory: Path) -> bool:
     found = directory.lstat()
     others_may_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not others_may_write
 
 
-def _file(directory: Path, asked: str) -> Path:
-    return directory / f"{_digest(asked)}.json"
+def _entry_path(directory: Path, key: str) -> Path:
+    return directory / f"{_digest(key)}.json"
 
 
-def _asked(parameters: str) -> str:
-    """The parameters, and everything else that a design depends on."""
+def _key(parameters: str) -> str:
+    """The parameters, and everything else that a design depends on, as canonical text."""
     designer = find_spec("hil.control.estimator.filterpy_design")
     code = Path(designer.origin).read_bytes() if designer and designer.origin else b""
     packages = {name: version(name) for name in ("filterpy", "numpy", "scipy")}

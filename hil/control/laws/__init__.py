@@ -1,64 +1,48 @@
-"""Control laws by name, one per file, all with the signature of hil/control/laws/base.py; see `LAWS` and `make_law`."""
+"""Control laws, one per file, all with the signature of hil/control/laws/base.py; see `make_law`.
 
-import sys
+Their names are in hil/control/law_registry.py, which also finds the laws that users bring.
+"""
+
 from typing import Any
 
 import numpy as np
 
 from drivers.toml_file import shown
+from hil.control.gain import Gain, declared
+from hil.control.law_registry import PACKAGE, is_built_in, law_class
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
-from hil.control.laws.computed_torque import ComputedTorque
-from hil.control.laws.coupled import Coupled
-from hil.control.laws.disturbance_observer import DisturbanceObserver
+from hil.control.laws.coupled import Coupled, interpreted_axis_laws
 from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
-from hil.control.laws.pd_feedforward import PdFeedforward
 from hil.control.laws.per_axis import PerAxis
-from hil.control.laws.pid import Pid
-from hil.control.laws.robust_pd import AlphaBracketsPd, FilteredErrorPd, RobustPd
-from hil.control.laws.sliding_mode import SlidingMode
-from hil.control.laws.slotine_li import SlotineLi
-from hil.control.laws.structured_kalman import StructuredKalman
-from hil.control.laws.super_twisting import SuperTwisting
 from hil.control.number import Number
 from hil.rig.schema import LawConfig
 
-__all__ = ["LAWS", "make_axis_laws", "make_law"]
-
-LAWS: dict[str, type[Law]] = {
-    law.name: law
-    for law in (
-        PdFeedforward,
-        RobustPd,
-        FilteredErrorPd,
-        AlphaBracketsPd,
-        Pid,
-        ComputedTorque,
-        SlidingMode,
-        SlotineLi,
-        SuperTwisting,
-        DisturbanceObserver,
-        StructuredKalman,
-    )
-}
+__all__ = ["make_axis_laws", "make_law"]
 
 
-def _gain(key: str, value: Any, n_axes: int, default: Any) -> Any:
+def _word(key: str, value: Any, gain: Gain) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"law.gains.{key} = {shown(value)}: expected a word such as {gain.default!r}")
+    if gain.words and value not in gain.words:
+        raise ValueError(f"law.gains.{key} = {value!r}: expected one of {', '.join(gain.words)}")
+    return value
+
+
+def _gain(key: str, value: Any, n_axes: int, gain: Gain) -> Any:
     """One gain as the law takes it: a word stays, a number or one per axis becomes (n_axes,). Raises ValueError."""
-    if isinstance(default, str):
-        if not isinstance(value, str):
-            raise ValueError(f"law.gains.{key} = {shown(value)}: expected a word such as {default!r}")
-        return value
+    if isinstance(gain.default, str):
+        return _word(key, value, gain)
     values = value if isinstance(value, list | tuple | np.ndarray) else [value] * n_axes
     if len(values) != n_axes:
         raise ValueError(f"law.gains.{key} has {len(values)} values for {n_axes} axes")
     for item in values:
         is_number = isinstance(item, int | float) and not isinstance(item, bool)
-        if not is_number or not 0 <= item <= sys.float_info.max:
-            raise ValueError(f"law.gains.{key} = {shown(value)}: expected a finite number >= 0, or one per axis")
+        if not is_number or not gain.least <= item <= gain.most:
+            raise ValueError(f"law.gains.{key} = {shown(value)}: expected {gain.allowed()}, or one per axis")
     return np.array(values, dtype=np.float64)
 
 
-def _checked_gains(law: LawConfig, known: dict[str, Any], n_axes: int) -> dict[str, Any]:
+def _checked_gains(law: LawConfig, known: dict[str, Gain], n_axes: int) -> dict[str, Any]:
     gains = law.effective_gains()
     unknown = [key for key in gains if key not in known]
     if unknown:
@@ -83,6 +67,8 @@ def make_axis_laws(
     """As make_law, from a Model of arrays (n_axes,), for one rig on plain floats; the same bits at a fraction of the
     cost.
     """
+    if not is_built_in(law) and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
+        return interpreted_axis_laws(law, model, period, force_limit, repeat)
     gains = _known_gains(law, model.mass.size)
     axes = [
         _construct(law, _axis_gains(gains, axis), axis_model(model, axis), period, float(force_limit[axis]), repeat)
@@ -92,9 +78,7 @@ def make_axis_laws(
 
 
 def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
-    if law.name not in LAWS:
-        raise ValueError(f"law.name = {law.name!r}: the laws are {', '.join(LAWS)}")
-    return _checked_gains(law, {**LAWS[law.name].GAINS, **LEARNING_GAINS}, n_axes)
+    return _checked_gains(law, {**declared(law_class(law, __name__).GAINS), **LEARNING_GAINS}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
@@ -111,7 +95,7 @@ def _construct(
 ) -> Law:
     learning = {key: gains[key] for key in LEARNING_GAINS if key in gains}
     own = {key: value for key, value in gains.items() if key not in learning}
-    inner = LAWS[law.name](model, period, force_limit, **own)
+    inner: Law = law_class(law, __name__)(model, period, force_limit, **own)
     if not law.iterative_learning:
         return inner
     learning = {f"learning_{key}": own[key] for key in ("kp", "kd") if key in own} | learning

@@ -28,7 +28,7 @@ class Reference:
 
 @dataclass(slots=True)
 class Model:
-    """Nominal belief about the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
+    """The nominal model of the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
 
     Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
     supply to hold the axis.
@@ -65,8 +65,8 @@ class LawInputs:
     m/s, N).
     start: reference at that start. end: reference at that interval's end.
     mean_velocity, mean_acceleration, mean_sign: reference averaged over that interval (mean_sign: of sgn(velocity)).
-    force_last: force the gate let out in the previous tick; acts between the sample and `start` (N).
-    force_before: force let out the tick before that; it acted in the interval ending at the sample (N).
+    force_last: force the gate applied in the previous tick; acts between the sample and `start` (N).
+    force_before: force applied the tick before that; it acted in the interval ending at the sample (N).
     task_ns: task time at which the interval starts (ns since the trajectory's origin, first axis; below 0: no task
     runs); laws that learn over repeats need it.
     """
@@ -102,17 +102,17 @@ class Law(ABC):
 
     Written once for floats and arrays (hil/control/number.py). All that it is given is of one kind: floats, one law
     object an axis, as the control cycle does (hil/control/laws/per_axis.py), or arrays (..., n_axes), one object for
-    all, as batches do. Gains arrive as keyword arguments of the same kind; the class attribute `GAINS` names them with
-    their defaults. Both ways give bit-identical results: only element-wise IEEE operations (+ - * / sqrt, minimum,
-    maximum, where, abs), no BLAS, no transcendental function, no reduction whose order depends on memory layout.
+    all, as batches do. Gains arrive as keyword arguments of the same kind; the class attribute `GAINS` declares them
+    (hil/control/gain.py), or names them with plain defaults. Both ways give bit-identical results: only element-wise
+    IEEE operations (+ - * / sqrt, minimum, maximum, where, abs), no BLAS, no transcendental function, no reduction
+    whose order depends on memory layout.
 
     coupled: it looks at all axes at once, and its `force` takes arrays alone. told_of_learning: a force learnt beside
     it (hil/control/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of
     `stiffness` (N/m) and `damping` (N s/m). denominator_floors: how often a denominator was held at its floor.
     """
 
-    name: ClassVar[str]
-    GAINS: ClassVar[dict[str, Any]]
+    GAINS: ClassVar[dict[str, Any]] = {}
     coupled: bool = False
     told_of_learning: ClassVar[bool] = False
     stiffness: Number = 0.0

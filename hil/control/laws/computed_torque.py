@@ -2,32 +2,30 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.feedback import error, error_rate
-from hil.control.laws.terms import default_damping, default_stiffness
+from hil.control.laws.terms import DAMPING, STIFFNESS, default_damping, default_stiffness, error, error_rate
 from hil.control.number import Number, at_least, bounded
 
 
 class ComputedTorque(Law):
     """tau = M q̈d - Kd ė - Kp e + N(q̇) q̇ (Siciliano et al., Robotics (2009), eqs. (8.56)-(8.59)).
 
-    kp: N/m; kd: N s/m; None: from mass and rate. sign_width: m/s, within which sgn(q̇) is taken as q̇ / sign_width: at
-    zero speed the sign of an estimate is noise.
+    sgn(q̇) is taken as q̇ / sign_width within that speed: at zero speed the sign of an estimate is noise.
     """
 
-    name: ClassVar[str] = "computed-torque"
-    GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None, "sign_width": 0.01}
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "kp": STIFFNESS,
+        "kd": DAMPING,
+        # Narrower than coulomb over kd the loop oscillates at rest.
+        "sign_width": Gain(0.01, "m/s", "speed within which sgn(q̇) is q̇ / sign_width", tune=Knob(1e-3, 0.5)),
+    }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        kp: Number | None = None,
-        kd: Number | None = None,
-        sign_width: Number = 0.01,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        kp: Number | None = given["kp"]
+        kd: Number | None = given["kd"]
+        sign_width: Number = given["sign_width"]
         self._model = model
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd

@@ -1,11 +1,13 @@
-"""A rig's law where it looks at all axes at once: one on arrays, between floats in and out."""
+"""Laws that run interpreted even in the compiled build: one that looks at all axes at once works on arrays, between
+floats in and out; one that a user brings is an ordinary Python class.
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from hil.control.laws.base import Array, LawInputs, Model, Reference
+from hil.control.laws.base import Array, AxisLaws, LawInputs, Model, Reference
 from hil.rig.schema import LawConfig
 
 _PLAIN = (
@@ -32,6 +34,15 @@ def gather(axes: Sequence[LawInputs]) -> LawInputs:
         sample=reference("sample"), start=reference("start"), end=reference("end"), task_ns=axes[0].task_ns,
         **{name: column(name) for name in _PLAIN},
     )  # fmt: skip
+
+
+def interpreted_axis_laws(
+    law: LawConfig, model: Model, period: float, force_limit: Array, repeat: tuple[int, int] | None
+) -> AxisLaws:
+    """make_axis_laws as the interpreted source has it."""
+    from hil.control.laws import make_axis_laws  # which imports this module
+
+    return make_axis_laws(law, model, period, force_limit, repeat)
 
 
 class Coupled:

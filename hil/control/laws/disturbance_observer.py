@@ -2,8 +2,9 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.terms import Feedforward, default_damping, default_stiffness
+from hil.control.laws.terms import DAMPING, STIFFNESS, Feedforward, default_damping, default_stiffness
 from hil.control.number import Number, bounded
 
 
@@ -11,23 +12,20 @@ class DisturbanceObserver(Law):
     """tau = feedforward - Kp e - Kd ė + d, where e, ė, d come from an observer of the error with three equal poles.
 
     The observer's plant is a double integrator from (force - feedforward - d) to e; its poles lie at 1 / (1 + bandwidth
-    T) (Franklin, Powell, Workman, Digital Control (1998), section 8.2). kp: N/m; kd: N s/m; None: from mass and rate.
-    bandwidth: rad/s; None: from the rate. d stays within the force limit.
+    T) (Franklin, Powell, Workman, Digital Control (1998), section 8.2). d stays within the force limit.
     """
 
-    name: ClassVar[str] = "disturbance-observer"
-    GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None, "bandwidth": None}
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "kp": STIFFNESS,
+        "kd": DAMPING,
+        "bandwidth": Gain(None, "rad/s", "of the observer; default: from the rate", tune=Knob(0.05, 1.5, "1/T")),
+    }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        kp: Number | None = None,
-        kd: Number | None = None,
-        bandwidth: Number | None = None,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        kp: Number | None = given["kp"]
+        kd: Number | None = given["kd"]
+        bandwidth: Number | None = given["bandwidth"]
         self._kp = 0.5 * default_stiffness(model, period) if kp is None else kp
         self._kd = 0.7 * default_damping(model, period) if kd is None else kd
         omega: Number = 0.4 / period if bandwidth is None else bandwidth

@@ -9,15 +9,16 @@ between two samples) is learnt too, without phase error.
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.number import Number, bounded
 
-LEARNING_GAINS: dict[str, Any] = {
-    "learning_rate": 0.9,
-    "learning_decay": 0.02,
-    "learning_kp": 0.0,
-    "learning_kd": 0.0,
-    "learning_inertia": 1.0,
+LEARNING_GAINS: dict[str, Gain] = {
+    "learning_rate": Gain(0.9, "1", "part of the error corrected from one repeat to the next"),
+    "learning_decay": Gain(0.02, "1", "how much slower each repeat learns than the one before"),
+    "learning_kp": Gain(0.0, "N/m", "stiffness of the inner loop; default: the law's kp"),
+    "learning_kd": Gain(0.0, "N s/m", "damping of the inner loop; default: the law's kd"),
+    "learning_inertia": Gain(1.0, "1", "fraction of the nominal mass"),
 }
 SAMPLES = 4  # errors a step is made of
 MOST_TICKS = 100_000  # of a repeat: a few megabytes an axis, forgotten in about a millisecond when the law is reset
@@ -28,8 +29,8 @@ class IterativeLearning(Law):
 
     u(i) <- u(i) - g (M a + learning_kd v + learning_kp e), where e, v, a are the error, its rate and its acceleration
     in the interval i in which u(i) acted, and g = learning_rate / (1 + learning_decay j) in repeat j, so that late
-    repeats average noise. learning_kp: N/m and learning_kd: N s/m, of the inner loop (make_law
-    takes the inner law's kp and kd). learning_inertia: fraction of M.
+    repeats average noise. learning_kp and learning_kd are those of the inner loop: make_law takes the inner law's kp
+    and kd. M is learning_inertia times the nominal mass.
 
     Most inner laws never see the learnt force: an observer that only adds what is missing would take it for a
     disturbance and undo it. A filter that predicts where the axis will be must be told of all that moves it, or it
@@ -38,8 +39,7 @@ class IterativeLearning(Law):
     and is not changed in ticks with missing samples or a force at its limit.
     """
 
-    name: ClassVar[str] = "iterative-learning"
-    GAINS = LEARNING_GAINS
+    GAINS: ClassVar[dict[str, Gain]] = LEARNING_GAINS
 
     def __init__(
         self,
@@ -49,13 +49,14 @@ class IterativeLearning(Law):
         force_limit: Number,
         repeat_ns: int,
         repeat_from_ns: int,
-        *,
-        learning_rate: Number = 0.9,
-        learning_decay: Number = 0.02,
-        learning_kp: Number = 0.0,
-        learning_kd: Number = 0.0,
-        learning_inertia: Number = 1.0,
+        **gains: Any,
     ) -> None:
+        given = with_defaults(self.GAINS, gains)
+        rate: Number = given["learning_rate"]
+        decay: Number = given["learning_decay"]
+        learning_kp: Number = given["learning_kp"]
+        learning_kd: Number = given["learning_kd"]
+        learning_inertia: Number = given["learning_inertia"]
         self._inner = inner
         self._period_ns = round(period * 1e9)
         if repeat_ns % self._period_ns:
@@ -70,7 +71,7 @@ class IterativeLearning(Law):
                 f"at most {MOST_TICKS} can be learnt"
             )
         self._from_ns = repeat_from_ns
-        self._rate, self._decay = learning_rate, learning_decay
+        self._rate, self._decay = rate, decay
         self._limit = force_limit
         # Weights of e(i-1), e(i), e(i+1), e(i+2) for the interval from sample i to i+1.
         inertia = learning_inertia * model.mass / (2.0 * period * period)

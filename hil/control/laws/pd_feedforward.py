@@ -2,24 +2,25 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.terms import Feedforward, default_damping, default_stiffness
+from hil.control.laws.terms import DAMPING, STIFFNESS, Feedforward, default_damping, default_stiffness
 from hil.control.number import Number
 
 
 class PdFeedforward(Law):
     """tau = -Kp e - Kd ė + M q̈d + N(q̇d) q̇d, with e = q - qd (eq. (15)).
 
-    e and ė are taken where the force starts to act (Kalman estimate less reference, both at that instant). kp: N/m; kd:
-    N s/m; None: from mass and rate. A constant disturbance D leaves the plateau e = D / Kp.
+    e and ė are taken where the force starts to act (Kalman estimate less reference, both at that instant). A constant
+    disturbance D leaves the plateau e = D / Kp.
     """
 
-    name: ClassVar[str] = "pd-feedforward"
-    GAINS: ClassVar[dict[str, Any]] = {"kp": None, "kd": None}
+    GAINS: ClassVar[dict[str, Gain]] = {"kp": STIFFNESS, "kd": DAMPING}
 
-    def __init__(
-        self, model: Model, period: float, force_limit: Number, *, kp: Number | None = None, kd: Number | None = None
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        kp: Number | None = given["kp"]
+        kd: Number | None = given["kd"]
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd
         self._feedforward = Feedforward(model)

@@ -2,32 +2,38 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.feedback import error, error_rate, unless_saturated
-from hil.control.laws.terms import default_damping, default_stiffness
+from hil.control.laws.terms import (
+    DAMPING,
+    STIFFNESS,
+    default_damping,
+    default_stiffness,
+    error,
+    error_rate,
+    unless_saturated,
+)
 from hil.control.number import Number, bounded
 
 
 class Pid(Law):
     """tau = -Kp e - Ki int e dt - Kd ė + gravity hold (Astrom and Murray, Feedback Systems (2008), eq. (10.1)).
 
-    kp: N/m; ki: N/(m s); kd: N s/m; None: from mass and rate. Anti-windup: the integral force stays within the force
-    limit and stops while it would push a saturated force further out.
+    Anti-windup: the integral force stays within the force limit and stops while it would push a saturated force further
+    out.
     """
 
-    name: ClassVar[str] = "pid"
-    GAINS: ClassVar[dict[str, Any]] = {"kp": None, "ki": None, "kd": None}
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "kp": STIFFNESS,
+        "kd": DAMPING,
+        "ki": Gain(None, "N/(m s)", "integral gain; default: from kp and rate", tune=Knob(1e-4, 1e-2, "m/T3")),
+    }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        kp: Number | None = None,
-        ki: Number | None = None,
-        kd: Number | None = None,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        kp: Number | None = given["kp"]
+        kd: Number | None = given["kd"]
+        ki: Number | None = given["ki"]
         self._kp = default_stiffness(model, period) if kp is None else kp
         self._kd = default_damping(model, period) if kd is None else kd
         self._ki = self._kp * (0.02 / period) if ki is None else ki

@@ -4,13 +4,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.feedback import error, error_rate
-from hil.control.laws.terms import Feedforward, default_damping, default_stiffness
+from hil.control.laws.terms import (
+    DAMPING,
+    STIFFNESS,
+    Feedforward,
+    default_damping,
+    default_stiffness,
+    error,
+    error_rate,
+)
 from hil.control.number import Number, root, select
 
-READINGS = ("printed", "filtered-error", "alpha-brackets")
-NORMS = ("vector", "per-axis")
+SMALLEST = 2.2250738585072014e-308  # above 0
 
 
 class RobustPd(Law):
@@ -22,49 +29,38 @@ class RobustPd(Law):
     filtered-error  the same with s = ė + alpha e for ė in nu
     alpha-brackets  -alpha (M + Kd) ė - alpha Kp e - nu       (alpha before both brackets; nu as printed)
 
-    |.| is the Euclidean norm over all axes (norm = vector) or each axis by itself (per-axis). kp: N/m; kd: N s/m; None:
-    from mass and rate; alpha: 1/s; epsilon, rho: N, N m/s ... as printed. The printed denominator crosses zero at |e| =
-    sqrt(epsilon / beta): it is held at or above `floor`, and `denominator_floors` counts how often.
+    |.| is the Euclidean norm over all axes (norm = vector) or each axis by itself (per-axis). The printed denominator
+    crosses zero at |e| = sqrt(epsilon / beta): it is held at or above `floor`, and `denominator_floors` counts how
+    often.
     """
 
-    name: ClassVar[str] = "robust-pd"
     READING: ClassVar[str] = ""  # of a class that has but one
-    GAINS: ClassVar[dict[str, Any]] = {
-        "kp": None,
-        "kd": None,
-        "alpha": 60.0,
-        "epsilon": 0.001,
-        "beta": 100.0,
-        "rho": 0.3,
-        "floor": 1e-4,
-        "reading": "printed",
-        "norm": "vector",
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "kp": STIFFNESS,
+        "kd": DAMPING,
+        "alpha": Gain(60.0, "1/s", "as printed", tune=Knob(1e-3, 0.2, "1/T")),
+        # Near rest nu is a damping of rho^2 / epsilon.
+        "epsilon": Gain(0.001, "N m/s", "as printed", tune=Knob(0.05, 100.0, "T/m")),
+        "beta": Gain(100.0, "N/(m s)", "as printed"),
+        "rho": Gain(0.3, "N", "as printed: the bound of the disturbance"),
+        "floor": Gain(1e-4, "N m/s", "least value of the denominator of nu", least=SMALLEST),
+        "reading": Gain("printed", "", "of eqs. (27) and (28)", words=("printed", "filtered-error", "alpha-brackets")),
+        "norm": Gain("vector", "", "|.| over all axes, or of each axis by itself", words=("vector", "per-axis")),
     }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        kp: Number | None = None,
-        kd: Number | None = None,
-        alpha: Number = 60.0,
-        epsilon: Number = 0.001,
-        beta: Number = 100.0,
-        rho: Number = 0.3,
-        floor: Number = 1e-4,
-        reading: str = "printed",
-        norm: str = "vector",
-    ) -> None:
-        reading = self.READING or reading
-        for key, value, allowed in (("reading", reading, READINGS), ("norm", norm, NORMS)):
-            if value not in allowed:
-                raise ValueError(f"law.gains.{key} = {value!r}: expected one of {', '.join(allowed)}")
-        if np.any(np.asarray(floor) <= 0.0):
-            raise ValueError(f"law.gains.floor = {floor}: expected a number > 0")
-        kp = default_stiffness(model, period) if kp is None else kp
-        kd = default_damping(model, period) if kd is None else kd
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        given_kp: Number | None = given["kp"]
+        given_kd: Number | None = given["kd"]
+        alpha: Number = given["alpha"]
+        epsilon: Number = given["epsilon"]
+        beta: Number = given["beta"]
+        rho: Number = given["rho"]
+        floor: Number = given["floor"]
+        norm: str = given["norm"]
+        reading: str = self.READING or given["reading"]
+        kp: Number = default_stiffness(model, period) if given_kp is None else given_kp
+        kd: Number = default_damping(model, period) if given_kd is None else given_kd
         inside = reading == "alpha-brackets"
         self._stiffness = alpha * kp if inside else kp
         self._damping = alpha * (model.mass + kd) if inside else alpha * model.mass + kd
@@ -106,14 +102,17 @@ class RobustPd(Law):
 class FilteredErrorPd(RobustPd):
     """RobustPd in the reading filtered-error: a law of its own, with its own gains in a rig file."""
 
-    name: ClassVar[str] = "robust-pd-filtered-error"
     READING: ClassVar[str] = "filtered-error"
-    GAINS: ClassVar[dict[str, Any]] = {key: value for key, value in RobustPd.GAINS.items() if key != "reading"}
+    GAINS: ClassVar[dict[str, Gain]] = {key: value for key, value in RobustPd.GAINS.items() if key != "reading"}
 
 
 class AlphaBracketsPd(RobustPd):
     """RobustPd in the reading alpha-brackets: a law of its own, with its own gains in a rig file."""
 
-    name: ClassVar[str] = "robust-pd-alpha-brackets"
     READING: ClassVar[str] = "alpha-brackets"
-    GAINS: ClassVar[dict[str, Any]] = FilteredErrorPd.GAINS
+    GAINS: ClassVar[dict[str, Gain]] = {
+        **FilteredErrorPd.GAINS,  # alpha stands before kp and kd: other ranges
+        "kp": STIFFNESS._replace(tune=Knob(0.02, 5.0, "m/T")),
+        "kd": DAMPING._replace(tune=Knob(0.1, 100.0, "m")),
+        "alpha": RobustPd.GAINS["alpha"]._replace(tune=Knob(5e-3, 0.3, "1/T")),
+    }

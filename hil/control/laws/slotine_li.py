@@ -2,9 +2,9 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.feedback import error, error_rate, unless_saturated
-from hil.control.laws.terms import Feedforward, default_damping
+from hil.control.laws.terms import Feedforward, default_damping, error, error_rate, unless_saturated
 from hil.control.number import Number, bounded, select
 
 
@@ -12,34 +12,23 @@ class SlotineLi(Law):
     """tau = feedforward + Y a - M lambda ė - Kd s, da/dt = -Gamma Y' s, s = ė + lambda e, Y = [q̈r, sgn(q̇d), q̇d, 1].
 
     q̈r = q̈d - lambda ė. a corrects the nominal mass (kg), Coulomb friction (N), viscous friction (N s/m) and a constant
-    force (N). rate: lambda, 1/s; kd: N s/m; None: from mass and rate. Adaptation gains per unit of s: mass_gain kg^2/(N
-    s), coulomb_gain and bias_gain N/m, viscous_gain N s^2/m^2 ... Estimates stay within bounds and stop while the force
+    force (N). rate: lambda. Adaptation gains are per unit of s. Estimates stay within bounds and stop while the force
     is saturated outwards.
     """
 
-    name: ClassVar[str] = "slotine-li"
-    GAINS: ClassVar[dict[str, Any]] = {
-        "rate": None,
-        "kd": None,
-        "mass_gain": 1e-3,
-        "coulomb_gain": 10.0,
-        "viscous_gain": 1.0,
-        "bias_gain": 10.0,
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "rate": Gain(None, "1/s", "lambda; default: from the rate", tune=Knob(0.02, 0.4, "1/T")),
+        "kd": Gain(None, "N s/m", "damping on s; default: from mass and rate", tune=Knob(0.05, 0.5, "m/T")),
+        "mass_gain": Gain(1e-3, "kg^2/(N s)", "adaptation of the mass", tune=Knob(1e-7, 1e-2)),
+        "coulomb_gain": Gain(10.0, "N/m", "adaptation of Coulomb friction", tune=Knob(0.1, 1e3)),
+        "viscous_gain": Gain(1.0, "N s^2/m^2", "adaptation of viscous friction", tune=Knob(1e-3, 1e2)),
+        "bias_gain": Gain(10.0, "N/m", "adaptation of the constant force", tune=Knob(0.1, 1e3)),
     }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        rate: Number | None = None,
-        kd: Number | None = None,
-        mass_gain: Number = 1e-3,
-        coulomb_gain: Number = 10.0,
-        viscous_gain: Number = 1.0,
-        bias_gain: Number = 10.0,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        rate: Number | None = given["rate"]
+        kd: Number | None = given["kd"]
         self._feedforward = Feedforward(model)
         self._mass = model.mass
         self._gravity = model.gravity
@@ -48,7 +37,13 @@ class SlotineLi(Law):
         self._limit = force_limit
         third = force_limit / 3.0
         self._bounds = (0.5 * model.mass, third, third, third)
-        self._gains = tuple(gain * period for gain in (mass_gain, coulomb_gain, viscous_gain, bias_gain))
+        adaptation: list[Number] = [
+            given["mass_gain"],
+            given["coulomb_gain"],
+            given["viscous_gain"],
+            given["bias_gain"],
+        ]
+        self._gains = tuple([gain * period for gain in adaptation])
         self.reset(model.mass - model.mass, model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:

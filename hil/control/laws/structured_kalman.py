@@ -18,6 +18,7 @@ one covariance. The arithmetic is in hil/control/laws/structured_filter.py.
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import Breakaway, anywhere
 from hil.control.laws.structured_filter import (
@@ -44,70 +45,94 @@ from hil.control.number import Number, at_least, bounded, select
 PRIOR_SPEED, BIAS_PART, DRY_PART, SMALL_PART = 1e-3, 0.1, 1.0, 0.05
 
 
+def _learnt(low: float, high: float, scale: str) -> Knob:
+    """Noise of a parameter of the disturbance: how much of a force as large as that of the acceleration's noise is put
+    down to it per period.
+    """
+    return Knob(low, high, scale, "acceleration_noise", density=True)
+
+
 class StructuredKalman(Law):
     """tau = feedforward(15) + d(estimated) - Kp e - Kd ė on the filter's own estimates, at the instant the force acts.
 
-    kp: N/m; kd: N s/m; None: mass times omega^2 and 2 damping omega, omega = bandwidth (rad per period) / period, so
-    that the same gains fit every rate. Noise densities of the random walks, per sqrt(s): acceleration_noise
-    m/s; bias_noise N; coulomb_noise N; viscous_noise N s/m; mass_noise kg. reversal_noise: standard deviation of the
-    speed where the reference reverses, as a fraction of the speed gained in that period. measurement_noise: m, standard
-    deviation of a sample; not below 29 nm at 0.1 um counts. Estimates are bounded by the force limit.
-
-    bias_prior, coulomb_prior (N), viscous_prior (N s/m), mass_prior (kg): standard deviations at the start, of what the
-    model may be wrong by before anything is known; None: from the model. stribeck_velocity: m/s; where above 0, theta2
-    is the height (N) of friction's peak at rest, of that width, and viscous_noise and viscous_prior are in N.
-    breakaway_rate (N/s), breakaway_lag (m): see hil/control/laws/breakaway.py; where the rate is above 0, what is
-    learnt while the reference rests leaves the variances of d as they were: an axis that friction holds is no evidence.
+    omega = bandwidth (rad per period) / period, so that the same gains fit every rate. The noises are densities of
+    random walks, per sqrt(s). Estimates are bounded by the force limit. The priors are standard deviations at the
+    start, of what the model may be wrong by before anything is known. Where stribeck_velocity is above 0, theta2 is the
+    height (N) of friction's peak at rest, of that width, and viscous_noise and viscous_prior are in N. Where
+    breakaway_rate is above 0 (hil/control/laws/breakaway.py), what is learnt while the reference rests leaves the
+    variances of d as they were: an axis that friction holds is no evidence.
     """
 
-    name: ClassVar[str] = "structured-kalman"
     told_of_learning: ClassVar[bool] = True
-    GAINS: ClassVar[dict[str, Any]] = {
-        "kp": None,
-        "kd": None,
-        "bandwidth": DEFAULT_BANDWIDTH,
-        "damping": DEFAULT_DAMPING,
-        "acceleration_noise": 1e-2,
-        "reversal_noise": 0.5,
-        "bias_noise": 1e-2,
-        "coulomb_noise": 1e-2,
-        "viscous_noise": 1e-2,
-        "mass_noise": 1e-4,
-        "measurement_noise": 29e-9,
-        "bias_prior": None,
-        "coulomb_prior": None,
-        "viscous_prior": None,
-        "mass_prior": None,
-        "stribeck_velocity": 0.0,
-        "breakaway_rate": 0.0,
-        "breakaway_lag": 0.0,
-    }
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "kp": Gain(None, "N/m", "stiffness; default: mass times omega^2"),
+        "kd": Gain(None, "N s/m", "damping; default: 2 damping omega times the mass"),
+        "bandwidth": Gain(
+            DEFAULT_BANDWIDTH, "rad", "omega times the period", tune=Knob(0.15, 0.45), plan=Knob(0.15, 0.35)
+        ),
+        "damping": Gain(DEFAULT_DAMPING, "1", "damping ratio", tune=Knob(0.4, 1.2), plan=Knob(0.6, 1.0)),
+        # What a filter does with a sample depends on ratios: of the acceleration's noise to the encoder's, and of a
+        # slow parameter's noise to the acceleration's, which is how quickly it is learnt.
+        "acceleration_noise": Gain(
+            1e-2, "m/s/sqrt(s)", "noise density of the speed",
+            tune=Knob(1.0, 3e3, "count/T1.5", density=True), plan=Knob(5e-5, 1e-3),
+        ),
+        "reversal_noise": Gain(
+            0.5, "1", "standard deviation of the speed at a reversal, as a part of the speed gained there",
+            tune=Knob(1e-2, 1.0), plan=Knob(5e-3, 0.1),
+        ),
+        "bias_noise": Gain(
+            1e-2, "N/sqrt(s)", "noise density of d0", tune=_learnt(1e-5, 0.3, "m/T"), plan=Knob(3e-4, 0.1, "C")
+        ),
+        "coulomb_noise": Gain(
+            1e-2, "N/sqrt(s)", "noise density of theta1", tune=_learnt(3e-3, 1.0, "m/T"), plan=Knob(3e-3, 0.1, "C")
+        ),
+        "viscous_noise": Gain(1e-2, "N s/m/sqrt(s)", "noise density of theta2", tune=_learnt(1e-3, 1.0, "m2/FT2")),
+        "mass_noise": Gain(
+            1e-4, "kg/sqrt(s)", "noise density of theta3", tune=_learnt(0.03, 30.0, "m2/FT"), plan=Knob(0.01, 1.0, "m")
+        ),
+        "measurement_noise": Gain(
+            29e-9, "m", "standard deviation of a sample; not below 29 nm at 0.1 um counts",
+            tune=Knob(0.29, 1.0, "count"), plan=Knob(0.5, 1.0, "count"),
+        ),
+        "bias_prior": Gain(
+            None, "N", "standard deviation of d0 at the start; default: from the model", plan=Knob(1e-3, 1.0, "C")
+        ),
+        "coulomb_prior": Gain(
+            None, "N", "standard deviation of theta1 at the start; default: from the model", plan=Knob(0.03, 1.0, "C")
+        ),
+        "viscous_prior": Gain(
+            None, "N s/m", "standard deviation of theta2 at the start; default: from the model",
+            plan=Knob(0.03, 0.5, "C"),
+        ),
+        "mass_prior": Gain(
+            None, "kg", "standard deviation of theta3 at the start; default: from the model", plan=Knob(0.01, 0.1, "m")
+        ),
+        "stribeck_velocity": Gain(0.0, "m/s", "width of friction's peak at rest; 0: theta2 is viscous friction"),
+        "breakaway_rate": Gain(0.0, "N/s", "creep of the force at rest; 0: none", plan=Knob(5.0, 50.0, "C")),
+        "breakaway_lag": Gain(0.0, "m", "lead of the reference at which the creep begins"),
+    }  # fmt: skip
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        kp: Number | None = None,
-        kd: Number | None = None,
-        bandwidth: Number = DEFAULT_BANDWIDTH,
-        damping: Number = DEFAULT_DAMPING,
-        acceleration_noise: Number = 1e-2,
-        reversal_noise: Number = 0.5,
-        bias_noise: Number = 1e-2,
-        coulomb_noise: Number = 1e-2,
-        viscous_noise: Number = 1e-2,
-        mass_noise: Number = 1e-4,
-        measurement_noise: Number = 29e-9,
-        bias_prior: Number | None = None,
-        coulomb_prior: Number | None = None,
-        viscous_prior: Number | None = None,
-        mass_prior: Number | None = None,
-        stribeck_velocity: Number = 0.0,
-        breakaway_rate: Number = 0.0,
-        breakaway_lag: Number = 0.0,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        kp: Number | None = given["kp"]
+        kd: Number | None = given["kd"]
+        bandwidth: Number = given["bandwidth"]
+        damping: Number = given["damping"]
+        acceleration_noise: Number = given["acceleration_noise"]
+        reversal_noise: Number = given["reversal_noise"]
+        bias_noise: Number = given["bias_noise"]
+        coulomb_noise: Number = given["coulomb_noise"]
+        viscous_noise: Number = given["viscous_noise"]
+        mass_noise: Number = given["mass_noise"]
+        measurement_noise: Number = given["measurement_noise"]
+        bias_prior: Number | None = given["bias_prior"]
+        coulomb_prior: Number | None = given["coulomb_prior"]
+        viscous_prior: Number | None = given["viscous_prior"]
+        mass_prior: Number | None = given["mass_prior"]
+        stribeck_velocity: Number = given["stribeck_velocity"]
+        breakaway_rate: Number = given["breakaway_rate"]
+        breakaway_lag: Number = given["breakaway_lag"]
         omega = bandwidth * (1.0 / period)
         self.stiffness = model.mass * (omega * omega) if kp is None else kp
         self.damping = model.mass * (2.0 * damping * omega) if kd is None else kd
@@ -119,11 +144,11 @@ class StructuredKalman(Law):
         )  # fmt: skip
         self._measurement = measurement_noise * measurement_noise
         # What the model may be wrong by before anything is known. What holds an axis still looks like friction until it
-        # has moved both ways: bias must not be believed beyond what gravity or the drive's offset can be.
-        bias = BIAS_PART * (abs(model.gravity) + model.coulomb) if bias_prior is None else bias_prior
-        dry = DRY_PART * model.coulomb + SMALL_PART * force_limit if coulomb_prior is None else coulomb_prior
-        wet = abs(model.viscous) + model.mass if viscous_prior is None else viscous_prior
-        inertia = 0.5 * model.mass if mass_prior is None else mass_prior
+        # has moved both ways: bias must stay within what gravity or the drive's offset can be.
+        bias: Number = BIAS_PART * (abs(model.gravity) + model.coulomb) if bias_prior is None else bias_prior
+        dry: Number = DRY_PART * model.coulomb + SMALL_PART * force_limit if coulomb_prior is None else coulomb_prior
+        wet: Number = abs(model.viscous) + model.mass if viscous_prior is None else viscous_prior
+        inertia: Number = 0.5 * model.mass if mass_prior is None else mass_prior
         prior = (measurement_noise, PRIOR_SPEED, bias, dry, wet, inertia)
         self._prior = diagonal(*(value * value for value in prior))
         zero = model.mass - model.mass

@@ -2,9 +2,9 @@
 
 from typing import Any, ClassVar
 
+from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.laws.feedback import error, error_rate, unless_saturated
-from hil.control.laws.terms import Feedforward
+from hil.control.laws.terms import Feedforward, error, error_rate, unless_saturated
 from hil.control.number import Number, at_least, bounded, root
 
 
@@ -13,26 +13,25 @@ class SuperTwisting(Law):
 
     Levant, Int. J. Control 58(6), 1993.
 
-    rate: lambda, 1/s; k1: N (s/m)^(1/2); k2: N/s; None: from mass, rate and force limit. linear: N s/m, damping added
-    on s, which keeps the sampled loop calm near s = 0. smooth: m/s, within which sgn(s) is s / smooth. w stays within
-    half the force limit and stops while it would push a saturated force further out.
+    rate: lambda. linear: damping added on s, which keeps the sampled loop calm near s = 0. w stays within half the
+    force limit and stops while it would push a saturated force further out.
     """
 
-    name: ClassVar[str] = "super-twisting"
-    GAINS: ClassVar[dict[str, Any]] = {"rate": None, "k1": None, "k2": None, "linear": None, "smooth": 1e-3}
+    GAINS: ClassVar[dict[str, Gain]] = {
+        "rate": Gain(None, "1/s", "lambda; default: from the rate", tune=Knob(0.02, 0.4, "1/T")),
+        "k1": Gain(None, "N (s/m)^(1/2)", "default: from the force limit", tune=Knob(1e-3, 1.0, "F")),
+        "k2": Gain(None, "N/s", "default: from the force limit", tune=Knob(0.1, 100.0, "F")),
+        "linear": Gain(None, "N s/m", "damping on s; default: from mass and rate", tune=Knob(0.02, 0.5, "m/T")),
+        "smooth": Gain(1e-3, "m/s", "value of s within which sgn(s) is s / smooth", tune=Knob(1e-3, 1e-1)),
+    }
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        force_limit: Number,
-        *,
-        rate: Number | None = None,
-        k1: Number | None = None,
-        k2: Number | None = None,
-        linear: Number | None = None,
-        smooth: Number = 1e-3,
-    ) -> None:
+    def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        given = with_defaults(self.GAINS, gains)
+        rate: Number | None = given["rate"]
+        k1: Number | None = given["k1"]
+        k2: Number | None = given["k2"]
+        linear: Number | None = given["linear"]
+        smooth: Number = given["smooth"]
         self._feedforward = Feedforward(model)
         self._gravity = model.gravity
         self._period = period

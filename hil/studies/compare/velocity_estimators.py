@@ -24,7 +24,8 @@ from hil.control.laws.coupled import gather
 from hil.control.laws.structured_kalman import StructuredKalman
 from hil.control.nominal_model import rig_model
 from hil.rig.schema import LawConfig, RigConfig
-from hil.virtual.lockstep import LockstepRun, steady_from
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import steady_from
 
 DERIVATIVE_CORNER_HZ = 400.0  # of 20 to 400 Hz the best on the paper's circle: lag costs more there than noise
 JERKY = 300.0  # m/s^2/sqrt(Hz), white acceleration of the constant-velocity filter on q: it must follow the task
@@ -35,8 +36,8 @@ JERK = 300.0  # m/s^3/sqrt(Hz), white jerk of the constant-acceleration filter
 
 class Data:
     """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity, true
-    velocity, net force (let out less nominal friction) and length (s) of the interval before each sample; velocity as
-    the structured filter has it.
+    velocity, net force (applied force less nominal friction) and length (s) of the interval before each sample;
+    velocity as the structured filter has it.
 
     The length is by the samples' stamps: stuff bits alone move a command by a microsecond, and at 3 m/s that is 3 um.
     """
@@ -69,7 +70,7 @@ class Data:
 
 
 def _structured_filter(rig: RigConfig) -> StructuredKalman:
-    config = LawConfig(name=StructuredKalman.name, tuned=rig.law.tuned)
+    config = LawConfig(name="structured-kalman", tuned=rig.law.tuned)
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     law = make_law(config, rig_model(rig), rig.period_ns * 1e-9, limit)
     assert isinstance(law, StructuredKalman)
@@ -107,7 +108,7 @@ Matrices = tuple[Array, Array]  # transition and input over an interval
 
 
 def _steady_filter(
-    over: Callable[[float], Matrices], q: Array, sigma: float, period: float, measured: Array, inputs: Array,
+    over: Callable[[float], Matrices], q: Array, sigma: float, period: float, measured: Array, inputs: Array, *,
     interval: Array, start: Array,
 ) -> Array:  # fmt: skip
     """filterpy's filter designed to its steady state at the nominal period, then applied over the true intervals; the
@@ -149,7 +150,7 @@ def constant_velocity(data: Data, axis: int) -> Array:
     z = data.position[:, axis]
     start = np.array([z[0], data.reference[0, axis]])
     sigma = data.parameters[axis]["sigma"]
-    return _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, data.interval[:, axis], start)
+    return _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, interval=data.interval[:, axis], start=start)
 
 
 def constant_velocity_error(data: Data, axis: int) -> Array:
@@ -157,7 +158,7 @@ def constant_velocity_error(data: Data, axis: int) -> Array:
     q = _white_acceleration(data.period, ERROR_ACCELERATION)
     z = data.position[:, axis] - data.setpoint[:, axis]
     sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
-    rate = _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, interval, np.array([z[0], 0.0]))
+    rate = _steady_filter(_coast, q, sigma, data.period, z, 0.0 * z, interval=interval, start=np.array([z[0], 0.0]))
     velocity: Array = rate + data.reference[:, axis]
     return velocity
 
@@ -172,7 +173,7 @@ def constant_acceleration(data: Data, axis: int) -> Array:
     q = JERK**2 * np.array([[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]])
     z = data.position[:, axis] - data.setpoint[:, axis]
     sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
-    rate = _steady_filter(over, q, sigma, t, z, 0.0 * z, interval, np.array([z[0], 0.0, 0.0]))
+    rate = _steady_filter(over, q, sigma, t, z, 0.0 * z, interval=interval, start=np.array([z[0], 0.0, 0.0]))
     velocity: Array = rate + data.reference[:, axis]
     return velocity
 
@@ -191,7 +192,7 @@ def model_input(data: Data, axis: int) -> Array:
     z = data.position[:, axis]
     sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
     start = np.array([z[0], data.reference[0, axis]])
-    return _steady_filter(over, q, sigma, data.period, z, data.net[:, axis], interval, start)
+    return _steady_filter(over, q, sigma, data.period, z, data.net[:, axis], interval=interval, start=start)
 
 
 def model_input_disturbance(data: Data, axis: int) -> Array:
@@ -208,7 +209,7 @@ def model_input_disturbance(data: Data, axis: int) -> Array:
     z = data.position[:, axis]
     start = np.array([z[0], data.reference[0, axis], 0.0])
     sigma, interval = data.parameters[axis]["sigma"], data.interval[:, axis]
-    return _steady_filter(over, kf.Q, sigma, data.period, z, data.net[:, axis], interval, start)
+    return _steady_filter(over, kf.Q, sigma, data.period, z, data.net[:, axis], interval=interval, start=start)
 
 
 def structured(data: Data, axis: int) -> Array:

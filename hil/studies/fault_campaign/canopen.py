@@ -13,7 +13,7 @@ from drivers.wire.faults import FaultKind, WireFault
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
-from hil.studies.fault_campaign.layout_capabilities import Means
+from hil.studies.fault_campaign.layout_capabilities import Capability
 from hil.studies.fault_campaign.trial import (
     GONE,
     MOVING,
@@ -192,4 +192,4 @@ _TRIALS = (
     Trial("SDO abort", once(_abort), benign=True, unready=_configuring),
     Trial("SDO answers lost", _lost(cia301.SDO_RESPONSE_ID), benign=True, unready=_configuring),
 )
-CANOPEN_TRIALS = tuple(replace(trial, only=Means.NODES) for trial in _TRIALS)
+CANOPEN_TRIALS = tuple(replace(trial, only=Capability.NODES) for trial in _TRIALS)

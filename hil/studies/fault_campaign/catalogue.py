@@ -35,7 +35,7 @@ from hil.studies.fault_campaign.injections import (
     trip,
     withdrawn,
 )
-from hil.studies.fault_campaign.layout_capabilities import BABBLE, Means
+from hil.studies.fault_campaign.layout_capabilities import BABBLE, Capability
 from hil.studies.fault_campaign.restarts import RESTARTS
 from hil.studies.fault_campaign.trial import (
     ALWAYS,
@@ -52,7 +52,7 @@ from hil.studies.fault_campaign.trial import (
 _STUCK = (Fault.FOLLOWING_ERROR, Fault.ENCODER_STUCK, Fault.FILTER_DIVERGED, Fault.SPEED, Fault.TRAVEL_PLANNED)
 _OLD = (*_STUCK, Fault.TRAVEL)  # what a loop may come to that runs on old positions
 _DRIVE = (Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENCODER_FAULT)
-_BELIEVED = (*_OLD, *_DRIVE, *GONE, Fault.ENCODER_JUMP, Fault.BAD_FRAMES)  # what a damaged frame may say
+_ACCEPTED = (*_OLD, *_DRIVE, *GONE, Fault.ENCODER_JUMP, Fault.BAD_FRAMES)  # what a damaged frame may say
 _HELD_UP = (Fault.OVERRUN_LONG, Fault.OVERRUN_BURST, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, *GONE)
 
 TRIALS: tuple[Trial, ...] = (
@@ -85,22 +85,22 @@ TRIALS: tuple[Trial, ...] = (
         GONE,
         within=12,
         armed=WATCHING,
-        needs=Means.SEQUENCE,
+        needs=Capability.SEQUENCE,
         instead=_OLD,
     ),
     Trial(
         "one damaged answer, its position",
         axis_frames(FaultKind.ALTER, count=1, bit=12),
         benign=True,
-        needs=Means.CHECKSUM,
-        instead=_BELIEVED,
+        needs=Capability.CHECKSUM,
+        instead=_ACCEPTED,
     ),
     Trial(
         "one damaged answer, its status",
         axis_frames(FaultKind.ALTER, count=1, bit=35),
         benign=True,
-        needs=Means.CHECKSUM,
-        instead=_BELIEVED,
+        needs=Capability.CHECKSUM,
+        instead=_ACCEPTED,
     ),
     Trial(
         "damaged answers",
@@ -108,16 +108,16 @@ TRIALS: tuple[Trial, ...] = (
         (Fault.BAD_FRAMES, *GONE),
         within=11,
         armed=WATCHING,
-        needs=Means.CHECKSUM,
-        instead=_BELIEVED,
+        needs=Capability.CHECKSUM,
+        instead=_ACCEPTED,
     ),
     Trial(
         "one damaged command",
         host_frames(FaultKind.ALTER, count=1, bit=13),
         per_axis=False,
         benign=True,
-        needs=Means.CHECKSUM,
-        instead=_BELIEVED,
+        needs=Capability.CHECKSUM,
+        instead=_ACCEPTED,
     ),
     Trial(
         "damaged commands",
@@ -127,8 +127,8 @@ TRIALS: tuple[Trial, ...] = (
         per_axis=False,
         armed=WATCHING,
         slack=watchdog,
-        needs=Means.CHECKSUM,
-        instead=_BELIEVED,
+        needs=Capability.CHECKSUM,
+        instead=_ACCEPTED,
     ),
     Trial(
         "duplicates",
@@ -137,7 +137,7 @@ TRIALS: tuple[Trial, ...] = (
         within=7,
         armed=WATCHING,
         demand=Reaction.ZERO,
-        needs=Means.SEQUENCE,
+        needs=Capability.SEQUENCE,
     ),
     Trial("one duplicate", forge(lambda frame: frame, ticks=1), benign=True),
     Trial(
@@ -162,7 +162,7 @@ TRIALS: tuple[Trial, ...] = (
         axis_frames(FaultKind.REORDER, delay_ns=900_000),
         GONE,
         certain=False,
-        needs=Means.SEQUENCE,
+        needs=Capability.SEQUENCE,
         instead=_OLD,
     ),
     Trial("bit errors on the wire", axis_frames(FaultKind.CORRUPT, count=1), benign=True),
@@ -192,7 +192,7 @@ TRIALS: tuple[Trial, ...] = (
         (Fault.ENCODER_FAULT,),
         armed=WATCHING,
         demand=Reaction.ZERO,
-        needs=Means.CAUSE,
+        needs=Capability.CAUSE,
         instead=(Fault.DRIVE_FAULT,),
         unseen=False,
     ),
@@ -203,7 +203,7 @@ TRIALS: tuple[Trial, ...] = (
         (Fault.DRIVE_WATCHDOG,),
         armed=WATCHING,
         demand=Reaction.ZERO,
-        needs=Means.CAUSE,
+        needs=Capability.CAUSE,
         instead=(Fault.DRIVE_FAULT,),
         unseen=False,
     ),
@@ -309,7 +309,7 @@ TRIALS: tuple[Trial, ...] = (
         within=3,
         per_axis=False,
         armed=ALWAYS,
-        needs=Means.ROOM,
+        needs=Capability.ROOM,
     ),
     Trial(
         "babbling node, more urgent than all others",
@@ -328,7 +328,7 @@ TRIALS: tuple[Trial, ...] = (
         _HELD_UP,
         within=2,
         per_axis=False,
-        needs=Means.CAUSE,
+        needs=Capability.CAUSE,
         instead=(Fault.DRIVE_FAULT,),
         unseen=False,
     ),

@@ -90,7 +90,7 @@ def checkpoints(rig: RigConfig) -> list[Checkpoint]:
     return [*RESTING, *(active(*phase) for phase in phases), stopping(*phases[1])]
 
 
-class Voyage(LockstepRun):
+class CampaignRun(LockstepRun):
     """A run whose every tick is checked by the invariants. asks: what the operator says in the next tick.
     latched: whether the control process found a drive that was not well when it began.
     """
@@ -133,11 +133,11 @@ class Voyage(LockstepRun):
             self.tick()
 
 
-def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> Voyage:
+def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> CampaignRun:
     """A run at the checkpoint. Raises RigError where it does not get there."""
-    run = Voyage(rig, base_dir)
+    run = CampaignRun(rig, base_dir)
     if point.state is State.CONNECTED:
-        scout = Voyage(rig, base_dir)
+        scout = CampaignRun(rig, base_dir)
         scout.ready()
         run.on(round(scout.index * point.start) + point.ticks)
     else:
@@ -150,7 +150,7 @@ def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> Voyage:
     return run
 
 
-def _act(run: Voyage, command: CommandKind, point: Checkpoint) -> None:
+def _act(run: CampaignRun, command: CommandKind, point: Checkpoint) -> None:
     run.asks = command
     if point.following:
         run.follow()

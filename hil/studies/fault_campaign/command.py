@@ -3,7 +3,6 @@
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,48 +10,19 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hil.cli.output import writable, write_json
-from hil.cli.processes import worker_pool
+from hil.cli.output import print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig, RigError
-from hil.studies.fault_campaign.matrix import Cell, Leg, displaced, legs, sail
+from hil.rig.shipped import by_name, names
+from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
-from hil.virtual.lockstep import usable
 
 PAPER = 150  # columns of a table that no terminal bounds
-SHIPPED = Path(__file__).parents[3] / "deploy" / "rigs"
-
-
-def campaign(
-    rigs: Sequence[Path],
-    stride: int,
-    jobs: int,
-    done: Callable[[int, int], None],
-    overrides: Sequence[str] = (),
-) -> list[Cell]:
-    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
-    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
-    """
-    work: list[Leg] = []
-    for path in rigs:
-        work += legs(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
-    total = sum(len(leg.cells) for leg in work)
-    cells: list[Cell] = []
-    # Spawned, not forked: a worker must be single-threaded to fork its cells.
-    with worker_pool(jobs, "spawn") as pool:
-        for leg_cells in pool.map(sail, work):
-            cells += leg_cells
-            done(len(cells), total)
-    return cells
-
-
-def _checked(rig: RigConfig, path: Path) -> RigConfig:
-    """The rig as the campaign sails it. Raises RigError where no run of it can begin: its task, law or layout."""
-    return usable(displaced(rig), path)
 
 
 def faults(
-    rigs: Annotated[list[Path] | None, typer.Argument(help="rig files; all shipped ones if none is named")] = None,
+    rigs: Annotated[
+        list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
+    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
     ] = None,
@@ -68,12 +38,12 @@ def faults(
 
     Exit status 1 when a cell fails.
     """
-    paths = rigs or sorted(SHIPPED.glob("*.toml"))
-    if not paths:
-        raise RigError([f"no rig file named, and none in {SHIPPED}"])
+    paths = [by_name("rigs", rig) for rig in rigs or map(Path, names("rigs"))]
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console = Console(stderr=json_target == "-", width=PAPER)
+    for path in paths:
+        print_plant_notes(console, load_rig(path, overrides or ()))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:

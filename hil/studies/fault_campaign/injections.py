@@ -70,7 +70,7 @@ def fail(run: LockstepRun, axis: int) -> None:
 
 
 class _Falsified:
-    """A law that asks for something else."""
+    """A law whose requested force is falsified on one axis."""
 
     def __init__(self, honest: AxisLaws, change: Callable[[list[float], int], None], axis: int) -> None:
         self._honest, self._change, self._axis = honest, change, axis

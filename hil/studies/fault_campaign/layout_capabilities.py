@@ -1,7 +1,7 @@
 """What a frame layout gives the detectors to work with, and so what nobody can ask of a rig that uses it.
 
-The one place where the campaign tells layouts apart: a trial names the means its fault takes to be told from the truth
-(`Trial.needs`), or to be played at all (`Trial.only`).
+The one place where the campaign tells layouts apart: a trial names the capabilities its fault takes to be told from the
+truth (`Trial.needs`), or to be played at all (`Trial.only`).
 """
 
 from enum import Flag, auto
@@ -16,7 +16,7 @@ BABBLE = Frame(0x7FF, b"")  # what a babbling node sends that disturbs least: th
 TRAFFIC_TICKS = 20  # over which the bus' load is taken
 
 
-class Means(Flag):
+class Capability(Flag):
     """Properties of a layout on a rig."""
 
     SEQUENCE = auto()
@@ -26,38 +26,38 @@ class Means(Flag):
     NODES = auto()
 
 
-NONE = Means(0)
+NONE = Capability(0)
 
 
 class Text(NamedTuple):
-    """For people: what the means is, what is missing without it, and what follows."""
+    """For people: what it is, what is missing without it, and what follows."""
 
-    means: str
+    capability: str
     lacking: str
     follows: str
 
 
-TEXTS: dict[Means, Text] = {
-    Means.SEQUENCE: Text(
+TEXTS: dict[Capability, Text] = {
+    Capability.SEQUENCE: Text(
         "an answer says which command it answers",
         "no sequence number",
         "an answer that is late by whole periods passes for a prompt one, once the gap it left is over: the loop then "
         "runs on old positions, and only a following error, a speed or a diverging filter may tell. A frame that comes "
         "twice is taken twice, which changes nothing",
     ),
-    Means.CHECKSUM: Text(
+    Capability.CHECKSUM: Text(
         "frames carry a checksum besides CAN's own",
         "no checksum",
-        "damage that CAN's own checksum lets through (in a drive's or a gateway's memory) is believed for the tick it "
+        "damage that CAN's own checksum lets through (in a drive's or a gateway's memory) is accepted for the tick it "
         "lasts: a position within the speed bound, a torque within the drive's own limit, a drive state as it reads",
     ),
-    Means.CAUSE: Text(
+    Capability.CAUSE: Text(
         "every answer says what is wrong with its drive",
         "no cause in the status",
         "a drive's fault is seen as soon as elsewhere, and answered the same; that its watchdog or its encoder was the "
         "cause comes in a message of its own, later or never, so the fault that latches is drive_fault",
     ),
-    Means.ROOM: Text(
+    Capability.ROOM: Text(
         "beside our own traffic the bus has room for safety.flood_frames frames a tick",
         "no room for a flood",
         "a node that babbles with frames less urgent than all of ours is not seen: it delays ours by one short frame "
@@ -71,12 +71,12 @@ def has_nodes(layout: str) -> bool:
     return layout == "cia402"
 
 
-def fixed_means(protocol: HostProtocol) -> Means:
+def fixed_capabilities(protocol: HostProtocol) -> Capability:
     """Those that follow from the layout alone."""
     # A statusword says FAULT; why, an emergency message does.
-    means = Means.NODES if has_nodes(protocol.name) else Means.CAUSE
-    means |= Means.SEQUENCE if protocol.sequence_modulus else NONE
-    return means | (Means.CHECKSUM if protocol.checksum else NONE)
+    capabilities = Capability.NODES if has_nodes(protocol.name) else Capability.CAUSE
+    capabilities |= Capability.SEQUENCE if protocol.sequence_modulus else NONE
+    return capabilities | (Capability.CHECKSUM if protocol.checksum else NONE)
 
 
 def idle_bits_ns(run: LockstepRun) -> int:
@@ -94,6 +94,6 @@ def has_room(run: LockstepRun) -> bool:
     return idle_bits_ns(run) // duration_ns >= run.rig.safety.flood_frames
 
 
-def lacking_text(means: Means) -> str:
+def lacking_text(capabilities: Capability) -> str:
     """'no checksum, no sequence number', in the order of TEXTS; empty for none."""
-    return ", ".join(text.lacking for one, text in TEXTS.items() if one & means)
+    return ", ".join(text.lacking for one, text in TEXTS.items() if one & capabilities)

@@ -20,8 +20,15 @@ from hil.cycle.tick import CommandKind
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.catalogue import TRIALS
-from hil.studies.fault_campaign.checkpoints import Checkpoint, Voyage, bring_to, checkpoints
-from hil.studies.fault_campaign.layout_capabilities import NONE, Means, fixed_means, has_nodes, has_room, lacking_text
+from hil.studies.fault_campaign.checkpoints import CampaignRun, Checkpoint, bring_to, checkpoints
+from hil.studies.fault_campaign.layout_capabilities import (
+    NONE,
+    Capability,
+    fixed_capabilities,
+    has_nodes,
+    has_room,
+    lacking_text,
+)
 from hil.studies.fault_campaign.trial import Trial, ticks, watchdog
 
 HORIZON = 75  # ticks a cell is watched after a detection was due: a damped stop takes 50
@@ -54,7 +61,7 @@ class Cell:
     lacking: str
 
 
-def will_move(run: Voyage, axis: int, ticks: int) -> bool:
+def will_move(run: CampaignRun, axis: int, ticks: int) -> bool:
     """Whether the task takes the axis so far within `ticks` that standing still must break its following limit."""
     setpoints, limits = run.cycle.setpoints, list(run.rig.axes.values())[axis].limits
     if setpoints.trajectory is None or run.cycle.state is not State.ACTIVE:
@@ -67,7 +74,7 @@ def will_move(run: Voyage, axis: int, ticks: int) -> bool:
     return bool((travelled > 1.5 * allowed).any())
 
 
-def due_faults(trial: Trial, run: Voyage, axis: int) -> tuple[Fault, ...]:
+def due_faults(trial: Trial, run: CampaignRun, axis: int) -> tuple[Fault, ...]:
     """The trial's faults, where one of them must be detected from here; none where it need not."""
     if trial.benign or not trial.certain or run.cycle.state not in trial.armed:
         return ()
@@ -96,7 +103,7 @@ class Watch:
     torque. released: from then on no drive is enabled, nor applies a force. peak: greatest force after the detection.
     """
 
-    def __init__(self, run: Voyage) -> None:
+    def __init__(self, run: CampaignRun) -> None:
         self._run = run
         self._before = run.cycle.fault
         self.detected = self.zero = self.left = self.released = -1
@@ -122,18 +129,18 @@ def _since(before: int, k: int, holds: bool) -> int:
     return k if before < 0 else before
 
 
-def judge(trial: Trial, began: State, due: tuple[Fault, ...], run: Voyage, seen: Watch, *, unready: bool) -> str:
+def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun, seen: Watch, *, unready: bool) -> str:
     """Why the cell failed that began in state `began`; empty where it passed."""
     state, fault = run.cycle.state, run.cycle.fault
     if run.stop:
-        return _judge_release(trial, run, seen) if state is State.SHUTDOWN else f"ended {state.name}, not SHUTDOWN"
+        return _release_failure(trial, run, seen) if state is State.SHUTDOWN else f"ended {state.name}, not SHUTDOWN"
     if seen.detected < 0:
         if due and began is not State.STOPPING:
             return f"none of {', '.join(f.name for f in due)} detected"
         ends = trial.ends(run) if trial.ends else expected_end(trial, began, unready=unready)
         if state not in ends:
             return f"ended {state.name}, expected {' or '.join(sorted(s.name for s in ends))}"
-        return _judge_release(trial, run, seen)
+        return _release_failure(trial, run, seen)
     if fault not in trial.faults:
         return f"latched {fault.name}, which this trial must not cause"
     within = ticks(trial.within, run.rig)
@@ -144,10 +151,10 @@ def judge(trial: Trial, began: State, due: tuple[Fault, ...], run: Voyage, seen:
     latched = State.ESTOP if began is State.ESTOP else State.FAULT
     if state is not latched:
         return f"{fault.name} latched, yet the run ended {state.name}"
-    return _judge_zero(fault, run, seen) or _judge_release(trial, run, seen)
+    return _zero_failure(fault, run, seen) or _release_failure(trial, run, seen)
 
 
-def _judge_zero(fault: Fault, run: Voyage, seen: Watch) -> str:
+def _zero_failure(fault: Fault, run: CampaignRun, seen: Watch) -> str:
     stop_ticks = round(run.rig.safety.stop_s * 1e9 / run.rig.period_ns)
     allowed = {Reaction.STOP: stop_ticks + 1, Reaction.SILENT: watchdog(run.rig)}.get(
         REACTIONS[fault], watchdog(run.rig) if fault is Fault.TRANSMIT_BLOCKED else 1
@@ -160,7 +167,7 @@ def _judge_zero(fault: Fault, run: Voyage, seen: Watch) -> str:
     return ""
 
 
-def _judge_release(trial: Trial, run: Voyage, seen: Watch) -> str:
+def _release_failure(trial: Trial, run: CampaignRun, seen: Watch) -> str:
     """Where no torque is permitted, no drive may be enabled: it would hold its brake open."""
     if seen.left < 0:
         return ""
@@ -172,7 +179,7 @@ def _judge_release(trial: Trial, run: Voyage, seen: Watch) -> str:
     return ""
 
 
-def run_cell(trial: Trial, point: Checkpoint, axis: int, run: Voyage) -> Cell:
+def run_cell(trial: Trial, point: Checkpoint, axis: int, run: CampaignRun) -> Cell:
     """Inject and watch. The run is used up."""
     seen, why, began = Watch(run), "", run.cycle.state
     due = due_faults(trial, run, axis)
@@ -190,7 +197,7 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: Voyage) -> Cell:
             trial.step(run, axis, k)
             run.tick()
             seen.look(k)
-        why = judge(trial, began, due, run, seen, unready=unready)
+        why = failure(trial, began, due, run, seen, unready=unready)
     except Exception:
         why = traceback.format_exc(limit=-3).strip().replace("\n", " | ")
     fault = run.cycle.fault
@@ -231,7 +238,7 @@ def in_fork(work: Callable[[], Outcome]) -> Outcome:
 
 
 @dataclass(frozen=True)
-class Leg:
+class Chunk:
     """Work for one process: a rig (as a document, so that it travels), a checkpoint, and which cells (trial, axis) to
     try there.
     """
@@ -244,11 +251,11 @@ class Leg:
 
 def _playable(rig: RigConfig, trial: Trial) -> bool:
     """Whether the trial's fault is there at all under the rig's layout."""
-    return not trial.only & Means.NODES or has_nodes(rig.bus.protocol)
+    return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
 
 
-def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
-    """One leg per checkpoint with all its cells, or with every `stride`-th of the whole campaign."""
+def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Chunk]:
+    """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign."""
     document = rig.model_dump(mode="json")
     cells = [
         (index, axis)
@@ -259,7 +266,7 @@ def legs(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Leg]:
     result = []
     for offset, point in enumerate(checkpoints(rig)):
         chosen = tuple(cell for number, cell in enumerate(cells) if (number + offset) % stride == 0)
-        result.append(Leg(document, str(base_dir), point, chosen))
+        result.append(Chunk(document, str(base_dir), point, chosen))
     return result
 
 
@@ -276,16 +283,16 @@ def displaced(rig: RigConfig) -> RigConfig:
     return build_rig(document)
 
 
-def means_of(run: Voyage) -> Means:
+def capabilities_of(run: CampaignRun) -> Capability:
     """What the run's layout gives the detectors; the run itself is left untouched."""
-    return fixed_means(run.cycle.protocol) | (Means.ROOM if in_fork(lambda: has_room(run)) else NONE)
+    return fixed_capabilities(run.cycle.protocol) | (Capability.ROOM if in_fork(lambda: has_room(run)) else NONE)
 
 
-def sail(leg: Leg) -> list[Cell]:
-    """Bring one run to the leg's checkpoint and try every cell from there, each in a fork."""
-    run = bring_to(build_rig(leg.document), Path(leg.base_dir), leg.point)
-    means, cells = means_of(run), []
-    for index, axis in leg.cells:
-        trial = TRIALS[index].over(means)
-        cells.append(in_fork(functools.partial(run_cell, trial, leg.point, axis, run)))
+def run_chunk(chunk: Chunk) -> list[Cell]:
+    """Bring one run to the chunk's checkpoint and try every cell from there, each in a fork."""
+    run = bring_to(build_rig(chunk.document), Path(chunk.base_dir), chunk.point)
+    capabilities, cells = capabilities_of(run), []
+    for index, axis in chunk.cells:
+        trial = TRIALS[index].over(capabilities)
+        cells.append(in_fork(functools.partial(run_cell, trial, chunk.point, axis, run)))
     return cells

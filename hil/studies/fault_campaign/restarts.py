@@ -6,7 +6,7 @@ What the drives latched meanwhile is for the operator to reset; nothing may go o
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
-from hil.studies.fault_campaign.checkpoints import Voyage
+from hil.studies.fault_campaign.checkpoints import CampaignRun
 from hil.studies.fault_campaign.trial import Limit, Step, Trial, ticks, watchdog
 
 _BRIEFLY = 2  # ticks: no drive has noticed
@@ -21,7 +21,7 @@ def _long(rig: RigConfig) -> int:
 def _restarted(after: Limit) -> Step:
     """Another process `after` ticks later."""
 
-    def step(run: Voyage, axis: int, k: int) -> None:
+    def step(run: CampaignRun, axis: int, k: int) -> None:
         if k == 0:
             run.skip(ticks(after, run.rig))
             run.restart()
@@ -29,14 +29,14 @@ def _restarted(after: Limit) -> Step:
     return step
 
 
-def _restarted_and_reset(run: Voyage, axis: int, k: int) -> None:
+def _restarted_and_reset(run: CampaignRun, axis: int, k: int) -> None:
     """Another process; the operator resets until the rig is READY."""
     _restarted(_long)(run, axis, k)
     if k % _RESET_EVERY == _RESET_EVERY // 2 and run.cycle.state is State.CONNECTED:
         run.asks = CommandKind.RESET
 
 
-def _as_found(run: Voyage) -> set[State]:
+def _as_found(run: CampaignRun) -> set[State]:
     """Where the new process may get to by itself."""
     return {State.CONNECTED} if run.latched else {State.CONNECTED, State.READY}
 

@@ -8,8 +8,8 @@ from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
-from hil.studies.fault_campaign.checkpoints import Voyage
-from hil.studies.fault_campaign.layout_capabilities import NONE, Means
+from hil.studies.fault_campaign.checkpoints import CampaignRun
+from hil.studies.fault_campaign.layout_capabilities import NONE, Capability
 from hil.virtual.lockstep import LockstepRun
 
 MOVING = frozenset({State.HOMING, State.ACTIVE, State.STOPPING})
@@ -18,7 +18,7 @@ ALWAYS = WATCHING | {State.CONNECTED}
 
 GONE = (Fault.ENCODER_LOST, Fault.ENCODER_DEAD)
 
-Step = Callable[[Voyage, int, int], None]  # run, axis, ticks since the injection
+Step = Callable[[CampaignRun, int, int], None]  # run, axis, ticks since the injection
 Limit = int | Callable[[RigConfig], int]
 
 
@@ -26,7 +26,7 @@ Limit = int | Callable[[RigConfig], int]
 class Trial:
     """One kind of fault.
 
-    step: called before every tick from the injection on (third argument 0). faults: what the detectors may see, any of
+    step: called before every tick from the injection on (third argument 0). faults: what the detectors may flag, any of
     them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for
     every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
     following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. benign: must
@@ -57,16 +57,16 @@ class Trial:
     slack: Limit = 0
     watch: Limit = 0
     unready: Callable[[LockstepRun, int], bool] | None = None
-    ends: Callable[[Voyage], set[State]] | None = None
-    only: Means = NONE
-    needs: Means = NONE
+    ends: Callable[[CampaignRun], set[State]] | None = None
+    only: Capability = NONE
+    needs: Capability = NONE
     instead: tuple[Fault, ...] = ()
     unseen: bool = True
-    lacking: Means = NONE
+    lacking: Capability = NONE
 
-    def over(self, means: Means) -> "Trial":
-        """The same under a layout with these means."""
-        lacking = self.needs & ~means
+    def over(self, capabilities: Capability) -> "Trial":
+        """The same under a layout with these capabilities."""
+        lacking = self.needs & ~capabilities
         if not lacking:
             return self
         return replace(
@@ -86,7 +86,7 @@ def ticks(limit: Limit, rig: RigConfig) -> int:
 def once(act: Callable[[LockstepRun, int], None]) -> Step:
     """A step that acts at the injection only."""
 
-    def step(run: Voyage, axis: int, k: int) -> None:
+    def step(run: CampaignRun, axis: int, k: int) -> None:
         if k == 0:
             act(run, axis)
 
@@ -122,7 +122,7 @@ def periods(seconds: float, rig: RigConfig) -> int:
 
 def watchdog(rig: RigConfig) -> int:
     """Ticks after the last command by which a drive has let go by itself."""
-    return periods(rig.plant.watchdog_s, rig) + 1
+    return periods(rig.drives.watchdog_s, rig) + 1
 
 
 def disable_timeout(rig: RigConfig) -> int:

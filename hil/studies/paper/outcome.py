@@ -14,7 +14,7 @@ from hil.studies.paper.problem import KD, KP, MASS
 
 SAMPLED_HZ = (1296.0, 2842.0)  # what the independent study found
 SAMPLED_SHARE = 0.02
-UNTRUSTED = 0.01  # change of the maximum between the two steps beyond which a figure is not believed, relative and
+UNTRUSTED = 0.01  # change of the maximum between the two steps beyond which a figure counts as unreliable, relative and
 UNTRUSTED_UM = 0.001  # absolute, whichever is greater
 
 
@@ -196,7 +196,7 @@ def _html_rows(outcome: Outcome) -> str:
 
 
 def problems(outcome: Outcome) -> list[str]:
-    """What should keep a reader from believing this outcome."""
+    """What should make a reader doubt this outcome."""
     found = [] if outcome.agrees else [f"{outcome.claim.id}: differs from the independent study"]
     for run, change in zip(outcome.runs, outcome.step_change_um, strict=True):
         if change > max(UNTRUSTED * max(run.max_um), UNTRUSTED_UM):

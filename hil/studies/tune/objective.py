@@ -1,22 +1,23 @@
-"""What `hil tune` searches: every law's knobs, the tasks and plants that candidates are tried on, and their price.
+"""What candidates of `hil tune` are tried on, tasks and plants, and the cost of what they do there.
 
-The simulation is hil/studies/tune/rehearsal.py: a whole generation of candidates, times all trials, is one batch
-through the cycle's own arithmetic. The margins are those of `hil check`.
+The simulation is hil/studies/tune/candidate_simulation.py: a whole generation of candidates, times all trials, is one
+batch through the cycle's own arithmetic. The margins are those of `hil check`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hil.control.estimator.gains import per_axis
-from hil.control.laws import LAWS
-from hil.control.laws.base import Array, Model
+from hil.control.gain import Knob, declared
+from hil.control.law_registry import law_class
+from hil.control.laws.base import Array
 from hil.control.stability import AxisStability, check_stability
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
-from hil.studies.tune.rehearsal import Rehearsal, Trial
+from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
+from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
 
 CORNERS = ((1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3))  # scales of mass and friction
 SETTLE_S = 4.0
@@ -28,124 +29,6 @@ QUIET = 0.03  # of the force limit: RMS change of force from tick to tick that c
 PER_DB = 3.0  # cost of a decibel of gain margin too few: what an error e times as large in every trial costs
 ANSWER = 1000  # ticks of the loops' answers: what a candidate is worth; the gains found are checked as by `hil check`
 DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: each as dear as the other
-
-
-class Knob(NamedTuple):
-    """One gain's search range, logarithmic; `scale` makes it a gain, by nominal mass and Coulomb friction, rate, force
-    limit and encoder.
-
-    of: another knob, whose gain this one is given in. density: in time (per sqrt(s)), so the same at every rate.
-    """
-
-    low: float
-    high: float
-    scale: str = "1"
-    of: str = ""
-    density: bool = False
-
-
-def _pd(**more: Knob) -> dict[str, Knob]:
-    return {"kp": Knob(0.01, 0.2, "m/T2"), "kd": Knob(0.1, 0.9, "m/T"), **more}
-
-
-def _learnt(low: float, high: float, scale: str) -> Knob:
-    """Noise of a parameter of the disturbance: how much of a force as large as that of the acceleration's noise is put
-    down to it per period.
-    """
-    return Knob(low, high, scale, "acceleration_noise", density=True)
-
-
-# Near rest nu is a damping of rho^2 / epsilon.
-_ROBUST = {"alpha": Knob(1e-3, 0.2, "1/T"), "epsilon": Knob(0.05, 100.0, "T/m")}
-SPACE: dict[str, dict[str, Knob]] = {
-    "pd-feedforward": _pd(),
-    "pid": _pd(ki=Knob(1e-4, 1e-2, "m/T3")),
-    "computed-torque": _pd(sign_width=Knob(1e-3, 0.5)),  # narrower than coulomb over kd it circles at rest
-    "robust-pd": _pd(**_ROBUST),
-    "robust-pd-filtered-error": _pd(**_ROBUST),
-    "robust-pd-alpha-brackets": {  # alpha stands before kp and kd
-        "kp": Knob(0.02, 5.0, "m/T"),
-        "kd": Knob(0.1, 100.0, "m"),
-        "alpha": Knob(5e-3, 0.3, "1/T"),
-        "epsilon": _ROBUST["epsilon"],
-    },
-    "sliding-mode": {"rate": Knob(0.02, 0.4, "1/T"), "reach": Knob(0.02, 0.5, "F"), "layer": Knob(1e-3, 1.0)},
-    "super-twisting": {
-        "rate": Knob(0.02, 0.4, "1/T"),
-        "k1": Knob(1e-3, 1.0, "F"),
-        "k2": Knob(0.1, 100.0, "F"),
-        "linear": Knob(0.02, 0.5, "m/T"),
-        "smooth": Knob(1e-3, 1e-1),
-    },
-    "slotine-li": {
-        "rate": Knob(0.02, 0.4, "1/T"),
-        "kd": Knob(0.05, 0.5, "m/T"),
-        "mass_gain": Knob(1e-7, 1e-2),
-        "coulomb_gain": Knob(0.1, 1e3),
-        "viscous_gain": Knob(1e-3, 1e2),
-        "bias_gain": Knob(0.1, 1e3),
-    },
-    "disturbance-observer": _pd(bandwidth=Knob(0.05, 1.5, "1/T")),
-    # What a filter does with a sample depends on ratios: of the acceleration's noise to the encoder's, and of a slow
-    # parameter's noise to the acceleration's, which is how quickly it is learnt.
-    "structured-kalman": {
-        "bandwidth": Knob(0.15, 0.45),
-        "damping": Knob(0.4, 1.2),
-        "acceleration_noise": Knob(1.0, 3e3, "count/T1.5", density=True),
-        "reversal_noise": Knob(1e-2, 1.0),
-        "bias_noise": _learnt(1e-5, 0.3, "m/T"),
-        "coulomb_noise": _learnt(3e-3, 1.0, "m/T"),
-        "viscous_noise": _learnt(1e-3, 1.0, "m2/FT2"),
-        "mass_noise": _learnt(0.03, 30.0, "m2/FT"),
-        "measurement_noise": Knob(0.29, 1.0, "count"),
-    },
-}
-# Injection: a stage believed to a few per cent, at rest again and again, that has to be right at once. So the filter's
-# beginnings and its creep up to breakaway count, and everything is sized by the mass and friction believed.
-PLAN_SPACE: dict[str, dict[str, Knob]] = {
-    "structured-kalman": {
-        "bandwidth": Knob(0.15, 0.35),
-        "damping": Knob(0.6, 1.0),
-        "acceleration_noise": Knob(5e-5, 1e-3),
-        "reversal_noise": Knob(5e-3, 0.1),
-        "bias_noise": Knob(3e-4, 0.1, "C"),
-        "coulomb_noise": Knob(3e-3, 0.1, "C"),
-        "mass_noise": Knob(0.01, 1.0, "m"),
-        "measurement_noise": Knob(0.5, 1.0, "count"),
-        "bias_prior": Knob(1e-3, 1.0, "C"),
-        "coulomb_prior": Knob(0.03, 1.0, "C"),
-        "viscous_prior": Knob(0.03, 0.5, "C"),
-        "mass_prior": Knob(0.01, 0.1, "m"),
-        "breakaway_rate": Knob(5.0, 50.0, "C"),
-    },
-}
-
-
-def space_of(rig: RigConfig, law: str) -> dict[str, Knob]:
-    """A law's knobs on the rig's task."""
-    own = PLAN_SPACE if rig.task.kind == "injection" else SPACE
-    return own.get(law, SPACE[law])
-
-
-def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, resolution: float) -> Array:
-    """What a knob's number is multiplied by, (n_axes,); resolution: m per encoder count."""
-    one = np.ones_like(model.mass)
-    scale: Array = {
-        "1": one,
-        "1/T": one / period,
-        "m": model.mass * one,
-        "m/T": model.mass / period,
-        "T/m": period / model.mass,
-        "m/T2": model.mass / period**2,
-        "m/T3": model.mass / period**3,
-        "m2/FT": model.mass**2 / (force_limit * period),
-        "m2/FT2": model.mass**2 / (force_limit * period**2),
-        "F": force_limit * one,
-        "C": model.coulomb * one,
-        "count": resolution * one,
-        "count/T1.5": resolution * one / period**1.5,
-    }[knob.scale]
-    return scale
 
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
@@ -223,11 +106,6 @@ def _plan_trials(plan: InjectionConfig) -> list[Trial]:
     ]
 
 
-def law_gains(rig: RigConfig, law: str) -> dict[str, Any]:
-    """The rig file's gains for a law; [law.gains] belongs to the law the file names."""
-    return rig.law.effective_gains() if law == rig.law.name else dict(rig.law.tuned.get(law, {}))
-
-
 class Margins(NamedTuple):
     """Of a loop: how many decibels its gain may rise or fall, whichever is less, and degrees of phase it may lose."""
 
@@ -252,18 +130,6 @@ def margins_of(axis: AxisStability) -> Margins:
     factor = min(up, 1.0 / down if down else math.inf)
     phase = math.inf if axis.phase_margin_deg is None else axis.phase_margin_deg
     return Margins(20.0 * math.log10(factor) if factor < math.inf else math.inf, phase)
-
-
-def at_rate(rig: RigConfig, law: str, gains: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
-    """Gains found at the rig's rate as they are at another: by how their unit scales with the period."""
-    n, old, new = len(rig.axes), rig.period_ns * 1e-9, 1.0 / rate_hz
-    one = Model(*(np.ones(n) for _ in fields(Model)))
-    scaled = dict(gains)
-    for name, knob in space_of(rig, law).items():
-        if name in gains and not knob.density:
-            factor = knob_scale(knob, one, new, np.ones(n), 1.0) / knob_scale(knob, one, old, np.ones(n), 1.0)
-            scaled[name] = (per_axis(gains[name], n) * factor).tolist()
-    return scaled
 
 
 class Outcome(NamedTuple):
@@ -302,14 +168,16 @@ class Bench:
         first = last = None
         if rig.task.kind != "injection":
             first, last = (round(seconds * rig.rate_hz) for seconds in (SETTLE_S, SETTLE_S + WINDOW_S))
-        self._rehearsal = Rehearsal(rig, axis, self.trials, first, last, 1)
+        self._law = law_of(rig, law)
+        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1)
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [
-            float(knob_scale(knob, self._rehearsal.model, rig.period_ns * 1e-9, self._rehearsal.limit, resolution)[0])
+            float(knob_scale(knob, self._simulation.model, rig.period_ns * 1e-9, self._simulation.limit, resolution)[0])
             for knob in self.space.values()
         ]
-        self._apart = self._fixed | {key: value for key, value in LAWS[law].GAINS.items() if key not in known}
+        defaults: dict[str, Any] = {key: gain.default for key, gain in declared(law_class(self._law).GAINS).items()}
+        self._apart = self._fixed | {key: value for key, value in defaults.items() if key not in known}
 
     def gains(self, points: Array) -> dict[str, Array]:
         """Gains (candidates,) of points (candidates, knobs) in the logarithmic unit cube."""
@@ -342,7 +210,7 @@ class Bench:
     def run(self, points: Array) -> Outcome:
         """Every trial of every point (candidates, knobs)."""
         gains = self.gains(points)
-        figures = self._rehearsal.run(self.law, gains, self._fixed)
+        figures = self._simulation.run(self._law, gains, self._fixed)
         by_rms = np.array([trial.rms for trial in self.trials])
         errors = np.where(by_rms, figures.rms, figures.largest)
         ratios = errors / self._good
@@ -350,7 +218,7 @@ class Bench:
         rows = np.arange(len(points))
         # Noise that shakes the drives is no price for accuracy: chatter counts beyond a few per cent of the limit.
         chatter = figures.chatter.max(axis=1)
-        loud = np.log(np.maximum(chatter / (QUIET * self._rehearsal.limit), 1.0))
+        loud = np.log(np.maximum(chatter / (QUIET * self._simulation.limit), 1.0))
         logs = np.log(ratios)
         margins = self.margins(gains)
         short = np.array([PER_DB * each.short(self._least) for each in margins])
@@ -362,7 +230,7 @@ class Bench:
         """One per candidate: `hil check` on a rig that has one copy of the axis for every candidate."""
         rig, count = self.rig, next(iter(gains.values())).size
         lists = {name: values.tolist() for name, values in gains.items()}
-        law = rig.law.model_copy(update={"name": self.law, "gains": {**self._fixed, **lists}, "tuned": {}})
+        law = self._law.model_copy(update={"gains": {**self._fixed, **lists}, "tuned": {}})
         noises = ("disturbance_noise", "acceleration_noise")
         estimator = rig.estimator.model_copy(
             update={name: float(per_axis(getattr(rig.estimator, name), len(rig.axes))[self.axis]) for name in noises}

@@ -26,9 +26,10 @@ EDIT = {
     r'^kind = "injection"$': 'kind = "hold"',
     r"^allow_degraded = .*$": "allow_degraded = true",
     r"^\[telemetry\]$": "[telemetry]\npublish_hz = 5",
+    r"^watchdog_s = [0-9.]+": "watchdog_s = 1.0",
     r"^\[plant\]$": "[safety]\nsilent_stop_ticks = 100\nsilent_zero_ticks = 200\noverrun_zero_s = 5.0\n"
     "overrun_streak = 1000\nbad_frame_limit = 1000\nflood_frames = 1000\ncommand_expiry_s = 5.0\n\n"
-    "[plant]\nwatchdog_s = 1.0",
+    "[plant]",
 }
 
 

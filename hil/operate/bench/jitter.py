@@ -5,7 +5,7 @@ core, same SCHED_FIFO priority, same period, memory locked and DMA latency held 
 The loop is woken ahead of its deadline (hil/live/pacing.py) and cyclictest is not; what the loop's own wake-up costs is
 seen in the blocks where it sleeps to the deadline as well.
 
-How many of the slots booked as our own a program without any work would lose on the same host: `hil bench misses`.
+How many of the slots booked as our own are the host's doing is a question for tests/benchmarks/misses.py.
 """
 
 import shutil
@@ -18,10 +18,8 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from hil.operate.doctor import RT_TESTS
-from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
-from tests.benchmarks.harness import (
+from hil.cli.options import Overrides, RigFile
+from hil.operate.bench.blocks import (
     Block,
     Case,
     Figures,
@@ -35,7 +33,10 @@ from tests.benchmarks.harness import (
     spread,
     values_of,
 )
-from tests.benchmarks.live import TO_THE_DEADLINE, BenchError, Run, cores, local, private_bus, run_control
+from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, Run, cores, local, private_bus, run_control
+from hil.operate.doctor import RT_TESTS
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 
 SUBJECT, REFERENCE, RECORDED = "hil run", "cyclictest", "hil run + sidecar"
 ASLEEP = "hil run, not ahead"
@@ -43,8 +44,8 @@ _HISTOGRAM_US = 20_000  # later ones are kept by cyclictest as overflows, and co
 
 
 def jitter(
-    rig: Annotated[Path, typer.Argument(help="rig file")] = Path("deploy/rigs/microscope.toml"),
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
+    rig: RigFile = Path("microscope"),
+    overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1, help="of each; 20 make a good median")] = 20,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,
     telemetry: Annotated[bool, typer.Option(help="also with the sidecar publishing and recording")] = True,

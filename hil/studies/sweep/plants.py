@@ -1,4 +1,4 @@
-"""`hil sweep`: thousands of plants with seeded parameters under one rig, in arrays, over all cores or a cluster.
+"""Thousands of plants with seeded parameters under one rig, in arrays, over all cores or a cluster.
 
 A plant's parameters follow from the seed and its number alone, and a batch's arithmetic does not depend on how plants
 are dealt to workers: the same numbers come out of one core, of many, and of a dask.distributed cluster. The worst
@@ -6,27 +6,23 @@ plants are saved as rig files; `hil sim` on one of them gives the same error, bi
 """
 
 import math
-import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from random import Random
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomlkit
-import typer
 
-from hil.cli.output import writable, write_json
 from hil.cli.processes import worker_pool
-from hil.control.laws import LAWS
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.batch import FIRST_ON_TASK, BatchRun
-from hil.virtual.lockstep import LockstepRun, simulate, usable
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from sim_plant.physics.stage import Truth
 
 CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
@@ -257,86 +253,3 @@ def worst_plants(figures: Figures, count: int) -> list[int]:
     scaled = np.nan_to_num(figures.max_error, nan=math.inf)
     order = np.argsort(-(scaled / np.maximum(np.median(scaled, axis=0), 1e-12)).max(axis=1), kind="stable")
     return [int(number) for number in order[:count]]
-
-
-def sweep(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="rig file")],
-    plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
-    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
-    laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
-    seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
-    hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
-    workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
-    worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
-    output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
-    ] = "",
-) -> None:
-    """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
-    from rich.console import Console
-
-    base = load_rig(rig_file, overrides or ())
-    console = Console(stderr=json_target == "-")
-    output.mkdir(parents=True, exist_ok=True)
-    names = (
-        list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]
-    )
-    document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
-    with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
-        for name in names:
-            rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
-            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
-            figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
-            plot(output / f"{name}.png", rig, figures)
-            chosen = worst_plants(figures, worst)
-            paths = save_worst(rig_file, rig, seed, hard, chosen, output)
-            cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
-            document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
-            _show(console, rig, document["laws"][name], output / f"{name}.png")
-    if json_target:
-        write_json(document, json_target)
-
-
-def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Figures, float]:
-    """All jobs under a progress bar: what they found, and plants times ticks per second."""
-    from rich.progress import Progress
-
-    plants = sum(job.plants for job in work)
-    started = time.perf_counter()
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task(title, total=plants)
-        figures = collect(crew.run(work), lambda count: bar.update(task, advance=count))
-    return figures, plants * work[0].ticks / (time.perf_counter() - started)
-
-
-def _case(path: Path, seconds: float, number: int, figures: Figures) -> dict[str, Any]:
-    error = figures.max_error[number]
-    return {
-        "rig": str(path),
-        "plant": number,
-        "max_error": error.tolist(),
-        "reproduced": reproduce(path, seconds, error),
-    }
-
-
-def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) -> None:
-    from rich.table import Table
-
-    from hil.cli.output import metres
-
-    title = f"{rig.name}, {rig.law.name}: {found['plant_ticks_per_s'] / 1e6:.2f} million plant-ticks/s"
-    table = Table("axis", "error", "median", "90 %", "99 %", "worst", title=title, title_justify="left")
-    for name, figures in found["axes"].items():
-        for key in ("max_error", "rms_error"):
-            values = [metres(figures[key][q], rig.axes[name].kind) for q in ("p50", "p90", "p99", "p100")]
-            table.add_row(name, key.removesuffix("_error"), *values)
-    console.print(table)
-    console.print(f"distributions: {picture}")
-    for case in found["worst"]:
-        verdict = (
-            "reproduced singly, bit for bit" if case["reproduced"] else "NOT reproduced (a fault stops the single run)"
-        )
-        console.print(f"plant {case['plant']}: {case['rig']}: {verdict}", soft_wrap=True)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -37,7 +36,7 @@ PATIENT = (
     "safety.overrun_streak=1000",
     "safety.overrun_zero_s=5",
     "safety.flood_frames=1000",
-    "plant.watchdog_s=1",
+    "drives.watchdog_s=1",
 )
 _POLL_S = 0.2
 # Of a record, and no more: while this process runs, the loop's wake-up of the stage has to interrupt its core.
@@ -75,18 +74,6 @@ class Run(NamedTuple):
     growth_bytes: int
     system_calls_per_tick: float | None
     repeated: int
-
-
-def build_reference(source: Path, directory: Path) -> Path:
-    """The C program of a source file, compiled into a directory. Raises BenchError without a compiler or outside a
-    checkout.
-    """
-    compiler = shutil.which("cc")
-    if not compiler or not source.exists():
-        raise BenchError(f"needs a C compiler (apt install gcc) and {source}")
-    program = directory / source.stem
-    subprocess.run([compiler, "-O2", "-o", str(program), str(source), "-lm"], check=True)
-    return program
 
 
 def cores() -> tuple[int, int]:

@@ -13,14 +13,14 @@ import numpy as np
 
 from hil.control.estimator.gains import design_gains, per_axis
 from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.laws import LAWS
+from hil.control.law_registry import law_class
 from hil.control.laws.base import Array, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs, rig_model
 from hil.control.setpoints import nominal_net_force
 from hil.control.trajectories import Trajectory, make_trajectory
 from hil.control.trajectories.base import Times
 from hil.cycle.limits import force_limits
-from hil.rig.schema import RigConfig
+from hil.rig.schema import LawConfig, RigConfig
 from hil.virtual.batch import Bounds
 from sim_plant.physics.stage import Stage, Truth
 
@@ -102,7 +102,7 @@ class _Table:
         reference.position, reference.velocity = self.position[tick], self.velocity[tick]
 
 
-class Rehearsal:
+class CandidateSimulation:
     """One axis of a rig on a set of trials, from activation on; figures of its ticks `first` <= tick < `last`, which
     None takes from every trial's own task: from where its statistics begin until it ends.
     """
@@ -120,12 +120,12 @@ class Rehearsal:
         gains, _ = design_gains(rig)
         self._gains = list(gains[:, pick])
         self._limits = [force_limits(rig)[axis]]
-        self._belief = [*rig.axes.values()][axis].encoder_resolution
+        self._nominal_resolution = [*rig.axes.values()][axis].encoder_resolution
         self._resolution = float(per_axis(rig.plant.encoder_resolution, n)[axis])
         initial = per_axis(rig.plant.initial_position, n)
         self._initial = float(initial[axis])
         self._truths = [self._truth(trial, pick) for trial in trials]
-        origin = np.rint(initial / self._resolution) * self._belief
+        origin = np.rint(initial / self._resolution) * self._nominal_resolution
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
         paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns) for task in tasks]
         self._window = (
@@ -162,19 +162,19 @@ class Rehearsal:
             instants[tick, lost] = instants[tick - 1, lost] + period
         return instants
 
-    def run(self, law: str, gains: Mapping[str, Array], fixed: Mapping[str, Any] | None = None) -> Figures:
+    def run(self, law: LawConfig, gains: Mapping[str, Array], fixed: Mapping[str, Any] | None = None) -> Figures:
         """gains: (candidates,) each; fixed: words, and what all candidates share. Figures (candidates, trials)."""
         candidates = next(iter(gains.values())).size
         shape = (candidates, len(self._truths), 1)
         columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
-        each = LAWS[law](self.model, self._period, self.limit, **columns, **(fixed or {}))
+        each = law_class(law)(self.model, self._period, self.limit, **columns, **(fixed or {}))
         return _Run(self, each, _Plants(self, candidates), shape).figures()
 
 
 class _Plants:
     """Stages of all candidates and trials: one for every jitter."""
 
-    def __init__(self, of: Rehearsal, candidates: int) -> None:
+    def __init__(self, of: CandidateSimulation, candidates: int) -> None:
         jitter = of.schedule.jitter
         self._groups = [np.flatnonzero(jitter == each) for each in np.unique(jitter)]
         self._stages = []
@@ -195,16 +195,16 @@ class _Plants:
 class _Run:
     """The state of one batch while it runs."""
 
-    def __init__(self, rehearsal: Rehearsal, law: Any, plants: _Plants, shape: tuple[int, ...]) -> None:
-        self._of, self._law, self._stage = rehearsal, law, plants
-        self._filter = MotionFilter(rehearsal._gains, rehearsal.model.mass)
-        self._bounds = Bounds(rehearsal._limits)
+    def __init__(self, simulation: CandidateSimulation, law: Any, plants: _Plants, shape: tuple[int, ...]) -> None:
+        self._of, self._law, self._stage = simulation, law, plants
+        self._filter = MotionFilter(simulation._gains, simulation.model.mass)
+        self._bounds = Bounds(simulation._limits)
         self._inputs: LawInputs = blank_inputs((1, 1, 1))
         zero = np.zeros(shape)
         self._net = [zero, zero]  # last, before
         self._force, self._force_before, self._applied = zero, zero, zero
         self._error = zero
-        self._instants = rehearsal._instants()
+        self._instants = simulation._instants()
 
     def figures(self) -> Figures:
         of = self._of
@@ -260,7 +260,7 @@ class _Run:
 
     def _estimate(self) -> None:
         of, motion, inputs = self._of, self._filter, self._inputs
-        measured = np.rint(self._stage.position / of._resolution) * of._belief
+        measured = np.rint(self._stage.position / of._resolution) * of._nominal_resolution
         motion.correct(self._net[1], inputs.sample_interval, measured, inputs.fresh)
         self._measured = np.where(inputs.fresh != 0.0, measured, motion.position)
         motion.look_ahead(self._net[0], inputs.ahead)

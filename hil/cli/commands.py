@@ -1,0 +1,40 @@
+"""Groups of commands of which only the one asked for is imported."""
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import typer
+
+
+class Entry(NamedTuple):
+    """Where a command lives, and its line of help. `target` ("module:name") names a function, or a typer.Typer with
+    subcommands.
+    """
+
+    target: str
+    help: str
+
+
+def add_commands(group: typer.Typer, entries: Mapping[str, Entry], wanted: str | None) -> None:
+    """Add every entry to a group: the one named `wanted` loaded, all others as lines of help."""
+    for name, entry in entries.items():
+        command: Callable[..., Any] | typer.Typer = _load(entry.target) if name == wanted else _not_loaded
+        if isinstance(command, typer.Typer):
+            group.add_typer(command, name=name, help=entry.help)
+        else:
+            group.command(name, help=entry.help)(command)
+
+
+def first_word(words: list[str]) -> str | None:
+    """The first argument that is no option."""
+    return next((word for word in words if not word.startswith("-")), None)
+
+
+def _load(target: str) -> Any:
+    module, _, name = target.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _not_loaded() -> None:
+    raise AssertionError("only the command asked for is loaded")

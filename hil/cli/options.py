@@ -1,0 +1,32 @@
+"""Arguments and options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.rig.shipped import by_name
+
+
+def shipped_rig(rig: Path) -> Path:
+    """A rig file's path, where one of the shipped rigs was named instead."""
+    return by_name("rigs", rig)
+
+
+def shipped_scenario(scenario: Path | None) -> Path | None:
+    """A scenario file's path, where one of the shipped scenarios was named instead."""
+    return None if scenario is None else by_name("scenarios", scenario)
+
+
+RigFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RIG",
+        callback=shipped_rig,
+        show_default=False,
+        help="rig file (TOML), or the name of a shipped one, such as microscope",
+    ),
+]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a key of the rig file: key.path=value")
+]

@@ -1,0 +1,16 @@
+"""`hil bench ...`: measurements of this machine and this rig. Those of the product itself, against C and against other
+libraries, are in tests/benchmarks.
+"""
+
+import sys
+
+import typer
+
+from hil.cli.commands import Entry, add_commands, first_word
+
+BENCHES = {
+    "jitter": Entry("hil.operate.bench.jitter:jitter", "Wake lateness of the full loop, against cyclictest"),
+}
+
+bench = typer.Typer(no_args_is_help=True, help="Measurements of this machine, as ratios against a reference.")
+add_commands(bench, BENCHES, first_word(sys.argv[2:]))

@@ -1,0 +1,58 @@
+"""Keys of earlier versions of the rig file: moved to where they are now, with a line each that says what to change."""
+
+from typing import Any
+
+from drivers.toml_file import shown
+
+MOVED = ("brake", "watchdog_s")  # from [plant] to [drives]
+
+
+class FormerKeyWarning(FutureWarning):
+    """A rig file has a key of an earlier version; the text says what to write instead."""
+
+
+class FormerKeyError(ValueError):
+    """A rig file states a former key and the present one, and they differ; the text says which to remove."""
+
+
+def modernise(document: dict[str, Any]) -> list[str]:
+    """Move former keys of a parsed rig document, in place. Returns a line for each.
+
+    plant.watchdog_s and plant.brake are drives.watchdog_s and drives.brake. axes.NAME.safe, which nothing acted on,
+    gives way to either brake, and is drives.brake where the document has neither. Raises FormerKeyError.
+    """
+    plant, axes = document.get("plant"), document.get("axes")
+    drives = document.get("drives", {})
+    if not isinstance(drives, dict):
+        return []  # which the schema refuses
+    lines = [
+        _move(drives, f"plant.{name}", name, plant.pop(name))
+        for name in MOVED
+        if isinstance(plant, dict) and name in plant
+    ]
+    tables = {name: axis for name, axis in axes.items() if isinstance(axis, dict)} if isinstance(axes, dict) else {}
+    safe = {name: axis.pop("safe") for name, axis in tables.items() if "safe" in axis}
+    if safe:
+        held = [safe.get(name) == "brake" for name in tables]
+        brake = drives.setdefault("brake", held if any(held) else False)
+        lines.append(_line(", ".join(f"axes.{name}.safe" for name in safe), "brake", brake))
+    if lines:
+        document["drives"] = drives
+    return lines
+
+
+def _move(drives: dict[str, Any], former: str, name: str, value: Any) -> str:
+    if drives.setdefault(name, value) != value:
+        raise FormerKeyError(
+            f"{former} = {_toml(value)}: what the drives have is stated in [drives], where drives.{name} = "
+            f"{_toml(drives[name])}; remove {former}"
+        )
+    return _line(former, name, value)
+
+
+def _line(former: str, name: str, value: Any) -> str:
+    return f"{former}: what the drives have is stated in [drives]; write drives.{name} = {_toml(value)} instead"
+
+
+def _toml(value: Any) -> str:
+    return shown(value).lower() if isinstance(value, bool | list) else shown(value)

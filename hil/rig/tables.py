@@ -1,0 +1,200 @@
+"""The tables of a rig file that describe the stage's nominal model and the control service; one class a table.
+
+[bus], [wire] and [drives] are in drivers/config.py, [plant] in sim_plant/config.py, the whole file in schema.py.
+Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, model_validator
+
+from drivers.config import REQUIRED, STRICT, key
+from sim_plant.config import NonNegative, Positive, Resolution
+
+MAX_AXES = 4
+LEAST_RATE_HZ = 10
+AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
+
+Duration = Annotated[float, Field(gt=0, le=1e6)]  # s; a thousand cells of the longest still fit 64 bits of ns
+Pause = Annotated[float, Field(ge=0, le=1e6)]  # s
+Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+Ticks = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class LimitsConfig(BaseModel):
+    """[axes.NAME.limits]: what the gate and the fault detectors hold an axis to."""
+
+    model_config = STRICT
+    position: Interval = key(REQUIRED, "least and greatest position", "m (rad)")
+    speed: Positive = key(REQUIRED, "greatest speed", "m/s (rad/s)")
+    force: Positive = key(REQUIRED, "greatest force; at most rated_force", "N (N m)")
+    force_rate: Positive = key(REQUIRED, "greatest change of the force; zero is never delayed by it", "N/s (N m/s)")
+    following_error: Positive = key(REQUIRED, "greatest distance between setpoint and position", "m (rad)")
+
+
+class ModelConfig(BaseModel):
+    """[axes.NAME.model]: the nominal model of an axis, which the laws, the estimator and `hil check` calculate with."""
+
+    model_config = STRICT
+    mass: Positive = key(REQUIRED, "moving mass (moment of inertia)", "kg (kg m^2)")
+    coulomb: NonNegative = key(0.0, "Coulomb friction", "N (N m)")
+    viscous: float = key(0.0, "viscous friction", "N s/m (N m s/rad)")
+    quadratic: float = key(0.0, "friction times v |v|", "N s^2/m^2 (N m s^2/rad^2)")
+    gravity: float = key(0.0, "constant force on the axis; negative pulls towards negative positions", "N (N m)")
+
+
+class AxisConfig(BaseModel):
+    """[axes.NAME]: one axis of the stage. The order of these tables is the order of the axes on the bus."""
+
+    model_config = STRICT
+    kind: Literal["linear", "rotary"] = key("linear", "linear: metres and newtons; rotary: radians and newton metres")
+    encoder_resolution: Resolution = key(REQUIRED, "length (angle) per encoder count", "m (rad)")
+    rated_force: Positive = key(
+        REQUIRED,
+        "the drive's rated force (torque); full scale of the layouts that carry per mille or counts",
+        "N (N m)",
+    )
+    limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
+    model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "AxisConfig":
+        low, high = self.limits.position
+        if low >= high:
+            raise ValueError(f"limits.position = {self.limits.position}: the first must be below the second")
+        if self.limits.force > self.rated_force:
+            raise ValueError(f"limits.force = {self.limits.force} exceeds rated_force = {self.rated_force}")
+        return self
+
+
+class LawConfig(BaseModel):
+    """[law]: which control law, with which gains."""
+
+    model_config = STRICT
+    name: str = key("pd-feedforward", "the control law; `hil compare` runs all of them")
+    gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
+    tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
+    iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
+    source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
+
+    def effective_gains(self) -> dict[str, Any]:
+        """Tuned gains of the named law, overridden by `gains`."""
+        return {**self.tuned.get(self.name, {}), **self.gains}
+
+
+class EstimatorConfig(BaseModel):
+    """[estimator]: the Kalman filter on position, velocity and disturbance force, per axis."""
+
+    model_config = STRICT
+    disturbance_noise: Positive | list[Positive] = key(10.0, "random walk of the disturbance force", "N/sqrt(s)")
+    acceleration_noise: NonNegative | list[NonNegative] = key(0.0, "noise of the acceleration", "m/s^2/sqrt(Hz)")
+    measurement_floor: Positive = key(
+        29e-9, "the measurement noise assumed is never below this, whatever the encoder's resolution", "m (rad)"
+    )
+
+
+class InjectionConfig(BaseModel):
+    """[task.injection]: the motion plan of the paper's section 2.1 over a row of cells.
+
+    Positions are lists in the order of [axes].
+    """
+
+    model_config = STRICT
+    home: list[float] = key(REQUIRED, "q_a: where the plan begins and ends", "m (rad)")
+    focal: list[float] = key(REQUIRED, "q_b: within the focal range, beside the first cell", "m (rad)")
+    start: list[float] = key(REQUIRED, "q_s of the first cell: where the pipette starts to accelerate", "m (rad)")
+    contact: list[float] = key(REQUIRED, "q_c of the first cell; speed is greatest here", "m (rad)")
+    end: list[float] = key(REQUIRED, "q_d of the first cell: at rest inside", "m (rad)")
+    pitch: list[float] = key(REQUIRED, "from one cell to the next", "m (rad)")
+    cells: int = key(3, "number of cells", "1", ge=1, le=1000)
+    approach_s: Duration = key(2.0, "duration of q_a to q_b", "s")
+    transfer_s: Duration = key(0.6, "duration of q_b to q_s, and from cell to cell", "s")
+    strike_s: Duration = key(0.25, "duration of q_s to q_c to q_d", "s")
+    contact_speed: Positive = key(0.01, "speed at q_c along the line from q_s to q_d", "m/s")
+    dwell_s: Duration = key(1.0, "rest at q_d, while the injection takes place", "s")
+    withdraw_s: Duration = key(0.6, "duration of the way back to q_s", "s")
+
+
+class TaskConfig(BaseModel):
+    """[task]: what the stage is to do once ACTIVE."""
+
+    model_config = STRICT
+    kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection"] = key("hold", "the kind of motion")
+    axes: list[str] = key([], "circle, lissajous: the two axes; point_to_point: those that move")
+    radius: Positive = key(1.0, "circle: radius; lissajous: amplitude", "m (rad)")
+    frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
+    ratio: int = key(2, "lissajous: frequency of the second axis over that of the first", "1", ge=1, le=16)
+    phase: float = key(0.0, "phase at the start of the figure", "rad")
+    approach_s: Duration = key(2.0, "duration of the minimum-jerk approach to the figure", "s")
+    settle_s: Pause = key(6.0, "after the approach; statistics start then", "s")
+    target: list[float] = key([], "point_to_point: target per axis in `axes`", "m (rad)")
+    move_s: Duration = key(1.0, "point_to_point: duration of one move", "s")
+    dwell_s: Pause = key(0.5, "point_to_point: rest between moves", "s")
+    injection: InjectionConfig | None = key(None, "the injection plan; needed for kind = 'injection'")
+
+    @model_validator(mode="after")
+    def _complete(self) -> "TaskConfig":
+        if self.kind == "injection" and self.injection is None:
+            raise ValueError("kind = 'injection' needs a table [task.injection]")
+        if self.kind == "point_to_point" and self.target and len(self.target) != len(self.axes):
+            raise ValueError(f"target has {len(self.target)} values for {len(self.axes)} axes")
+        return self
+
+
+class TimingConfig(BaseModel):
+    """[timing]: what the control process asks of the kernel."""
+
+    model_config = STRICT
+    realtime: bool = key(True, "real-time scheduling (SCHED_FIFO) for the control loop")
+    priority: int = key(80, "its priority", "1", ge=1, le=99)
+    cpu: int = key(-1, "the processor it stays on; -1: the last one this process may use", "1", ge=-1, le=1023)
+    lock_memory: bool = key(True, "keep the process in memory")
+    dma_latency: bool = key(True, "keep the processors from deep sleep (/dev/cpu_dma_latency)")
+    wake_ahead_s: float = key(
+        5e-5, "most to wait awake before a tick, within an eighth of a period", "s", ge=0, le=1e-4
+    )
+    allow_degraded: bool = key(
+        False, "run although the kernel refused something of the above, and say so everywhere; otherwise refuse"
+    )
+
+
+class TelemetryConfig(BaseModel):
+    """[telemetry]: ring, Zenoh and recording. Nothing listens beyond loopback unless `listen` says so."""
+
+    model_config = STRICT
+    listen: list[str] = key(["tcp/127.0.0.1:7447"], "Zenoh endpoints the sidecar listens on")
+    publish_hz: float = key(50.0, "batches of telemetry a second", "Hz", gt=0, le=1000)
+    ring_slots: int = key(
+        4096, "ticks the ring between the control process and the sidecar holds", "ticks", ge=256, le=65536
+    )
+    record: bool = key(True, "record every run")
+    recording_required: bool = key(False, "without a working recorder a new ACTIVE is refused")
+    # The last: in what follows in this class the name would hide the function.
+    key: Annotated[str, Field(pattern=r"^[a-z0-9_-]+(/[a-z0-9_-]+)*$")] = key("hil", "prefix of all Zenoh keys")
+
+
+class SafetyConfig(BaseModel):
+    """[safety]: thresholds of the fault detectors (hil/cycle/fault_monitor.py); docs/faults.md has the reactions."""
+
+    model_config = STRICT
+    silent_stop_ticks: Ticks = key(3, "without an answer of an axis: damped stop", "ticks")
+    silent_zero_ticks: Ticks = key(10, "without an answer of an axis: zero torque", "ticks")
+    bad_frame_limit: Ticks = key(5, "damaged frames that are a fault (a leaky bucket)", "frames")
+    bad_frame_leak_ticks: Ticks = key(100, "one damaged frame is forgiven per so many ticks", "ticks")
+    jump_margin: Positive = key(1.5, "greatest step between two samples, in steps at the speed limit", "1")
+    stuck_ticks: Ticks = key(50, "the position does not change for so long under force: a fault", "ticks")
+    stuck_force_fraction: float = key(0.6, "of the force limit; the least force that counts for it", "1", gt=0, le=1)
+    nis_limit: Positive = key(1e6, "normalised innovation squared of the filter that counts as implausible", "1")
+    nis_ticks: Ticks = key(20, "consecutive ticks above it that are a fault", "ticks")
+    transmit_refused_limit: Ticks = key(3, "consecutive ticks whose command the bus refused that are a fault", "ticks")
+    flood_frames: int = key(12, "frames received in one tick that are a fault", "frames", ge=8, le=1000)
+    overrun_streak: Ticks = key(5, "consecutive late ticks that are a fault", "ticks")
+    overrun_zero_s: Positive = key(0.02, "more than this between two ticks: zero torque", "s")
+    stop_s: float = key(0.05, "a damped stop ends within this", "s", gt=0, le=0.5)
+    heartbeat_s: NonNegative = key(0.0, "the operator's heartbeat must come within this; 0: none is asked for", "s")
+    command_expiry_s: Positive = key(0.5, "an operator's command older than this is refused", "s")
+    enable_timeout_ticks: Ticks = key(500, "most a drive may take to enable torque", "ticks")
+    disable_timeout_ticks: Ticks = key(
+        50, "most a drive may take to disable torque, its brake's delay included", "ticks"
+    )
+    ready_ticks: Ticks = key(20, "consecutive ticks with fresh answers of all axes before READY", "ticks")

@@ -1,0 +1,38 @@
+"""The whole campaign, over processes."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from hil.cli.processes import worker_pool
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, plan_chunks, run_chunk
+from hil.virtual.sim import usable
+
+
+def campaign(
+    rigs: Sequence[Path],
+    stride: int,
+    jobs: int,
+    done: Callable[[int, int], None],
+    overrides: Sequence[str] = (),
+) -> list[Cell]:
+    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
+    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
+    """
+    work: list[Chunk] = []
+    for path in rigs:
+        work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
+    total = sum(len(chunk.cells) for chunk in work)
+    cells: list[Cell] = []
+    # Spawned, not forked: a worker must be single-threaded to fork its cells.
+    with worker_pool(jobs, "spawn") as pool:
+        for chunk_cells in pool.map(run_chunk, work):
+            cells += chunk_cells
+            done(len(cells), total)
+    return cells
+
+
+def _checked(rig: RigConfig, path: Path) -> RigConfig:
+    """The rig as the campaign runs it. Raises RigError where no run of it can begin: its task, law or layout."""
+    return usable(displaced(rig), path)

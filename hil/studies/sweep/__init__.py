@@ -1,0 +1,1 @@
+"""Thousands of plants with seeded parameters under one rig."""

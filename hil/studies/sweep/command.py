@@ -1,0 +1,113 @@
+"""`hil sweep`: thousands of plants under one rig; distributions, and the worst cases as rig files."""
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.options import RigFile
+from hil.cli.output import metres, print_plant_notes, writable, write_json
+from hil.control.law_registry import LAWS
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.studies.sweep.plants import (
+    Crew,
+    Figures,
+    Job,
+    cluster,
+    collect,
+    jobs,
+    plot,
+    processes,
+    reproduce,
+    save_worst,
+    summary,
+    worst_plants,
+)
+from hil.virtual.sim import usable
+
+
+def sweep(
+    rig_file: RigFile,
+    *,
+    plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
+    laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
+    seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
+    hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
+    workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
+    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
+    output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
+    ] = "",
+) -> None:
+    """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
+    from rich.console import Console
+
+    base = load_rig(rig_file, overrides or ())
+    console = Console(stderr=json_target == "-")
+    print_plant_notes(console, base)
+    output.mkdir(parents=True, exist_ok=True)
+    names = (
+        list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]
+    )
+    document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
+    with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
+        for name in names:
+            rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
+            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
+            figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
+            plot(output / f"{name}.png", rig, figures)
+            chosen = worst_plants(figures, worst)
+            paths = save_worst(rig_file, rig, seed, hard, chosen, output)
+            cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
+            document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
+            _show(console, rig, document["laws"][name], output / f"{name}.png")
+    if json_target:
+        write_json(document, json_target)
+
+
+def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Figures, float]:
+    """All jobs under a progress bar: what they found, and plants times ticks per second."""
+    from rich.progress import Progress
+
+    plants = sum(job.plants for job in work)
+    started = time.perf_counter()
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(title, total=plants)
+        figures = collect(crew.run(work), lambda count: bar.update(task, advance=count))
+    return figures, plants * work[0].ticks / (time.perf_counter() - started)
+
+
+def _case(path: Path, seconds: float, number: int, figures: Figures) -> dict[str, Any]:
+    error = figures.max_error[number]
+    return {
+        "rig": str(path),
+        "plant": number,
+        "max_error": error.tolist(),
+        "reproduced": reproduce(path, seconds, error),
+    }
+
+
+def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) -> None:
+    from rich.table import Table
+
+    title = f"{rig.name}, {rig.law.name}: {found['plant_ticks_per_s'] / 1e6:.2f} million plant-ticks/s"
+    table = Table("axis", "error", "median", "90 %", "99 %", "worst", title=title, title_justify="left")
+    for name, figures in found["axes"].items():
+        for key in ("max_error", "rms_error"):
+            values = [metres(figures[key][q], rig.axes[name].kind) for q in ("p50", "p90", "p99", "p100")]
+            table.add_row(name, key.removesuffix("_error"), *values)
+    console.print(table)
+    console.print(f"distributions: {picture}")
+    for case in found["worst"]:
+        verdict = (
+            "reproduced singly, bit for bit" if case["reproduced"] else "NOT reproduced (a fault stops the single run)"
+        )
+        console.print(f"plant {case['plant']}: {case['rig']}: {verdict}", soft_wrap=True)

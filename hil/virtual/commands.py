@@ -1,0 +1,174 @@
+"""The commands `hil sim`, `hil replay` and `hil emulate`: arguments in, text and exit status out."""
+
+import dataclasses
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from hil.cli.options import RigFile, shipped_scenario
+from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
+
+
+def sim(
+    rig: RigFile,
+    seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
+    overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
+    ] = "",
+    faults: Annotated[
+        Path | None,
+        typer.Option(callback=shipped_scenario, help="faults to inject: a scenario file, or a shipped one's name"),
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="write a recording (MCAP) that `hil replay` takes")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
+    ] = None,
+) -> None:
+    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    from hil.rig.bus_load import refuse_unschedulable
+    from hil.virtual.scenario import load_scenario
+    from hil.virtual.sim import simulate
+
+    config = load_rig(rig, overrides)
+    refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
+    scenario = load_scenario(faults, config) if faults else None
+    console = Console(stderr=json_target == "-")
+    print_plant_notes(console, config)
+
+    recorder = _recorder(record, config, rig)
+    with Progress(console=console, transient=True) as bar:
+        total = round(seconds * config.rate_hz)
+        job = bar.add_task(f"{config.name}: {config.law.name}", total=total)
+        try:
+            report, traces = simulate(
+                config,
+                rig.parent,
+                seconds,
+                progress=lambda done: bar.update(job, completed=done),
+                observer=recorder.observe if recorder else None,
+                scenario=scenario,
+            )
+        except ValueError as error:  # a task or layout the rig cannot carry
+            raise RigError([f"{rig}: {error}"]) from None
+        finally:
+            if recorder:
+                recorder.close()
+    report.overrides = list(overrides)
+    _show(console, config, report, traces, picture)
+    if json_target:
+        write_json(dataclasses.asdict(report), json_target)
+
+
+def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
+    if path is None:
+        return None
+    from hil.telemetry.recorder import LockstepRecorder, RecordingError
+
+    try:
+        return LockstepRecorder(path, config, rig)
+    except RecordingError as error:
+        raise typer.BadParameter(str(error), param_hint="--record") from None
+
+
+def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:
+    run = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks"
+    title = f"{run}, steady from {report.steady_from_s:.3f} s"
+    console.print(axis_table(config, report.axes, title))
+    faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
+    console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
+    if picture:
+        from hil.cli.pictures import tracking_picture
+
+        tracking_picture(picture, config, traces)
+        console.print(f"picture {picture}")
+
+
+def _show_replay(report: Any, console: Console) -> None:
+    verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
+    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
+    if report.first_different is not None:
+        console.print(f"the first tick that differs is {report.first_different}")
+    if report.gap_at is not None:
+        console.print(f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there")
+    if report.truncated:
+        console.print("the recording was cut short or is damaged: replayed as far as it is whole")
+    for name, row in (report.other_force or {}).items():
+        console.print(f"  {report.other_law} would differ on {name} by {row['rms']:.3g} RMS, {row['max']:.3g} at most")
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
+    law: Annotated[str, typer.Option(help="also show what this law would have asked for")] = "",
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="the same with key=value over the rig")] = None,
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
+    ] = "",
+) -> None:
+    """Exit status 0: every byte is the same; 1: some differ or nothing could be replayed."""
+    changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
+    from hil.telemetry.recorder import RecordingError
+    from hil.virtual.replay import replay_run
+
+    try:
+        report = replay_run(recording, changes)
+    except RecordingError as error:
+        print(f"hil replay: {error}", file=sys.stderr)
+        raise typer.Exit(1) from None
+    _show_replay(report, Console(stderr=json_target == "-"))
+    if json_target:
+        document: dict[str, Any] = dataclasses.asdict(report)
+        write_json(document, json_target)
+    if report.different or not report.ticks:
+        raise typer.Exit(1)
+
+
+def emulate(
+    rig: RigFile,
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
+    status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
+) -> None:
+    """Emulate the stage of RIG on its bus until SIGTERM, SIGINT or SIGHUP."""
+    from drivers.bus.port import PortError, open_port
+    from drivers.runtime import RuntimeDirectoryError
+    from hil.cli.exit_status import EXIT_UNAVAILABLE
+    from hil.live.runtime_paths import places
+    from hil.rig.plant import plant_notes
+    from hil.virtual.emulate import emulated_stage, live_scenario
+    from sim_plant.process import Emulator
+    from sim_plant.scenario.injector import Injector
+
+    config = load_rig(rig, overrides or [])
+    if status and not status.parent.is_dir():
+        raise typer.BadParameter(f"{status.parent}: no such directory", param_hint="--status")
+    scenario = live_scenario(faults, config) if faults else None
+    stage = emulated_stage(config, rig.parent, time.monotonic_ns())
+    if scenario:
+        Injector(scenario, stage, None, config.period_ns)
+    try:
+        port = open_port(config.bus, role="device", fd=stage.fd)
+        target = status or places(config.name).emulator
+    except (PortError, RuntimeDirectoryError) as error:
+        print(f"hil emulate: {error}", file=sys.stderr)
+        sys.exit(EXIT_UNAVAILABLE)
+    for note in plant_notes(config):
+        print(f"hil emulate: {note}", flush=True)
+    emulator = Emulator(stage, port, target)
+    print(f"hil emulate: {config.name} on {config.bus.channel}, status in {target}", flush=True)
+    try:
+        emulator.run()
+    finally:
+        port.close()
+    if emulator.status_error:
+        print(f"hil emulate: no status: {emulator.status_error}", file=sys.stderr)
+    print(f"hil emulate: {stage.commands} commands answered", flush=True)

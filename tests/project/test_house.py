@@ -1,0 +1,122 @@
+"""The rules of the house: small files, short signatures, plain words, no reference that leads nowhere."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+FOLDERS = ("hil", "drivers", "sim_plant", "tests", "deploy", "docs", ".ci")
+KINDS = {".py", ".c", ".sh", ".md", ".toml", ".mk", ".proto", ".dbc"}
+GENERATED = {"hil/telemetry/telemetry_pb2.py"}
+MOST_LINES = 400
+MOST_ARGUMENTS = 7
+
+# Words this project has given up -> what it says instead. Patterns are for names as well as for prose, and leave the
+# same letters in ordinary English alone.
+GLOSSARY = {
+    r"(?<![a-z])voyages?(?![a-z])": "run",
+    r"(?<![a-z])sail(s|ed|ing)?(?![a-z])": "plan, run",
+    r"(?<![a-z])legs?(?![a-z])": "chunk",
+    r"(?-i:\bMeans\b[\[\](),.:|]|_means\b|\bmeans(_| =|: [A-Z]))": "capabilities",
+    r"\bbeliefs?\b": "nominal model",
+    r"rehears": "candidate simulation",
+    r"(?-i:\bPlaces\b|\bplaces\(|\bplaces_in\b|\brig_places\b|import .*\bplaces\b)": "runtime paths",
+    r"(?<![a-z])doors?(?![a-z])": "listening socket",
+    r"(?<![a-z])knock": "join notice",
+    r"(?<![a-z])greet": "handshake",
+    r"\bshort[ _]way\b": "fast path",
+    r"\blong[ _]way\b": "slow path",
+    r"(?<![a-z])strangers?(?![a-z])": "unknown frame",
+    r"\b(let|lets|letting)[ _]out\b": "applied force",
+    r"(\bdef |\.)(see|judge)\(": "flag, worst fault",
+}
+WORDS = [(re.compile(pattern, re.IGNORECASE), instead) for pattern, instead in GLOSSARY.items()]
+DOCUMENT = re.compile(r"[\w-]+\.md\b|\bFIELD_NOTES\b")
+NAMED_FILE = re.compile(
+    r"(?<![\w.-])(?<!etc/)(?<!share/)(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
+)
+MADE_BY_THE_BUILD = "hil/floats/"
+HERE = Path(__file__).relative_to(ROOT).as_posix()
+
+
+def sources() -> Iterator[tuple[str, str]]:
+    """(path, text) of every file that people of this project write."""
+    inside = (path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if "__pycache__" not in path.parts)
+    for path in sorted([*inside, *ROOT.glob("*.md"), ROOT / "Makefile", ROOT / "pyproject.toml"]):
+        name = path.relative_to(ROOT).as_posix()
+        written = path.suffix in KINDS or path.name in ("Makefile", "run")
+        if path.is_file() and written and name not in GENERATED | {HERE}:
+            yield name, path.read_text(encoding="utf-8")
+
+
+def found(pattern: re.Pattern[str]) -> list[tuple[str, int, str]]:
+    """(file, line number, what matched) of a pattern, in all of them."""
+    return [
+        (name, number, match[0])
+        for name, text in sources()
+        for number, line in enumerate(text.splitlines(), 1)
+        for match in pattern.finditer(line)
+    ]
+
+
+def listing(findings: list[tuple[str, int, str]]) -> str:
+    return "\n".join(f"{name}:{number}: {what}" for name, number, what in findings)
+
+
+def test_the_patterns_find_names_and_prose_and_spare_ordinary_english() -> None:
+    for text in ("class Voyage:", "leg_cells", "Means.ROOM", "means = ", "it lets out a force", "fixed_means(p)"):
+        assert any(pattern.search(text) for pattern, _ in WORDS), text
+    for text in ("by means of", "what it means | this", "legal", "indoors", "decimal places", "see below", "judge by"):
+        assert not any(pattern.search(text) for pattern, _ in WORDS), text
+
+
+def test_no_file_is_long() -> None:
+    assert {name: count for name, text in sources() if (count := len(text.splitlines())) > MOST_LINES} == {}
+
+
+def positional_arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How many it takes by position, self or cls not counted."""
+    names = [argument.arg for argument in function.args.posonlyargs + function.args.args]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def test_no_function_takes_many_arguments_by_position() -> None:
+    trees = ((name, ast.parse(text)) for name, text in sources() if name.endswith(".py"))
+    functions = (
+        (name, node)
+        for name, tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    )
+    counts = {f"{name}:{node.lineno} {node.name}": positional_arguments(node) for name, node in functions}
+    assert {name: count for name, count in counts.items() if count > MOST_ARGUMENTS} == {}
+
+
+@pytest.mark.parametrize(("pattern", "instead"), WORDS, ids=GLOSSARY.values())
+def test_no_word_that_was_given_up(pattern: re.Pattern[str], instead: str) -> None:
+    findings = found(pattern)
+    assert not findings, f"say {instead}:\n{listing(findings)}"
+
+
+def exists(named: str, beside: str) -> bool:
+    """Whether a document of that name is at the root, in docs/, or beside the file that names it."""
+    return any((folder / named).exists() for folder in (ROOT, ROOT / "docs", ROOT / "docs/adr", (ROOT / beside).parent))
+
+
+def test_every_document_that_is_cited_is_here() -> None:
+    findings = [entry for entry in found(DOCUMENT) if not exists(entry[2], entry[0])]
+    assert not findings, listing(findings)
+
+
+def test_every_file_that_is_named_is_where_it_is_said_to_be() -> None:
+    """In comments, docstrings, documents and scripts: moves leave no path behind."""
+    findings = [
+        entry
+        for entry in found(NAMED_FILE)
+        if not (ROOT / entry[2]).exists() and not entry[2].startswith(MADE_BY_THE_BUILD)
+    ]
+    assert not findings, listing(findings)

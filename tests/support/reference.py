@@ -1,0 +1,80 @@
+"""Reference runs: hashes of what the code does, kept in tests/reference/trace_hashes.json and replayed by CI.
+
+    python -m tests.support.reference          renew the file, after a change that is meant to change what runs do
+
+`traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both rigs with every law.
+`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs over every layout asked for.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from tests.support.paths import RIGS, ROOT
+
+FILE = ROOT / "tests" / "reference" / "trace_hashes.json"
+SECONDS = 4.0
+LEARNING = ("pd-feedforward", "structured-kalman")  # laws also run inside iterative learning, on a figure that repeats
+REPEATS = ["task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]"]
+RIG_NAMES = ("microscope", "paper")
+CELL = (
+    "rig", "layout", "checkpoint", "trial", "axis", "passed", "fault", "reaction", "detection_ticks",
+    "peak_force_after", "end",
+)  # fmt: skip
+
+
+def runs() -> dict[str, tuple[str, list[str]]]:
+    """Rig and overrides of every reference run, by name."""
+    from hil.control.law_registry import LAWS
+
+    plain = {f"{rig}, {law}": (rig, [f"law.name={law}"]) for rig in RIG_NAMES for law in LAWS}
+    learning = {
+        f"paper, {law}, learning": ("paper", [f"law.name={law}", "law.iterative_learning=true", *REPEATS])
+        for law in LEARNING
+    }
+    return {**plain, **learning}
+
+
+def trace_hash(rig: str, overrides: Sequence[str]) -> str:
+    """trace_sha256 of `hil sim` over SECONDS."""
+    from hil.rig.file import load_rig
+    from hil.virtual.sim import simulate
+
+    report, _ = simulate(load_rig(RIGS / f"{rig}.toml", overrides), RIGS, SECONDS)
+    return report.trace_sha256
+
+
+def campaign_hash(cells: Sequence[Any]) -> str:
+    """Of the cells of a campaign, whatever its texts for people say."""
+    found = [[getattr(cell, key) for key in CELL] for cell in cells]
+    return hashlib.sha256(json.dumps(found).encode()).hexdigest()
+
+
+def campaign(rig: str) -> dict[str, Any]:
+    """Number of cells and their hash, of the whole campaign on a rig's own layout."""
+    from hil.studies.fault_campaign.campaign import campaign as run_campaign
+
+    cells = run_campaign([RIGS / f"{rig}.toml"], 1, os.cpu_count() or 1, lambda done, total: None)
+    return {"cells": len(cells), "sha256": campaign_hash(cells)}
+
+
+def known() -> dict[str, Any]:
+    """The file's content."""
+    return dict(json.loads(FILE.read_text(encoding="utf-8")))
+
+
+def main() -> None:
+    """Write the file anew."""
+    document = {
+        "renew": "python -m tests.support.reference",
+        "seconds": SECONDS,
+        "traces": {name: trace_hash(*run) for name, run in runs().items()},
+        "campaigns": {rig: campaign(rig) for rig in RIG_NAMES},
+    }
+    FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
