@@ -45,6 +45,7 @@ COMMANDS: dict[str, Entry] = {
     "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
     "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
+    "drives": Entry("hil.operate.drives:drives", "Can this CiA 402 drive be used, by its EDS, and if not, why not?"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
     "bench": Entry("hil.operate.bench.command:bench", "Measurements of this machine, against a reference"),
     "install": Entry("hil.operate.install:install", "Put the systemd units and a rig file in place"),

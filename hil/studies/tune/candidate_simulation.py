@@ -267,11 +267,7 @@ class _Run:
 
     def _estimate(self) -> None:
         of, motion, inputs = self._of, self._filter, self._inputs
-<<<<<<< HEAD:hil/studies/tune/candidate_simulation.py
-        measured = np.rint(self._stage.position / of._resolution) * of._nominal_resolution
-=======
-        measured = np.rint(self._stage.shown / of._resolution) * of._belief
->>>>>>> wt/plant:hil/studies/tune/rehearsal.py
+        measured = np.rint(self._stage.shown / of._resolution) * of._nominal_resolution
         motion.correct(self._net[1], inputs.sample_interval, measured, inputs.fresh)
         self._measured = np.where(inputs.fresh != 0.0, measured, motion.position)
         motion.look_ahead(self._net[0], inputs.ahead)
