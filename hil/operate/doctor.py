@@ -21,7 +21,7 @@ from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
 
 ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
-BUSY_DEVICE = 1000  # interrupts since the machine started; fewer are no device at work
+BUSY_DEVICE = 1000  # interrupts since the machine started; a device with fewer is idle
 RT_TESTS = "install rt-tests (Debian: apt install rt-tests)"
 
 
@@ -127,7 +127,7 @@ def _interface_finding(name: str, net: Path) -> Finding:
 
 
 def realtime_findings() -> list[Finding]:
-    """What a control process started by this user would be granted; tried in a child, so that nothing sticks here."""
+    """What a control process started by this user would be granted; tried in a child, so that nothing stays here."""
     command = [sys.executable, "-c", "from hil.operate.doctor import probe_realtime; probe_realtime()"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
