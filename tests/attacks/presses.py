@@ -88,8 +88,13 @@ class Presser:
         after = reader.read(WITHIN + 1).records
         assert all(int(record["state"]) == State.ESTOP for record in after), after["state"]
         assert not after["force"].any(), "torque was let out"
-        assert not int(after[-1]["drive_status"].max()) & DriveStatus.ENABLED, "a drive is enabled"
-        assert self._emulator.stage.applied_force == [0.0, 0.0], self._emulator.stage.applied_force
+        # The drives, as soon as this machine let them hear the last of these ticks' commands.
+        stage, sent_ns = self._emulator.stage, int(after[-1]["now_ns"])
+        while min(drive.last_command_ns for drive in stage.drives) < sent_ns:
+            assert time.monotonic() < limit, "the drives hear nothing"
+            time.sleep(0.001)
+        assert stage.applied_force == [0.0, 0.0], stage.applied_force
+        assert not any(drive.status & DriveStatus.ENABLED for drive in stage.drives), "a drive is enabled"
 
 
 def by_page(page: Page) -> int:
