@@ -148,7 +148,7 @@ def _any_fd(analysis: Analysis) -> bool:
 
 
 def draw_tick(rig: RigConfig, analysis: Analysis, target: Path) -> None:
-    """PNG: what the analysis promises of one tick. Bars: each frame at its longest, ending when it ends at worst."""
+    """PNG: the worst case of one tick. A bar is a frame at its longest, ending at its worst-case response time."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -5,16 +5,18 @@ from typing import Any
 
 from hil.rig.tables import AxisConfig
 from sim_plant.config import PlantConfig
+from sim_plant.stages import staged
 
 MODEL_KEYS = ("mass", "coulomb", "viscous", "quadratic", "gravity")  # of [axes.NAME.model] and of [plant]
 
 
 def completed(plant: PlantConfig, axes: Mapping[str, AxisConfig]) -> PlantConfig:
-    """The plant with every key that it does not state taken from the axes. `model_fields_set` still tells what was
-    stated.
+    """The plant with every key that it does not state taken from the axes, or from its kind of stage.
+
+    `model_fields_set` still tells what was stated, or has come from the kind of stage.
     """
     derived: dict[str, Any] = {name: [getattr(axis.model, name) for axis in axes.values()] for name in MODEL_KEYS}
     derived["encoder_resolution"] = [axis.encoder_resolution for axis in axes.values()]
     stated = plant.model_fields_set
     values = {name: derived[name] if name in derived and name not in stated else value for name, value in plant}
-    return PlantConfig.model_construct(_fields_set=set(stated), **values)
+    return staged(PlantConfig.model_construct(_fields_set=set(stated), **values))

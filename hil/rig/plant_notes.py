@@ -1,4 +1,4 @@
-"""What people should know of a rig's emulated stage before it is simulated."""
+"""What to know of a rig's emulated stage before a simulation, in lines of text."""
 
 from hil.rig.plant import MODEL_KEYS
 from hil.rig.schema import RigConfig

@@ -95,6 +95,8 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    if report.law_failure:
+        console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
     if picture:
         from hil.cli.pictures import tracking_picture

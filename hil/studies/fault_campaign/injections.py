@@ -83,6 +83,11 @@ class _Falsified:
         return asked
 
     @property
+    def failure(self) -> str:
+        """See AxisLaws."""
+        return self._honest.failure
+
+    @property
     def denominator_floors(self) -> int:
         """See AxisLaws."""
         return self._honest.denominator_floors

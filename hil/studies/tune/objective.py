@@ -169,7 +169,8 @@ class Bench:
         if rig.task.kind != "injection":
             first, last = (round(seconds * rig.rate_hz) for seconds in (SETTLE_S, SETTLE_S + WINDOW_S))
         self._law = law_of(rig, law)
-        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1)
+        ahead = law_class(self._law).preview
+        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1, preview=ahead)
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [
