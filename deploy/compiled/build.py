@@ -21,6 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
 
+from deploy.compiled.enum_members import find_enums, hoist  # noqa: E402
 from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
 
 WORK = ROOT / "build" / "compiled"
@@ -44,7 +45,8 @@ hil/control/laws: *
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil/cycle: command_desk damped_stop fault_monitor fault_table gate inbox limits sampling state_machine step tick
+hil/cycle: axes command_desk damped_stop fault_monitor fault_table gate inbox limits record_builder sampling
+hil/cycle: state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
 """
 
@@ -141,6 +143,14 @@ def instantiate() -> None:
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
 
 
+def hoist_enum_members() -> None:
+    """Look members of enums up once a module instead of at every use (enum_members.py says why)."""
+    known = find_enums(WORK, PACKAGES)
+    for name in modules():
+        path = WORK / name
+        path.write_text(hoist(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
+
+
 def make_tuples_directly() -> None:
     """Spare the modules to compile the constructors of NamedTuples (named_tuples.py says why)."""
     known = find_named_tuples(WORK, PACKAGES)
@@ -205,6 +215,7 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
+    hoist_enum_members()
     make_tuples_directly()
     compile_modules()
     make_environment(directory)

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from drivers.config import BusConfig
-from drivers.protocols.base import DeviceProtocol, HostProtocol
-from drivers.protocols.dbc_codec import LayoutError
+from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
+
+if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
+    from drivers.config import BusConfig
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
@@ -13,7 +15,7 @@ __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
 
 def host_protocol(
-    bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path, period_ns: int = 1_000_000
+    bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path, period_ns: int = 1_000_000
 ) -> HostProtocol:
     """The host's side of the layout `bus.protocol`, before any bus is opened.
 
@@ -41,7 +43,7 @@ def host_protocol(
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
 
 
-def device_protocol(bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> DeviceProtocol:
+def device_protocol(bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path) -> DeviceProtocol:
     """The drives' side of the layout `bus.protocol`; arguments and errors as in `host_protocol`."""
     match bus.protocol:
         case "stage_fd":

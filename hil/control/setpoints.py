@@ -91,7 +91,7 @@ class Setpoints:
         v0, v1 = start.velocity, end.velocity
         x.mean_acceleration = (v1 - v0) / period
         # The velocity taken as linear in the interval. The feedforward at the sample's instant instead would cost 45-55
-        # um on the paper's task (PAPER.md, Pitfalls).
+        # um on the paper's task (docs/paper.md).
         total = abs(v0) + abs(v1)
         x.mean_sign = (v0 + v1) / total if total > 0.0 else 0.0
 

@@ -4,7 +4,7 @@
 Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
@@ -12,7 +12,7 @@ from drivers.config import REQUIRED, STRICT, key
 from hil.rig.task_file import MOST_ROWS, sample_problems
 from sim_plant.config import NonNegative, Positive, Resolution
 
-MAX_AXES = 4
+MAX_AXES: Final = 4
 LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 

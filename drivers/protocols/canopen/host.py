@@ -27,12 +27,11 @@ import canopen
 
 from drivers.config import BusConfig
 from drivers.frame import ECHO, FD, Frame
-from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState, mapping_entry
 from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, SERVICE_TICKS, Master
 from drivers.protocols.canopen.node import NodeMaster, Step
-from drivers.protocols.dbc_codec import LayoutError
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import MAX_AXES, check_force, reject_id
 

@@ -1,7 +1,7 @@
 """The one signature of all control laws.
 
-Timing (DESIGN.md, The tick): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1} (the
-expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
+Timing (docs/architecture.md): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1}
+(the expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
 """
 
 from abc import ABC, abstractmethod

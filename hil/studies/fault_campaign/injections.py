@@ -209,3 +209,8 @@ def withdrawn(name: str) -> Step:
 def stop_signal(run: LockstepRun, axis: int) -> None:
     """SIGTERM."""
     run.stop = True
+
+
+def stop_pressed(run: LockstepRun, axis: int) -> None:
+    """Somebody presses stop (hil estop)."""
+    run.estop = True

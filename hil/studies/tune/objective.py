@@ -33,7 +33,7 @@ DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: eac
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
     """The rig's own task, variations of it in size and speed, light and heavy plants, for figures other kinds of task
-    and commands lost as well: gains found on one task alone do not generalise (PAPER.md).
+    and commands lost as well: gains found on one task alone do not generalise (docs/paper.md).
 
     repeats: of every figure, each SMALLER than the one before. Raises RigError where the task is none.
     """
