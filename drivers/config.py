@@ -49,6 +49,50 @@ class DbcBinding(BaseModel):
     checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = key("crc8-sae-j1850", "how they are computed")
 
 
+class ObjectValue(BaseModel):
+    """A value to write into a drive's object dictionary; its size is what the drive's EDS says."""
+
+    model_config = STRICT
+    object: Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")] = key(
+        REQUIRED, 'index and sub-index, hexadecimal: "6007h", "1029h:01"'
+    )
+    value: int = key(REQUIRED, "value to write", "1", ge=-(2**31), lt=2**32)
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        index, _, subindex = self.object.partition(":")
+        return int(index.rstrip("h"), 16), int(subindex or "0", 16)
+
+
+NodeNumber = Annotated[int, Field(ge=1, le=126)]
+RatedTorque = Annotated[float, Field(gt=0, lt=1e6)]
+
+
+class Cia402Config(BaseModel):
+    """[bus.cia402]: CiA 402 drives as their makers describe them. Lists are in the order of [axes], one entry per axis.
+
+    Without this table the drives are the project's own (drivers/protocols/canopen/cia402.eds).
+    """
+
+    model_config = STRICT
+    eds: list[str] = key(REQUIRED, "EDS or DCF files, beside the rig file: one per axis, or one for all", min_length=1)
+    nodes: list[NodeNumber] = key([], "CANopen node of each axis", derived="bus.node_id and the numbers after it")
+    rpdo: Literal["auto", "shared", "own"] = key(
+        "auto", "shared: one RPDO with the torques of all drives; own: one per drive; auto: shared where all drives can"
+    )
+    sync_counter: Literal["auto", "on", "off"] = key("auto", "counter in SYNC (1019h); auto: where all drives have it")
+    rated_torque: list[RatedTorque] = key(
+        [],
+        "torque (force) that 6076h stands for; compared with the drive's",
+        "N or N m",
+        derived="read from each drive",
+    )
+    write_rated_torque: bool = key(False, "write 6076h, which on many drives is a property of the motor")
+    start: Literal["nmt", "autostart"] = key("nmt", "autostart: the drives go to operational by themselves")
+    write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
+
+
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
@@ -68,6 +112,7 @@ class BusConfig(BaseModel):
     feedback_id: int = key(0x100, "stage layouts: axis i (from 0) answers on feedback_id + i", "1", ge=0, le=0x7F0)
     node_id: int = key(1, "cia402: CANopen node of the first axis; the others follow", "1", ge=1, le=120)
     dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
+    cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
 
 
 class WireConfig(BaseModel):

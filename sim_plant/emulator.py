@@ -110,7 +110,7 @@ class EmulatedStage:
         from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
 
         return [
-            Cia402Drive(first_id + drive.axis, drive, partial(self._true_position, drive.axis), self.now_ns)
+            Cia402Drive(first_id + drive.axis, drive, partial(self._shown_position, drive.axis), self.now_ns)
             for drive in self.drives
         ]
 
@@ -154,10 +154,10 @@ class EmulatedStage:
     def _truth_now(self) -> tuple[Array, Array, Array]:
         return self._stage.peek(self.now_ns - self._physics_ns, self._force)
 
-    def _true_position(self, axis: int) -> float:
+    def _shown_position(self, axis: int) -> float:
         if self._physics_ns != self.now_ns:
-            return float(self.position[axis])
-        return self._stage.positions[axis]
+            return self._stage.peek_reading(self.now_ns - self._physics_ns, self._force, axis)
+        return self._stage.reading(axis)
 
     # what acts on it -------------------------------------------------------------------------------------------------
 
@@ -178,6 +178,13 @@ class EmulatedStage:
         self._run_physics()
         self._push[axis] = force
         self._update()
+
+    def change_plant(self, axis: int, key: str, value: float) -> float:
+        """From now on that quantity of the axis' truth (Truth.changed) is `value`. Returns what it was."""
+        self._run_physics()
+        truth, before = self._stage.truth.changed(axis, key, value)
+        self._stage.change(truth)
+        return before
 
     def advance(self, now_ns: int) -> list[Frame]:
         """Let time pass to now_ns, through everything that falls due on the way; a time already past changes nothing.
@@ -273,7 +280,7 @@ class EmulatedStage:
         assert self._protocol is not None
         now_ns = self.now_ns
         self._note_sampling()
-        positions = self.sampled[0]
+        positions = self._stage.readings()
         encode = self._protocol.encode_feedback
         sequence, forces, enable, reset = command
         answers: list[Frame] = []

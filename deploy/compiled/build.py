@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
 
-from deploy.compiled.enum_members import find_enums, hoist  # noqa: E402
+from deploy.compiled.flag_members import find_flags, hoist  # noqa: E402
 from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
 
 WORK = ROOT / "build" / "compiled"
@@ -143,9 +143,9 @@ def instantiate() -> None:
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
 
 
-def hoist_enum_members() -> None:
-    """Look members of enums up once a module instead of at every use (enum_members.py says why)."""
-    known = find_enums(WORK, PACKAGES)
+def make_flags_ints() -> None:
+    """Spare the modules to compile the operators of flags (flag_members.py says why)."""
+    known = find_flags(WORK, PACKAGES)
     for name in modules():
         path = WORK / name
         path.write_text(hoist(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
@@ -215,7 +215,7 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
-    hoist_enum_members()
+    make_flags_ints()
     make_tuples_directly()
     compile_modules()
     make_environment(directory)

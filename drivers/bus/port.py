@@ -109,6 +109,7 @@ class Port:
         self._counts[_STATE] = medium.state()
         self._dropped = 0  # the socket's own count, from its opening on
         self._drained_ns = monotonic_ns()
+        self._has_drained = False
 
     def fileno(self) -> int:
         """Descriptor that is readable when frames have arrived, for poll(2); another one after `rebind`."""
@@ -120,7 +121,8 @@ class Port:
         now_ns: CLOCK_MONOTONIC just before the call. timestamp_ns of each frame is the kernel's time stamp, brought
         from CLOCK_REALTIME to CLOCK_MONOTONIC and kept between the previous drain and the present: setting the wall
         clock cannot move a stamp out of the interval in which the frame must have come.
-        Error frames and own echoes are counted, not returned (but see `echo_id`).
+        Error frames and own echoes are counted, not returned (but see `echo_id`). What has gathered before the first
+        drain of an opened bus is no flood: what is beyond the limit counts neither as discarded nor as overflow.
         """
         earliest_ns, self._drained_ns = self._drained_ns, now_ns
         sources = self._ready()
@@ -137,8 +139,10 @@ class Port:
         count = len(frames)
         self._counts[_RECEIVED] += count
         if count > self._receive_limit:
-            self._counts[_DISCARDED] += count - self._receive_limit
+            if self._has_drained:
+                self._counts[_DISCARDED] += count - self._receive_limit
             del frames[: -self._receive_limit]
+        self._has_drained = True
         return frames
 
     def _read(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame]:
@@ -201,13 +205,14 @@ class Port:
         self._counts[_NO_ACK] += report.no_ack
         self._counts[_BUS_OFF] += report.bus_off
         self._counts[_RESTARTED] += report.restarted
-        self._counts[_OVERFLOW] += report.overflow
+        self._counts[_OVERFLOW] += report.overflow if self._has_drained else 0
         if report.state is not None:
             self._counts[_STATE] = report.state
 
     def _note_dropped(self, dropped: int) -> None:
         """SO_RXQ_OVFL: the kernel's count for this socket, modulo 2^32."""
-        self._counts[_OVERFLOW] += (dropped - self._dropped) & _UNSIGNED_32
+        if self._has_drained:
+            self._counts[_OVERFLOW] += (dropped - self._dropped) & _UNSIGNED_32
         self._dropped = dropped
 
     def _note_unknown_frame(self, fd: int, packet: bytes) -> None:

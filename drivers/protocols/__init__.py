@@ -35,7 +35,7 @@ def host_protocol(
         case "cia402":
             from drivers.protocols.canopen.host import Cia402Host
 
-            return Cia402Host(bus, n_axes, rated_force, period_ns)
+            return Cia402Host(bus, n_axes, rated_force, period_ns, base_dir)
         case name if name.startswith("dbc:"):
             from drivers.protocols.dbc import DbcHost
 
@@ -57,7 +57,7 @@ def device_protocol(bus: "BusConfig", n_axes: int, rated_force: Sequence[float],
         case "cia402":
             from drivers.protocols.canopen.listener import Cia402Listener
 
-            return Cia402Listener(bus, n_axes, rated_force)
+            return Cia402Listener(bus, n_axes, rated_force, base_dir)
         case name if name.startswith("dbc:"):
             from drivers.protocols.dbc import DbcDevice
 

@@ -1,5 +1,6 @@
 """`hil ...`: every command is one function in a module of its own; only the one asked for is imported."""
 
+import os
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Entry] = {
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
+    "new": Entry("hil.operate.new:new", "Write a rig file for a stage of your own"),
     "explain": Entry("hil.operate.explain:explain", "What a key of the rig file means: unit, range, default"),
     "estop": Entry(
         "hil.operate.estop:estop", "Stop a rig now, by its name alone: needs nothing but its control process"
@@ -43,6 +45,7 @@ COMMANDS: dict[str, Entry] = {
     "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
     "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
+    "drives": Entry("hil.operate.drives:drives", "Can this CiA 402 drive be used, by its EDS, and if not, why not?"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
     "bench": Entry("hil.operate.bench.command:bench", "Measurements of this machine, against a reference"),
     "install": Entry("hil.operate.install:install", "Put the systemd units and a rig file in place"),
@@ -71,15 +74,22 @@ def _options(
 
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line with `wanted` loaded and all others as lines of help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+    app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
     app.callback(help=__doc__)(_options)
     add_commands(app, COMMANDS, wanted)
     return app
 
 
+def _words() -> list[str]:
+    """The command line: this process' own, or the one a shell wants completed (zsh and fish, then bash)."""
+    if "_HIL_COMPLETE" not in os.environ:
+        return sys.argv
+    return (os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")).split()
+
+
 def main() -> None:
     """The whole command line."""
-    run(build_app(first_word(sys.argv[1:])))
+    run(build_app(first_word(_words()[1:])))
 
 
 def run(app: typer.Typer) -> None:

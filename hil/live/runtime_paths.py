@@ -20,6 +20,7 @@ class RuntimePaths(NamedTuple):
     mailbox: Path
     commands: Path  # the Unix socket on which the sidecar takes commands
     endpoint: Path  # where the sidecar listens
+    access: Path  # what of the sidecar is open to whom, as JSON, for `hil doctor`
     timing: Path  # what hil/live/timing_record.py keeps of the loop
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
 
@@ -27,7 +28,7 @@ class RuntimePaths(NamedTuple):
 def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
-    names = ("ring", "mailbox", "commands", "endpoint", "timing", "emulator.json")
+    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json")
     return RuntimePaths(directory, *(directory / name for name in names))
 
 

@@ -46,7 +46,7 @@ STALL_FAULTS = (
     "TRANSMIT_REFUSED",
     "TRANSMIT_BLOCKED",
     "ENABLE_TIMEOUT",
-)  # what a host that holds up the emulator or the loop for milliseconds looks like
+)  # faults that a host stalling the emulator or the loop for milliseconds causes
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
@@ -54,15 +54,15 @@ ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record
 
 
 class DemoError(Exception):
-    """Something the demo cannot go on without; the text says what happened."""
+    """The demo cannot go on; the text says why."""
 
 
-class Interrupted(Exception):  # it is no error
+class Interrupted(Exception):  # not an error
     """SIGINT or SIGTERM."""
 
 
 class Scene(NamedTuple):
-    """Where everything is."""
+    """The demo's rig and its folders."""
 
     rig: RigConfig
     rig_file: Path
@@ -77,7 +77,7 @@ class Scene(NamedTuple):
 
 
 class Signals:
-    """Notes SIGINT and SIGTERM; they take effect where `check` is called, so that nothing cuts the end short."""
+    """Notes SIGINT and SIGTERM; they take effect where `check` is called, so that no shutdown is cut short."""
 
     def __init__(self) -> None:
         self.seen = 0
@@ -243,7 +243,7 @@ class Demo:
             self.console.print(f"{left:5.1f} s to go  {line(self.status)}", soft_wrap=True)
 
     def _finish(self) -> None:
-        """In this order: the stage stops and the last torque sent is zero; then the recording ends; then the stage."""
+        """End the control process (its last torque is zero), then the sidecar with its recording, then the stage."""
         if not hasattr(self, "control"):
             return
         if self.control.exit_status is None and not self.control.end(STOP_S):
@@ -265,7 +265,7 @@ class Demo:
 
 
 def tripped(status: pb.Status) -> bool:
-    """Whether a drive's watchdog keeps the rig from READY. Nothing moves in CONNECTED, so that is no fault of the rig's
+    """Whether a drive's watchdog keeps the rig from READY. Nothing moves in CONNECTED, so that is no fault of the rig
     and stops nothing; but it stays until an operator's RESET.
     """
     return status.state == "CONNECTED" and any(bits & DriveStatus.WATCHDOG for bits in status.drive_status)
@@ -324,7 +324,7 @@ def demo(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
-    """Exit status 0: it went as planned; 1: something failed, said what; 130 or 143: interrupted, in good order."""
+    """Exit status 0: it went as planned; 1: something failed, and the output says what; 130 or 143: interrupted."""
     chosen = (*(overrides or ()), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()

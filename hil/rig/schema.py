@@ -85,6 +85,9 @@ class RigConfig(BaseModel):
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
 
 
+_LISTS_OF_TABLES = ("cells", "modes", "cogging", "vibration")  # of [plant]; their entries name an axis
+
+
 def _length_problems(rig: RigConfig) -> list[str]:
     n = len(rig.axes)
     tables: list[tuple[str, BaseModel]] = [("plant", rig.plant), ("drives", rig.drives), ("estimator", rig.estimator)]
@@ -99,15 +102,17 @@ def _length_problems(rig: RigConfig) -> list[str]:
 
 
 def _one_per_axis(table: str, name: str, value: list[object], model: BaseModel) -> bool:
-    """Whether that list has to have a value for every axis: not the cells, nor what [plant] leaves to [axes]."""
+    """Whether that list has to have a value for every axis: not the tables, nor what [plant] leaves to [axes]."""
     if table != "plant":
         return True
-    return name != "cells" and name in model.model_fields_set and not (name == "gravity" and not value)
+    return name not in _LISTS_OF_TABLES and name in model.model_fields_set and not (name == "gravity" and not value)
 
 
 def _task_problems(rig: RigConfig) -> list[str]:
     names = rig.axis_names
-    named = [("task.axes", axis) for axis in rig.task.axes] + [("plant.cells", cell.axis) for cell in rig.plant.cells]
+    named = [("task.axes", axis) for axis in rig.task.axes]
+    for name in _LISTS_OF_TABLES:
+        named += [(f"plant.{name}", entry.axis) for entry in getattr(rig.plant, name) if entry.axis is not None]
     problems = [
         f"{path}: no axis '{axis}'; the axes are {', '.join(names)}" for path, axis in named if axis not in names
     ]

@@ -293,6 +293,7 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], outside: Outside,
         CommandServer(paths.commands, remote) as commands,
     ):
         write_private(paths.endpoint, publisher.listen[0])
+        write_private(paths.access, json.dumps({"watch": publisher.listen, "commands": outside.commands}))
         sidecar = Sidecar(rig, paths, publisher, commands, out)
         print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
@@ -307,6 +308,7 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], outside: Outside,
         finally:
             sidecar.close()
             paths.endpoint.unlink(missing_ok=True)
+            paths.access.unlink(missing_ok=True)
 
 
 @contextmanager

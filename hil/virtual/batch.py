@@ -103,7 +103,7 @@ class BatchRun:
 
     def _estimate(self) -> None:
         motion, interval = self._filter, self._period_ns * 1e-9
-        self._measured = np.rint(self._stage.position / self._resolution) * self._nominal_resolution
+        self._measured = np.rint(self._stage.read() / self._resolution) * self._nominal_resolution
         motion.correct(self._net_before, interval, self._measured)
         motion.look_ahead(self._net_last, interval)
 

@@ -148,7 +148,7 @@ def emulate(
     from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
     from hil.live.runtime_paths import AlreadyServedError, runtime_paths, sole
-    from hil.rig.plant import plant_notes
+    from hil.rig.plant_notes import plant_notes
     from hil.virtual.emulate import emulated_stage, live_scenario
     from sim_plant.process import Emulator
     from sim_plant.scenario.injector import Injector

@@ -90,6 +90,7 @@ def test_an_error_frame_is_decoded_and_never_taken_for_traffic(
     vcan: str, error_frame: str, counter: str, state: BusState
 ) -> None:
     host = port_on(vcan)
+    host.drain(time.monotonic_ns())
     links.run("cansend", vcan, error_frame)
     assert drained_until(host, lambda: host.counters().errors, "the error frame arrives") == []
     counters = host.counters()
@@ -144,6 +145,7 @@ def test_time_stamps_are_monotonic_time_and_in_order(vcan: str) -> None:
 
 def test_a_flood_is_drained_in_one_tick_and_the_newest_frames_are_kept(vcan: str) -> None:
     host, device = port_on(vcan, receive_limit=8), port_on(vcan)
+    host.drain(time.monotonic_ns())
     for number in range(100):
         assert device.send(Frame(number, b""))
     links.eventually(lambda: device.counters().sent == 100, "all are sent")

@@ -18,6 +18,7 @@ SDO_RESPONSE_ID = 0x580
 SDO_REQUEST_ID = 0x600
 HEARTBEAT_ID = 0x700
 
+STANDARD_IDS = 0x7FF  # bits of a COB-ID that hold an identifier of 11 bits
 PDO_INVALID = 1 << 31  # in a PDO's COB-ID: not in use
 SYNC_COUNTER_MAX = 240  # 1019h
 TORQUE_MODE = 10  # 6060h: cyclic synchronous torque

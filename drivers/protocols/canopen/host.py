@@ -17,101 +17,72 @@ Sampling time: CANopen carries none; sampling_clock.py takes it from the echo of
 TPDO behind SYNC.
 """
 
-import math
 from collections.abc import Sequence
-from functools import cache
+from pathlib import Path
 from struct import Struct
-from typing import Any
 
-import canopen
-
-from drivers.config import BusConfig
+from drivers.config import BusConfig, Cia402Config
 from drivers.frame import ECHO, FD, Frame
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import DriveState, mapping_entry
-from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, SERVICE_TICKS, Master
-from drivers.protocols.canopen.node import NodeMaster, Step
+from drivers.protocols.canopen.cia301 import DriveState
+from drivers.protocols.canopen.eds import Eds, EdsError, read_eds
+from drivers.protocols.canopen.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
+from drivers.protocols.canopen.node import NodeMaster
+from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, FULL_SCALE, MASTER_ID, Axis, DrivePlan, plan_drives
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import MAX_AXES, check_force, reject_id
 
-FULL_SCALE = 32767  # of 6071h
-DRIVE_HEARTBEAT_MS = 100
-EMCY_ID = 0x680  # below SDO: at 080h four emergencies delay every TPDO, at 480h the host's SDO, which blocks its FIFO
-DUMMY_INT16, DUMMY_UINT16 = 0x0003, 0x0006
-TPDO_OBJECTS = (cia301.POSITION, cia301.STATUSWORD)
+OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True)  # where a rig has no [bus.cia402]
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE | cia301.HOMED | cia301.BRAKE  # bits of the statusword that are looked at
 
 
-@cache
-def _eds() -> Any:
-    """The object dictionary of cia402.eds; types only, so any node will do."""
-    return canopen.import_od(str(cia301.EDS), 1)
+def node_ids(bus: BusConfig, n_axes: int) -> list[int]:
+    """Node numbers of the axes. Raises LayoutError where the rig's are not one per axis, each different, up to 126."""
+    nodes = bus.cia402.nodes if bus.cia402 and bus.cia402.nodes else [bus.node_id + axis for axis in range(n_axes)]
+    if len(nodes) != n_axes or len(set(nodes)) != n_axes or max(nodes) >= MASTER_ID:
+        raise LayoutError(f"bus.cia402.nodes = {nodes}: {n_axes} different numbers from 1 to 126 are needed")
+    return nodes
 
 
-def _code(index: int) -> str:
-    data_type = int(_eds()[index].data_type or 0)
-    return cia301.BASIC_TYPES[data_type]
-
-
-def _size(index: int, subindex: int) -> int:
-    item = _eds()[index]
-    variable: Any = item if isinstance(item, canopen.objectdictionary.ODVariable) else item[subindex]
-    return Struct("<" + cia301.BASIC_TYPES[variable.data_type]).size
-
-
-def _write(index: int, subindex: int, value: int) -> Step:
-    return Step(index, subindex, value, _size(index, subindex))
-
-
-def _pdo_steps(communication: int, mapping: int, can_id: int, kind: int, entries: Sequence[int]) -> list[Step]:
-    """CiA 301, 7.5.2.38: invalidate the PDO, map it, make it valid."""
-    return [
-        _write(communication, 1, can_id | cia301.PDO_INVALID),
-        _write(communication, 2, kind),
-        _write(mapping, 0, 0),
-        *(_write(mapping, place, entry) for place, entry in enumerate(entries, 1)),
-        _write(mapping, 0, len(entries)),
-        _write(communication, 1, can_id),
-    ]
-
-
-def _shared_entries(index: int, dummy: int, place: int, n_axes: int) -> list[int]:
-    """Mapping of an RPDO that n_axes nodes share: the node's own object at its place, dummies elsewhere."""
-    return [mapping_entry(index if at == place else dummy, 0, 16) for at in range(n_axes)]
-
-
-def rated_torque(rated_force: float) -> tuple[int, int]:
-    """Values of 6076h (mN or mN m) and 6072h (thousandths of it) for a rated force in N or N m."""
-    unit = max(1, math.ceil(rated_force * 1e6 / FULL_SCALE))
-    return unit, min(FULL_SCALE, math.floor(rated_force * 1e6 / unit))
-
-
-def configuration(bus: BusConfig, axis: int, n_axes: int, rated_force: float, period_ns: int) -> list[Step]:
-    """Everything the master asks of one node and tells it, before it starts it."""
-    node = bus.node_id + axis
-    unit, limit = rated_torque(rated_force)
+def plan_rig(bus: BusConfig, rated_force: Sequence[float], base_dir: Path, period_ns: int) -> list[DrivePlan]:
+    """How the drives of a rig are configured, by its EDS files, in axis order. Raises LayoutError where one cannot be
+    used, naming the objects that decide it.
+    """
+    settings = bus.cia402 or OWN_DRIVE
+    nodes = node_ids(bus, len(rated_force))
+    for key, values in (("eds", settings.eds), ("rated_torque", settings.rated_torque)):
+        allowed = (1, len(nodes)) if key == "eds" else (0, len(nodes))
+        if len(values) not in allowed:
+            raise LayoutError(f"bus.cia402.{key} has {len(values)} entries for {len(nodes)} axes")
+    files = settings.eds * len(nodes) if len(settings.eds) == 1 else settings.eds
+    drives = [_read(base_dir / file, node) for file, node in zip(files, nodes, strict=True)]
     master_ms = max(DRIVE_HEARTBEAT_MS, 5 * HEARTBEAT_TICKS * period_ns // 1_000_000)
-    torque = _shared_entries(cia301.TORQUE, DUMMY_INT16, axis, n_axes)
-    controlword = _shared_entries(cia301.CONTROLWORD, DUMMY_UINT16, axis, n_axes)
-    feedback = [mapping_entry(index, 0, 8 * Struct("<" + _code(index)).size) for index in TPDO_OBJECTS]
-    return [
-        Step(0x1000, 0, cia301.DEVICE_PROFILE, mask=0xFFFF),
-        Step(0x6502, 0, cia301.TORQUE_MODE_BIT, mask=cia301.TORQUE_MODE_BIT),
-        _write(0x1006, 0, 0),  # 1019h may only be written while it is zero
-        _write(0x1019, 0, cia301.SYNC_COUNTER_MAX),
-        _write(0x1014, 0, EMCY_ID + node),
-        _write(0x1016, 1, MASTER_ID << 16 | min(master_ms, 0xFFFF)),
-        _write(0x1017, 0, DRIVE_HEARTBEAT_MS),
-        *_pdo_steps(0x1400, 0x1600, cia301.RPDO1_ID + bus.node_id, 1, torque),
-        *_pdo_steps(0x1401, 0x1601, cia301.RPDO2_ID + bus.node_id, 255, controlword),
-        *_pdo_steps(0x1402, 0x1602, cia301.RPDO3_ID + bus.node_id, 1, controlword),
-        *_pdo_steps(0x1800, 0x1A00, cia301.TPDO1_ID + node, 1, feedback),
-        _write(cia301.MODE, 0, cia301.TORQUE_MODE),
-        _write(cia301.TORQUE_RATED, 0, unit),
-        _write(cia301.TORQUE_MAX, 0, limit),
-        _write(0x1006, 0, period_ns // 1000),
+    axes = [
+        Axis(number, len(nodes), node, nodes[0], force, period_ns, master_ms)
+        for number, (node, force) in enumerate(zip(nodes, rated_force, strict=True))
     ]
+    plans = plan_drives(drives, axes, settings)
+    problems = [
+        f"bus.cia402: axis {axis} ({plan.name}): {reason.object} {reason.text}"
+        for axis, plan in enumerate(plans)
+        for reason in plan.reasons
+    ]
+    for axis, drive in enumerate(drives):
+        if drive.bitrates.get(bus.bitrate // 1000) is False:
+            problems.append(f"bus.cia402: axis {axis} ({drive.name}): its EDS rules out {bus.bitrate} bit/s")
+    if problems:
+        raise LayoutError("; ".join(problems))
+    return plans
+
+
+def _read(path: Path, node: int) -> Eds:
+    try:
+        return read_eds(path, node)
+    except EdsError as error:
+        raise LayoutError(f"bus.cia402.eds: {error}") from None
+    except OSError as error:
+        raise LayoutError(f"bus.cia402.eds: {path}: {error.strerror or error}") from None
 
 
 class Cia402Host:
@@ -123,7 +94,14 @@ class Cia402Host:
     fd = False
     echo_id: int | None = cia301.SYNC_ID
 
-    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], period_ns: int = 1_000_000) -> None:
+    def __init__(
+        self,
+        bus: BusConfig,
+        n_axes: int,
+        rated_force: Sequence[float],
+        period_ns: int = 1_000_000,
+        base_dir: Path = Path(),
+    ) -> None:
         if not 1 <= n_axes <= MAX_AXES:
             raise LayoutError(f"{n_axes} axes: a shared RPDO carries 1 to {MAX_AXES}")
         if len(rated_force) != n_axes or not all(0 < force < 1e5 for force in rated_force):
@@ -131,35 +109,41 @@ class Cia402Host:
         self.n_axes = n_axes
         self._bus = bus
         self._rated = list(rated_force)
-        units = [rated_torque(force) for force in rated_force]
-        self._gains = [1e6 / unit for unit, _ in units]
-        self._limits = [limit for _, limit in units]
-        self._rpdo = Struct("<" + _code(cia301.TORQUE) * n_axes)
-        self._tpdo = Struct("<" + "".join(map(_code, TPDO_OBJECTS)))
+        self.plans = plan_rig(bus, rated_force, base_dir, period_ns)
+        autostart = (bus.cia402 or OWN_DRIVE).start == "autostart"
+        nodes = node_ids(bus, n_axes)
         self.nodes = [
-            NodeMaster(bus.node_id + axis, configuration(bus, axis, n_axes, force, period_ns))
-            for axis, force in enumerate(rated_force)
+            NodeMaster(node, plan.steps, autostart=autostart) for node, plan in zip(nodes, self.plans, strict=True)
         ]
-        self.master = Master(self.nodes, cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id)
+        self._shared = self.plans[0].shared
+        first = nodes[0]
+        word_ids = (cia301.RPDO2_ID + first, cia301.RPDO3_ID + first) if self._shared else None
+        self.master = Master(self.nodes, word_ids, reset=not autostart)
+        self._gains = [1e6 / plan.unit if plan.unit else 0.0 for plan in self.plans]  # 0: 6076h is not read yet
+        self._limits = [plan.limit for plan in self.plans]
         self._tick = 0
-        self._rpdo_id = cia301.RPDO1_ID + bus.node_id
-        self._syncs = [Frame(cia301.SYNC_ID, bytes((count,))) for count in range(1, cia301.SYNC_COUNTER_MAX + 1)]
+        counts = range(1, cia301.SYNC_COUNTER_MAX + 1)
+        self._syncs = [Frame(cia301.SYNC_ID, bytes((count,)) if self.plans[0].counter else b"") for count in counts]
+        self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
+        self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
+        self._tpdo = Struct("<iH")
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
-        self._axis = {cia301.TPDO1_ID + node.node_id: axis for axis, node in enumerate(self.nodes)}
+        self._axis = {cia301.TPDO1_ID + node: axis for axis, node in enumerate(nodes)}
         self._services = self._find_services()
-        self._own = {cia301.NMT_ID, cia301.SYNC_ID, self._rpdo_id}
-        self._own |= {cia301.RPDO2_ID + bus.node_id, cia301.RPDO3_ID + bus.node_id}
-        self._own |= {cia301.SDO_REQUEST_ID + node.node_id for node in self.nodes}
+        self._own = {cia301.NMT_ID, cia301.SYNC_ID, *self._rpdo_ids, *(word_ids or ())}
+        self._own |= {cia301.SDO_REQUEST_ID + node for node in nodes}
         self._own.add(cia301.HEARTBEAT_ID + MASTER_ID)
 
     def _find_services(self) -> dict[int, tuple[int, NodeMaster]]:
         """Identifiers of what nodes send besides TPDOs: length and sender."""
-        return {
-            code + node.node_id: (length, node)
-            for node in self.nodes
-            for code, length in ((cia301.HEARTBEAT_ID, 1), (cia301.SDO_RESPONSE_ID, 8), (EMCY_ID, 8))
-        }
+        found = {}
+        for node, plan in zip(self.nodes, self.plans, strict=True):
+            found[cia301.HEARTBEAT_ID + node.node_id] = 1, node
+            found[cia301.SDO_RESPONSE_ID + node.node_id] = 8, node
+            if plan.emcy_id:
+                found[plan.emcy_id] = 8, node
+        return found
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a TPDO; its stamp is an estimate (sampling_clock.py), its sequence -1."""
@@ -200,15 +184,28 @@ class Cia402Host:
         self.master.stir()
         kind = can_id - node.node_id
         if kind == cia301.SDO_RESPONSE_ID:
-            return Reject.SERVICE if node.on_sdo(data) else Reject.INVALID_VALUE
-        if kind == EMCY_ID:
-            node.on_emergency(data[0] | data[1] << 8)
-        else:
+            if node.on_sdo(data):  # else it answers another client: service traffic like ours
+                self._note_unit(self.nodes.index(node))
+        elif kind == cia301.HEARTBEAT_ID:
             node.on_heartbeat(data[0] & 0x7F)
+        else:
+            node.on_emergency(data[0] | data[1] << 8)
         return Reject.SERVICE
 
+    def _note_unit(self, axis: int) -> None:
+        """The unit of 6071h, where it has just been read from the drive."""
+        node = self.nodes[axis]
+        unit = node.values.pop((cia301.TORQUE_RATED, 0), None)
+        if unit is None:
+            return
+        limit = round(self._rated[axis] * 1e6 / unit) if unit else 0
+        if not 0 < limit <= FULL_SCALE:
+            node.refuse(f"6076h:00 = {unit} mN m, with which 6071h cannot say the rated force {self._rated[axis]:g}")
+        else:
+            self._gains[axis], self._limits[axis] = 1e6 / unit, limit
+
     def encode(self, command: Command) -> list[Frame]:
-        """RPDO, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
+        """RPDOs, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
         _, force, enable, reset = command
         check_force(force, self._rated)
         self._tick += 1
@@ -218,8 +215,16 @@ class Cia402Host:
             value = round(force[axis] * gain) if enable >> axis & 1 else 0
             limit = self._limits[axis]
             raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
-        cyclic = [Frame(self._rpdo_id, self._rpdo.pack(*raw)), self._syncs[self._tick % cia301.SYNC_COUNTER_MAX]]
         service = self.master.service(self._tick, enable, reset)
+        if self._shared:
+            cyclic = [Frame(self._rpdo_ids[0], self._rpdo.pack(*raw))]
+        else:
+            words = self.master.words(self._tick, enable)
+            cyclic = [
+                Frame(can_id, self._rpdo.pack(word, torque))
+                for can_id, word, torque in zip(self._rpdo_ids, words, raw, strict=True)
+            ]
+        cyclic.append(self._syncs[self._tick % cia301.SYNC_COUNTER_MAX])
         return cyclic if service is None else [*cyclic, service]
 
     @property
@@ -229,7 +234,7 @@ class Cia402Host:
 
     def messages(self, period_ns: int) -> list[Message]:
         """The cyclic frames and the service traffic."""
-        return cia402_messages(self._bus.node_id, self.n_axes, period_ns)
+        return cia402_messages([node.node_id for node in self.nodes], self.plans, period_ns)
 
 
 def _interpret(word: int) -> tuple[DriveState, int] | None:
@@ -248,36 +253,41 @@ def _interpret(word: int) -> tuple[DriveState, int] | None:
     return state, int(status)
 
 
-def cia402_messages(node_id: int, n_axes: int, period_ns: int) -> list[Message]:
-    """Traffic of the shared-RPDO layout for the schedulability analysis."""
+def cia402_messages(nodes: Sequence[int], plans: Sequence[DrivePlan], period_ns: int) -> list[Message]:
+    """Traffic of CiA 402 drives for the schedulability analysis, as it results from their plans."""
+
+    def cyclic(name: str, can_id: int, length: int, sender: str = "host", after: str | None = None) -> Message:
+        return Message(name, can_id, length, False, period_ns, period_ns, 0, sender, after)
+
+    if plans[0].shared:
+        commands = [cyclic("torques", cia301.RPDO1_ID + nodes[0], 2 * len(nodes))]
+    else:
+        commands = [cyclic(f"command {axis}", cia301.RPDO1_ID + node, 4) for axis, node in enumerate(nodes)]
     return [
-        Message("torques", cia301.RPDO1_ID + node_id, 2 * n_axes, False, period_ns, period_ns, 0, "host"),
-        Message("sync", cia301.SYNC_ID, 1, False, period_ns, period_ns, 0, "host"),
-        *(
-            Message(
-                f"feedback {a}", cia301.TPDO1_ID + node_id + a, 6, False, period_ns, period_ns, 0, f"axis {a}", "sync"
-            )
-            for a in range(n_axes)
-        ),
-        *service_messages(node_id, n_axes, period_ns),
+        *commands,
+        cyclic("sync", cia301.SYNC_ID, int(plans[0].counter)),
+        *(cyclic(f"feedback {a}", cia301.TPDO1_ID + node, 6, f"axis {a}", "sync") for a, node in enumerate(nodes)),
+        *service_messages(nodes, [plan.emcy_id for plan in plans], period_ns),
     ]
 
 
-def service_messages(node_id: int, n_axes: int, period_ns: int) -> list[Message]:
+def service_messages(nodes: Sequence[int], emcy_ids: Sequence[int], period_ns: int) -> list[Message]:
     """What the master may send at most (an SDO request, or in its place a controlword or heartbeat) and its answer; the
     drives' heartbeats, and emergencies at the rate of heartbeats."""
-    last = node_id + n_axes - 1
+    last = max(nodes)
     service_ns = SERVICE_TICKS * period_ns
     slow = DRIVE_HEARTBEAT_MS * 1_000_000
-    nodes = [(axis, node_id + axis) for axis in range(n_axes)]
+    sender = f"axis {nodes.index(last)}"
     return [
         Message("service", cia301.SDO_REQUEST_ID + last, 8, False, service_ns, service_ns, 0, "host"),
-        Message(
-            "answer", cia301.SDO_RESPONSE_ID + last, 8, False, service_ns, slow, 0, f"axis {n_axes - 1}", "service"
+        Message("answer", cia301.SDO_RESPONSE_ID + last, 8, False, service_ns, slow, 0, sender, "service"),
+        *(
+            Message(f"emergency {a}", can_id, 8, False, slow, slow, 0, f"axis {a}")
+            for a, can_id in enumerate(emcy_ids)
+            if can_id
         ),
-        *(Message(f"emergency {a}", EMCY_ID + node, 8, False, slow, slow, 0, f"axis {a}") for a, node in nodes),
         *(
             Message(f"heartbeat {a}", cia301.HEARTBEAT_ID + node, 1, False, slow, slow, 0, f"axis {a}")
-            for a, node in nodes
+            for a, node in enumerate(nodes)
         ),
     ]

@@ -4,14 +4,15 @@ For monitors and tests. The drives themselves are CANopen nodes (sim_plant/drive
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from struct import Struct
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.protocols.base import Command, DriveStatus, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Reject, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState
-from drivers.protocols.canopen.host import rated_torque
+from drivers.protocols.canopen.host import node_ids, plan_rig
 from drivers.protocols.canopen.master import SERVICE_TICKS
 from drivers.protocols.stage_common import reject_id
 
@@ -31,39 +32,54 @@ class Cia402Listener:
     enable_lag = SERVICE_TICKS
     fd = False
 
-    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
+    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path = Path()) -> None:
         self.n_axes = n_axes
-        self._first = bus.node_id
-        self._units = [rated_torque(force) for force in rated_force]
-        halves = [0.5e-6 * unit / force for (unit, _), force in zip(self._units, rated_force, strict=True)]
+        nodes = node_ids(bus, n_axes)
+        plans = plan_rig(bus, rated_force, base_dir, period_ns=0)
+        self._units, self._limits = [], []
+        for axis, plan in enumerate(plans):
+            if plan.unit is None:
+                raise LayoutError(f"bus.cia402.rated_torque: axis {axis}'s is needed to read its torques off the bus")
+            self._units.append(plan.unit)
+            self._limits.append(plan.limit)
+        halves = [0.5e-6 * unit / force for unit, force in zip(self._units, rated_force, strict=True)]
         self.force_resolution = max(halves)
-        self._words = Struct(f"<{n_axes}H")
-        self._torques = Struct(f"<{n_axes}h")
+        self._shared = plans[0].shared
+        first = nodes[0]
+        self._torque_ids = [cia301.RPDO1_ID + node for node in (nodes[:1] if self._shared else nodes)]
+        self._word_ids = [cia301.RPDO2_ID + first, cia301.RPDO3_ID + first] if self._shared else []
+        self._layouts = {can_id: Struct(f"<{n_axes}h" if self._shared else "<Hh") for can_id in self._torque_ids}
+        self._layouts |= {can_id: Struct(f"<{n_axes}H") for can_id in self._word_ids}
         self._feedback = Struct("<iH")
+        self._feedback_ids = [cia301.TPDO1_ID + node for node in nodes]
         self._controlwords = [0] * n_axes
-        requests = {cia301.SDO_REQUEST_ID + bus.node_id + axis for axis in range(n_axes)}
-        self._services = requests | {cia301.NMT_ID, cia301.SYNC_ID}
+        self._torques = [0] * n_axes
+        self._services = {cia301.SDO_REQUEST_ID + node for node in nodes} | {cia301.NMT_ID, cia301.SYNC_ID}
 
     def decode_command(self, frame: Frame) -> Command | Reject:
-        """The command in the shared target torques; SERVICE for all else that the host says."""
+        """The command that the last frame with torques completes; SERVICE for all else that the host says."""
         can_id, data, flags, _ = frame
-        torques = cia301.RPDO1_ID + self._first
-        words = (cia301.RPDO2_ID + self._first, cia301.RPDO3_ID + self._first)
-        if can_id in self._services:
-            return Reject.SERVICE
-        if can_id != torques and can_id not in words:
-            return reject_id(can_id, (torques, *words), -1)
+        layout = self._layouts.get(can_id)
+        if layout is None:
+            return Reject.SERVICE if can_id in self._services else reject_id(can_id, self._layouts, -1)
         if flags & FD:
             return Reject.WRONG_FORMAT
-        if len(data) != self._torques.size:
+        if len(data) != layout.size:
             return Reject.WRONG_LENGTH
-        if can_id in words:
-            self._controlwords = list(self._words.unpack(data))
+        values = layout.unpack(data)
+        if can_id in self._word_ids:
+            self._controlwords = list(values)
             return Reject.SERVICE
-        raw = self._torques.unpack(data)
-        if any(abs(value) > limit for value, (_, limit) in zip(raw, self._units, strict=True)):
+        if self._shared:
+            self._torques = list(values)
+        else:
+            axis = self._torque_ids.index(can_id)
+            self._controlwords[axis], self._torques[axis] = values
+            if can_id != self._torque_ids[-1]:
+                return Reject.SERVICE
+        if any(abs(value) > limit for value, limit in zip(self._torques, self._limits, strict=True)):
             return Reject.INVALID_VALUE
-        force = [value * unit * 1e-6 for value, (unit, _) in zip(raw, self._units, strict=True)]
+        force = [value * unit * 1e-6 for value, unit in zip(self._torques, self._units, strict=True)]
         enabled = [word & cia301.ENABLE_OPERATION == cia301.ENABLE_OPERATION for word in self._controlwords]
         reset = any(word & cia301.FAULT_RESET for word in self._controlwords)
         return Command(0, force, sum(1 << axis for axis, bit in enumerate(enabled) if bit), reset)
@@ -81,4 +97,4 @@ class Cia402Listener:
         word |= cia301.HOMED if status & DriveStatus.HOMED else 0
         word |= cia301.BRAKE if status & DriveStatus.BRAKE else 0
         position = (sample.position + _HALF) % _WRAP - _HALF
-        return Frame(cia301.TPDO1_ID + self._first + sample.axis, self._feedback.pack(position, word))
+        return Frame(self._feedback_ids[sample.axis], self._feedback.pack(position, word))

@@ -1,8 +1,10 @@
 """The CANopen master of a rig: at most one service frame in two ticks brings the drives to operation and back.
 
-Order of precedence: reset of communication at the start, controlwords that change, the master's heartbeat,
+Rules. Order of precedence: reset of communication at the start, controlwords that change, the master's heartbeat,
 then the nodes in turn. One frame carries the controlwords of all drives: they are enabled and disabled together.
 Where it takes the enable bit of a drive that is enabled, it waits for no turn: the host may send nothing after it.
+Where each drive has an RPDO of its own, its controlword travels there, in every tick (`words`), and the service frames
+are the rest of the list.
 """
 
 from collections.abc import Sequence
@@ -11,8 +13,8 @@ from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState, NmtCommand, NmtState
 from drivers.protocols.canopen.node import NodeMaster, Phase
+from drivers.protocols.canopen.profile import MASTER_ID
 
-MASTER_ID = 127
 SERVICE_TICKS = 2  # at least, between service frames but an urgent one, which has no answer: schedulability's figure
 HEARTBEAT_TICKS = 20
 RESEND_TICKS = 20  # a controlword whose effect is not seen after so long was lost
@@ -32,13 +34,16 @@ _GOALS = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
 
 
 class Master:
-    """All nodes of a rig, in axis order. at_once, at_sync: identifiers of the two controlword frames. heartbeat_tick:
-    when its own heartbeat is due.
-    """
+    """All nodes of a rig, in axis order. heartbeat_tick: when its own heartbeat is due."""
 
-    def __init__(self, nodes: Sequence[NodeMaster], at_once: int, at_sync: int) -> None:
+    def __init__(self, nodes: Sequence[NodeMaster], word_ids: tuple[int, int] | None, *, reset: bool = True) -> None:
+        """word_ids: of the controlword frames that act at once and at SYNC; None: `words` are sent otherwise.
+
+        reset: begin by resetting communication on the whole bus.
+        """
         self.nodes = list(nodes)
-        self._at_once, self._at_sync = at_once, at_sync
+        self._word_ids = word_ids
+        self._reset_bus = reset
         n = len(self.nodes)
         self._words = [-1] * n
         self._armed = [False] * n
@@ -57,6 +62,8 @@ class Master:
         """The service frame of this tick, or None. enable, reset: as in `Command`."""
         if self._started_tick < 0:
             self._started_tick = self._sent_tick = tick
+            if not self._reset_bus:
+                return None
             return Frame(cia301.NMT_ID, bytes((NmtCommand.RESET_COMMUNICATION, 0)))
         heartbeat_due = tick >= self.heartbeat_tick
         if self._quiet and enable == self._enable_before and reset == self._reset_before and not heartbeat_due:
@@ -99,6 +106,10 @@ class Master:
                 return frame
         return None
 
+    def words(self, tick: int, enable: int) -> list[int]:
+        """The controlword of each drive in this tick; after `service`."""
+        return [self._controlword(tick, axis, node, bool(enable >> axis & 1)) for axis, node in enumerate(self.nodes)]
+
     def _controlwords(self, tick: int, enable: int) -> Frame | None:
         """The controlwords of all drives, where one has to change or had no effect."""
         words, waiting, running = [], tick - self._reset_tick <= RESET_TICKS, 0
@@ -110,14 +121,14 @@ class Master:
                 goal = _GOALS[wanted and self._armed[axis]]
                 waiting = waiting or node.state not in (goal, DriveState.FAULT)
         self._quiet = words == self._words and not waiting and running == len(self.nodes)
-        if not running:
+        if not running or self._word_ids is None:
             self._words = words
             return None
         disables = self._disables(words)
         patience = REPEAT_TICKS if disables else RESEND_TICKS
         if words == self._words and not (waiting and tick - self._words_tick >= patience):
             return None
-        can_id = self._at_once if disables else self._at_sync
+        can_id = self._word_ids[0 if disables else 1]
         self._words, self._words_tick = words, tick
         return Frame(can_id, b"".join(word.to_bytes(2, "little") for word in words))
 

@@ -1,34 +1,27 @@
 """The CANopen master's side of one drive: finds it, configures it over SDO, starts it, follows its states.
 
+Rules. Steps are made in order, one SDO transfer at a time; one that is required and fails refuses the drive, with a
+reason for people, and after a while it is tried again from the start. A boot-up message starts over at any time, so a
+drive may boot late, or twice. A drive that was lost (neither heartbeat nor TPDO) is configured anew.
+
 Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clock.
 """
 
 from collections.abc import Sequence
 from enum import Enum, auto
-from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
+from drivers.protocols.canopen.eds import object_name
+from drivers.protocols.canopen.sdo import Progress, Step, Transfer
 
 SDO_TIMEOUT_TICKS = 100
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
 LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
 
 _WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
-_UPLOAD, _DOWNLOAD = 0x40, 0x23
-_UPLOAD_ANSWER, _DOWNLOAD_ANSWER, _ABORT = 0x43, 0x60, 0x80
-
-
-class Step(NamedTuple):
-    """One SDO access. size: bytes of `value` to write; or 0: read, and check that the answer & mask is `value`."""
-
-    object_index: int
-    subindex: int
-    value: int
-    size: int = 0
-    mask: int = 0
 
 
 class Phase(Enum):
@@ -44,13 +37,18 @@ class NodeMaster:
     """One drive as the master sees it.
 
     phase: progress. state: of its power state machine, None before the first TPDO. alarms: DriveStatus bits its
-    emergency messages stand for. problem: why it was refused, for people.
+    emergency messages stand for. problem: why it was refused, for people. notes: optional steps that failed. values:
+    what was read from it, by index and sub-index.
     """
 
-    def __init__(self, node_id: int, steps: Sequence[Step]) -> None:
+    def __init__(self, node_id: int, steps: Sequence[Step], *, autostart: bool = False) -> None:
+        """autostart: it goes to operational by itself and is not started by NMT."""
         self.node_id = node_id
         self._steps = tuple(steps)
+        self._autostart = autostart
         self.problem = ""
+        self.notes: list[str] = []
+        self.values: dict[tuple[int, int], int] = {}
         self._tick = 0
         self._heard_tick = 0
         self.restart()
@@ -60,7 +58,9 @@ class NodeMaster:
         self.phase = Phase.CONFIGURE
         self.state: DriveState | None = None
         self.alarms = 0
+        self.notes.clear()
         self._step = 0
+        self._transfer = Transfer(self._steps[0])
         self._asked_tick = -1  # of the request not answered yet
         self._since_tick = self._tick  # of the current phase
 
@@ -94,37 +94,43 @@ class NodeMaster:
 
     def on_sdo(self, data: bytes) -> bool:
         """An SDO answer of 8 bytes; False where it is not one to the request that is open."""
-        command, index, subindex, payload = cia301.SDO.unpack(data)
         if self._asked_tick < 0 or self.phase is not Phase.CONFIGURE:
             return False
-        step = self._steps[self._step]
-        if (index, subindex) != (step.object_index, step.subindex):
+        transfer = self._transfer
+        progress = transfer.answer(data)
+        if progress is Progress.FOREIGN:
             return False
-        if command == _ABORT:
-            self._refuse(f"{index:04X}h:{subindex:02X} aborted with {int.from_bytes(payload, 'little'):#010x}")
-        elif step.size:
-            if command != _DOWNLOAD_ANSWER:
-                return False
+        self._asked_tick = -1
+        step = transfer.step
+        name = object_name(step.object_index, step.subindex)
+        if progress is Progress.ABORTED and not step.required:
+            self.notes.append(f"{name} aborted with {describe_abort(transfer.code)}")
             self._next()
-        else:
-            if command & 0xF3 != _UPLOAD_ANSWER:
-                return False
-            self._check(step, int.from_bytes(payload[: 4 - (command >> 2 & 3)], "little"))
+        elif progress is Progress.ABORTED:
+            self.refuse(f"{name} aborted with {describe_abort(transfer.code)}")
+        elif progress is Progress.DONE and not step.size:
+            self._check(step, transfer.value)
+        elif progress is Progress.DONE:
+            self._next()
         return True
 
     def _check(self, step: Step, value: int) -> None:
+        self.values[step.object_index, step.subindex] = value
         if value & step.mask == step.value:
             self._next()
         else:
-            self._refuse(f"{step.object_index:04X}h = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
+            self.refuse(f"{step.object_index:04X}h = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
 
     def _next(self) -> None:
-        self._asked_tick = -1
         self._step += 1
         if self._step == len(self._steps):
+            self.problem = ""
             self._enter(Phase.START)
+        else:
+            self._transfer = Transfer(self._steps[self._step])
 
-    def _refuse(self, reason: str) -> None:
+    def refuse(self, reason: str) -> None:
+        """It cannot be used as it is; it is asked again after a while, or once it boots."""
         self.problem = f"node {self.node_id}: {reason}"
         self._enter(Phase.REFUSED)
 
@@ -150,8 +156,8 @@ class NodeMaster:
             return self._await(tick)
         self._asked_tick = tick
         if self.phase is Phase.START:
-            return Frame(cia301.NMT_ID, bytes((NmtCommand.START, self.node_id)))
-        return self._request(self._steps[self._step])
+            return None if self._autostart else Frame(cia301.NMT_ID, bytes((NmtCommand.START, self.node_id)))
+        return self._frame(self._transfer.request())
 
     def _await(self, tick: int) -> Frame | None:
         if tick - self._asked_tick <= SDO_TIMEOUT_TICKS:
@@ -160,16 +166,14 @@ class NodeMaster:
         if self.phase is Phase.START:
             self.restart()  # it was started and sends no TPDO: perhaps it lost its configuration
             return None
-        step = self._steps[self._step]
-        code = Abort.TIMEOUT.to_bytes(4, "little")
-        return self._frame(cia301.SDO.pack(_ABORT, step.object_index, step.subindex, code))
-
-    def _request(self, step: Step) -> Frame:
-        if not step.size:
-            return self._frame(cia301.SDO.pack(_UPLOAD, step.object_index, step.subindex, bytes(4)))
-        command = _DOWNLOAD | (4 - step.size) << 2
-        value = step.value.to_bytes(4, "little")
-        return self._frame(cia301.SDO.pack(command, step.object_index, step.subindex, value))
+        overdue, self._transfer = self._transfer, Transfer(self._transfer.step)
+        return self._frame(overdue.abort(Abort.TIMEOUT))
 
     def _frame(self, data: bytes) -> Frame:
         return Frame(cia301.SDO_REQUEST_ID + self.node_id, data)
+
+
+def describe_abort(code: int) -> str:
+    """An SDO abort code in figures and, where it is one of CiA 301's, in words."""
+    words = next((abort.name.lower().replace("_", " ") for abort in Abort if abort == code), "")
+    return f"{code:#010x}" + (f" ({words})" if words else "")

@@ -5,9 +5,10 @@ from dataclasses import replace
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, Emergency, NmtCommand, NmtState
-from drivers.protocols.canopen.host import DRIVE_HEARTBEAT_MS, EMCY_ID, Cia402Host
-from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS
+from drivers.protocols.canopen.host import Cia402Host
+from drivers.protocols.canopen.master import HEARTBEAT_TICKS, REPEAT_TICKS
 from drivers.protocols.canopen.node import Phase
+from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, EMCY_ID, MASTER_ID
 from drivers.wire.faults import FaultKind, WireFault
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.tick import CommandKind

@@ -186,14 +186,15 @@ class _Plants:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
             self._stages.append(Stage(truth, np.full(truth.shape, of._initial)))
         self._arrival = of.schedule.arrival
-        self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)
+        self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true
+        self.shown: Array = self.position.copy()  # by the encoders
 
     def advance(self, tick: int, force: Array) -> None:
         """From the arrival of command tick - 1 to that of command tick, under `force` (N)."""
         for group, stage in zip(self._groups, self._stages, strict=True):
             duration = int(self._arrival[tick, group[0]] - self._arrival[tick - 1, group[0]])
             stage.advance(duration, force[:, group])
-            self.position[:, group] = stage.position
+            self.position[:, group], self.shown[:, group] = stage.position, stage.read()
 
 
 class _Run:
@@ -266,7 +267,7 @@ class _Run:
 
     def _estimate(self) -> None:
         of, motion, inputs = self._of, self._filter, self._inputs
-        measured = np.rint(self._stage.position / of._resolution) * of._nominal_resolution
+        measured = np.rint(self._stage.shown / of._resolution) * of._nominal_resolution
         motion.correct(self._net[1], inputs.sample_interval, measured, inputs.fresh)
         self._measured = np.where(inputs.fresh != 0.0, measured, motion.position)
         motion.look_ahead(self._net[0], inputs.ahead)

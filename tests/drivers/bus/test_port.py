@@ -196,9 +196,21 @@ def test_setting_the_wall_clock_cannot_move_a_stamp_out_of_its_interval(
 
 def test_a_flood_keeps_the_newest_frames_and_counts_the_rest(port: Port, cable: Cable) -> None:
     flood = [Frame(0x200, struct.pack("<I", number)) for number in range(3 * SLOTS + 5)]
+    drain(port)
     cable.arrive(*flood)
     assert bare(drain(port)) == flood[-32:]
     assert port.counters() == PortCounters(received=len(flood), discarded=len(flood) - 32)
+
+
+def test_what_has_gathered_before_the_first_drain_is_no_flood(port: Port, cable: Cable) -> None:
+    waiting = [Frame(0x200, struct.pack("<I", number)) for number in range(3 * SLOTS + 5)]
+    cable.arrive(*waiting, Frame(ERROR | 0x004, bytes.fromhex("0001000000070000")))
+    assert bare(drain(port)) == waiting[-32:]
+    counters = port.counters()
+    assert (counters.received, counters.discarded, counters.overflow) == (len(waiting), 0, 0)
+    cable.arrive(*waiting)
+    assert bare(drain(port)) == waiting[-32:]
+    assert port.counters().discarded == len(waiting) - 32
 
 
 def test_a_sender_without_end_costs_a_drain_a_bounded_number_of_reads(
@@ -364,6 +376,7 @@ def test_frames_that_the_kernel_dropped_are_counted_from_its_own_count() -> None
 
 
 def test_the_kernels_drop_count_may_wrap(port: Port) -> None:
+    drain(port)
     port._dropped = 0xFFFFFFFE
     port._note_dropped(3)
     assert port.counters().overflow == 5

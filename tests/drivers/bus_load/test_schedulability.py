@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 
 from drivers.bus_load.response_time import ErrorModel
 from drivers.bus_load.schedulability import Analysis, analyse, faults_tolerated
+from drivers.config import BusConfig
 from drivers.protocols.base import Message
-from drivers.protocols.canopen.host import cia402_messages, service_messages
+from drivers.protocols.canopen.host import Cia402Host, service_messages
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.rig.bus_load import refuse_unschedulable
@@ -35,6 +36,7 @@ STAGE_FD = tick([("command", 0x080, 24)], (0x100, 16), fd=True)
 STAGE_CLASSIC = tick([("command", 0x080, 8)], (0x100, 8))
 CIA402 = tick([("torques", 0x201, 8), ("sync", 0x080, 1)], (0x181, 6))
 SEPARATE = tick([*((f"torque{i}", 0x201 + i, 4) for i in range(4)), ("sync", 0x080, 1)], (0x181, 8))
+CIA402_RIG = Cia402Host(BusConfig(protocol="cia402"), 4, [1.0] * 4).messages(MS)
 SERVICE = [
     Message("sdo request", 0x604, 8, False, 10 * MS, 100 * MS, 0, "host"),
     Message("sdo answer", 0x584, 8, False, 10 * MS, 100 * MS, 0, "drive3"),
@@ -84,18 +86,15 @@ def test_separate_rpdos_do_not_fit_once_sdo_and_heartbeats_are_in() -> None:
 
 
 def test_the_cia402_protocol_says_of_its_traffic_what_fits() -> None:
-    services = service_messages(1, 4, MS)
+    services = service_messages(range(1, 5), range(0x681, 0x685), MS)
     assert any(message.sender == "host" for message in services)
-    assert at_1_mbit(cia402_messages(1, 4, MS)).schedulable
+    assert at_1_mbit(CIA402_RIG).schedulable
     assert not at_1_mbit(SEPARATE + services).schedulable  # the usual layout, an RPDO for each drive
 
 
 def test_a_service_frame_that_spills_over_stands_before_the_next_tick_s_commands() -> None:
     # Emergencies more urgent than SDO: all four at once keep the request in the host's queue beyond the tick's end.
-    urgent = [
-        m._replace(can_id=0x480 + (m.can_id & 0x7F)) if m.name.startswith("emergency") else m
-        for m in cia402_messages(1, 4, MS)
-    ]
+    urgent = [m._replace(can_id=0x480 + (m.can_id & 0x7F)) if m.name.startswith("emergency") else m for m in CIA402_RIG]
     analysis = at_1_mbit(urgent)
     assert not analysis.schedulable
     assert analysis.tightest.frame.startswith("feedback")

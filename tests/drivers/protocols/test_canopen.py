@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -13,9 +14,10 @@ from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
-from drivers.protocols.canopen.host import EMCY_ID, FULL_SCALE, Cia402Host, rated_torque
-from drivers.protocols.canopen.master import HEARTBEAT_TICKS, MASTER_ID, REPEAT_TICKS, SERVICE_TICKS
+from drivers.protocols.canopen.host import Cia402Host
+from drivers.protocols.canopen.master import HEARTBEAT_TICKS, REPEAT_TICKS, SERVICE_TICKS
 from drivers.protocols.canopen.node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
+from drivers.protocols.canopen.profile import EMCY_ID, FULL_SCALE, MASTER_ID, rated_torque
 from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.power_states import TRANSITIONS
@@ -262,7 +264,7 @@ def test_a_drive_that_aborts_the_configuration_is_refused_with_the_code() -> Non
     entries[key_of(cia301.TORQUE_RATED)] = entries[key_of(cia301.TORQUE_RATED)]._replace(writable=False)
     bench.drives[0].dictionary.entries = entries  # type: ignore[assignment]
     bench.tick(500)
-    assert bench.host.problems == ["node 1: 6076h:00 aborted with 0x06010002"]
+    assert bench.host.problems == ["node 1: 6076h:00 aborted with 0x06010002 (read only)"]
 
 
 def test_the_samples_stamp_is_the_end_of_sync_whichever_drive_answers_first() -> None:
@@ -291,7 +293,7 @@ def test_the_rated_force_is_within_what_6071h_can_say_and_no_step_is_wasted(forc
 
 
 def test_a_listener_reads_the_same_torques_as_the_drives(bench: Bench) -> None:
-    listener = device_protocol(BusConfig(protocol="cia402"), 4, bench.rated, None)  # type: ignore[arg-type]
+    listener = device_protocol(BusConfig(protocol="cia402"), 4, bench.rated, Path())
     bench.enable, bench.force = ALL, [1.0, -2.0, 0.02, 0.5]
     heard = []
     for _ in range(4):

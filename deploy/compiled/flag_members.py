@@ -1,53 +1,42 @@
-"""Build pass: looks a member of an enum up once a module, instead of at every use.
+"""Build pass: makes the flags that compiled code combines with & and | plain ints.
 
-`State.ACTIVE` in compiled code is two look-ups by name, of the class among the module's globals and of the member in
-the class, and `status & DriveStatus.ENABLED` runs the operator of a flag, which is written in Python. The sources say
-so all the same. This pass rewrites the copies that are compiled: behind the imports (or the class, where it is the
-module's own) stands
+`status & DriveStatus.ENABLED` runs the operator of a flag, which is written in Python: 7600 instructions, and a tick
+does so four times (callgrind's count; docs/what-costs-what.md). The sources say so all the same. This pass rewrites the
+copies that are compiled: behind the imports (or the class, where it is the module's own) stands
 
-    _State_ACTIVE: Final = State.ACTIVE
     _DriveStatus_ENABLED: Final = int(DriveStatus.ENABLED)
 
-and inside functions these names. Rewritten are members of enums that are defined in, or imported by name from, the
-packages being built; not where a pattern is matched (`case State.ACTIVE`), where a name would match anything, and not
-where the function has a variable of that name.
+and inside functions that name. Rewritten are members of an IntFlag that is defined in, or imported by name from, the
+packages being built; not where a pattern is matched (`case DriveStatus.ENABLED`), where a name would match anything,
+and not where the function has a variable of that name. Members of an IntEnum need no such thing: mypyc reads those of
+a compiled enum without a look-up.
 """
 
 import ast
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+
+Known = dict[tuple[str, str], frozenset[str]]  # members, by module and class name
 
 
-class Members(NamedTuple):
-    """Of one enum. flags: they are combined with & and |, and compare with plain ints."""
-
-    names: frozenset[str]
-    flags: bool
-
-
-Known = dict[tuple[str, str], Members]  # by module and class name
-
-
-def find_enums(root: Path, packages: tuple[str, ...]) -> Known:
-    """Every IntEnum and IntFlag defined in the packages below `root`."""
+def find_flags(root: Path, packages: tuple[str, ...]) -> Known:
+    """Every IntFlag defined in the packages below `root`."""
     found = {}
     for package in packages:
         for path in sorted((root / package).rglob("*.py")):
             module = ".".join(path.relative_to(root).with_suffix("").parts)
             for node in ast.parse(path.read_text()).body:
                 bases = {ast.unparse(base) for base in node.bases} if isinstance(node, ast.ClassDef) else set()
-                if isinstance(node, ast.ClassDef) and bases & {"IntEnum", "IntFlag"}:
+                if isinstance(node, ast.ClassDef) and "IntFlag" in bases:
                     targets = [item.targets[0] for item in node.body if isinstance(item, ast.Assign)]
-                    names = frozenset(target.id for target in targets if isinstance(target, ast.Name))
-                    found[module, node.name] = Members(names, "IntFlag" in bases)
+                    found[module, node.name] = frozenset(item.id for item in targets if isinstance(item, ast.Name))
     return found
 
 
 def hoist(text: str, module: str, known: Known) -> str:
-    """The source of a module with its enums' members looked up once."""
+    """The source of a module with its flags as plain ints."""
     tree = ast.parse(text)
-    enums: dict[str, Members] = {}
+    flags: dict[str, frozenset[str]] = {}
     behind: dict[str, int] = {}  # line after which a class is there
     for node in tree.body:
         if isinstance(node, ast.ImportFrom):
@@ -58,18 +47,17 @@ def hoist(text: str, module: str, known: Known) -> str:
             continue
         for name, key in names:
             if key in known:
-                enums[name], behind[name] = known[key], node.end_lineno or 0
+                flags[name], behind[name] = known[key], node.end_lineno or 0
     lines = text.encode().splitlines(keepends=True)  # ast counts columns in bytes
-    uses = [use for function in _functions(tree) for use in _uses(function, enums)]
+    uses = [use for function in _functions(tree) for use in _uses(function, flags)]
     for use in sorted(uses, key=lambda use: (use.lineno, use.col_offset), reverse=True):
         line = lines[use.lineno - 1]
         lines[use.lineno - 1] = line[: use.col_offset] + _constant(use).encode() + line[use.end_col_offset :]
     definitions = {_constant(use): ast.unparse(use.value) for use in uses}
     members = {_constant(use): ast.unparse(use) for use in uses}
     for constant in sorted(definitions, key=lambda constant: behind[definitions[constant]], reverse=True):
-        name = definitions[constant]
-        value = f"int({members[constant]})" if enums[name].flags else members[constant]
-        lines.insert(behind[name], f"{constant}: _Final = {value}\n".encode())
+        definition = f"{constant}: _Final = int({members[constant]})\n"
+        lines.insert(behind[definitions[constant]], definition.encode())
     if uses:
         first = min(node.lineno for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))
         lines.insert(first - 1, b"from typing import Final as _Final\n")
@@ -89,7 +77,7 @@ def _functions(tree: ast.Module | ast.ClassDef) -> Iterator[ast.FunctionDef]:
             yield from _functions(node)
 
 
-def _uses(function: ast.FunctionDef, enums: dict[str, Members]) -> Iterator[ast.Attribute]:
+def _uses(function: ast.FunctionDef, flags: dict[str, frozenset[str]]) -> Iterator[ast.Attribute]:
     inside = list(ast.walk(function))
     own = {node.id for node in inside if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
     own |= {node.arg for node in inside if isinstance(node, ast.arg)}
@@ -99,7 +87,7 @@ def _uses(function: ast.FunctionDef, enums: dict[str, Members]) -> Iterator[ast.
         if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
             continue
         name = node.value.id
-        member = name in enums and name not in own and node.attr in enums[name].names
+        member = name in flags and name not in own and node.attr in flags[name]
         if member and id(node) not in patterns and id(node) not in outside:
             yield node
 

@@ -1,0 +1,102 @@
+"""`hil drives`: can this CiA 402 drive be used, how is it configured, and if not, which objects stand against it?"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from drivers.config import Cia402Config
+from drivers.protocols.canopen.eds import Eds, EdsError, object_name, read_eds
+from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
+from drivers.protocols.stage_common import MAX_AXES
+from hil.cli.exit_status import EXIT_FILE
+from hil.cli.output import writable, write_json
+
+_REFUSED = 1  # exit status
+
+
+def drives(
+    eds: Annotated[Path, typer.Option("--eds", help="EDS or DCF file of the drive", exists=True, dir_okay=False)],
+    axes: Annotated[int, typer.Option(min=1, max=MAX_AXES, help="so many of them on one bus")] = 1,
+    node: Annotated[int, typer.Option(min=1, max=MASTER_ID - MAX_AXES, help="node number of the first one")] = 1,
+    rated_torque: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e6, help="what 6076h stands for, N m (N); else it is read")
+    ] = None,
+    rate_hz: Annotated[float, typer.Option(min=1, max=10_000, help="ticks per second")] = 1000.0,
+    json_file: Annotated[
+        str | None, typer.Option("--json", help="write the answer here; - for standard output", callback=writable)
+    ] = None,
+) -> None:
+    """Say offline, from a drive's EDS or DCF file, whether and how it can be used. Exit status 1: it cannot."""
+    try:
+        files = [read_eds(eds, node + axis) for axis in range(axes)]
+    except EdsError as error:
+        typer.echo(f"hil: {error}", err=True)
+        raise typer.Exit(EXIT_FILE) from None
+    settings = Cia402Config(eds=[str(eds)], rated_torque=[rated_torque] * axes if rated_torque else [])
+    period_ns = round(1e9 / rate_hz)
+    places = [Axis(number, axes, node + number, node, None, period_ns, DRIVE_HEARTBEAT_MS) for number in range(axes)]
+    plan = plan_drives(files, places, settings)[0]
+    if json_file:
+        write_json(as_document(plan, files[0]), json_file)
+    if json_file != "-":
+        _show(plan, files[0])
+    if not plan.usable:
+        raise typer.Exit(_REFUSED)
+
+
+def as_document(plan: DrivePlan, eds: Eds) -> dict[str, Any]:
+    """A plan as `--json` writes it."""
+    return {
+        "drive": plan.name,
+        "usable": plan.usable,
+        "mode": plan.mode or "refused",
+        "offers": plan.offers,
+        "rpdo": "shared" if plan.shared else "own",
+        "sync_counter": plan.counter,
+        "emergency_id": plan.emcy_id or None,
+        "bitrates_kbit": sorted(rate for rate, can in eds.bitrates.items() if can),
+        "steps": [
+            {
+                "object": object_name(item.step.object_index, item.step.subindex),
+                "action": "write" if item.step.size else "read",
+                "value": item.step.value if item.step.size or item.step.mask else None,
+                "mask": item.step.mask or None,
+                "need": item.need,
+                "why": item.why,
+                "skipped": item.skipped or None,
+            }
+            for item in plan.planned
+        ],
+        "reasons": [reason._asdict() for reason in plan.reasons],
+        "warnings": plan.warnings,
+    }
+
+
+def _show(plan: DrivePlan, eds: Eds) -> None:
+    """The plan for people."""
+    console = Console(highlight=False)
+    offers = ", ".join(plan.offers) or "not told by the file"
+    console.print(f"{escape(plan.name)}: modes {offers}; {len(eds.entries)} objects")
+    if plan.usable:
+        rpdo = "one RPDO for all drives" if plan.shared else "an RPDO for each drive"
+        counter = "with" if plan.counter else "without"
+        console.print(f"usable in cyclic synchronous torque (CST); {rpdo}; SYNC {counter} counter", soft_wrap=True)
+        table = Table(box=None, pad_edge=False)
+        for title in ("object", "value", "need", "why"):
+            table.add_column(title)
+        for item in plan.planned:
+            step = item.step
+            value = f"{step.value:#x}" if step.size else (f"read, {step.value:#x}" if step.mask else "read")
+            why = f"{item.why} [dim](skipped: {escape(item.skipped)})[/dim]" if item.skipped else item.why
+            table.add_row(object_name(step.object_index, step.subindex), value, item.need, why)
+        console.print(table)
+    else:
+        console.print("[bold]cannot be used:[/bold]")
+        for reason in plan.reasons:
+            console.print(f"  {reason.object} {escape(reason.text)}", soft_wrap=True)
+    for warning in plan.warnings:
+        console.print(f"warning: {escape(warning)}", soft_wrap=True)
