@@ -87,7 +87,7 @@ class Presser:
         reader.next = place
         after = reader.read(WITHIN + 1).records
         assert all(int(record["state"]) == State.ESTOP for record in after), after["state"]
-        assert not after["force"].any(), "torque was let out"
+        assert not after["force"].any(), "torque was applied"
         # The drives, as soon as this machine let them hear the last of these ticks' commands.
         stage, sent_ns = self._emulator.stage, int(after[-1]["now_ns"])
         while min(drive.last_command_ns for drive in stage.drives) < sent_ns:
