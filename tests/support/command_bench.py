@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-from hil.cycle.record import RecordBuilder
+from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.live.mailbox import Mailbox
@@ -16,6 +16,7 @@ from hil.telemetry.codec import ESTOP
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.gateway import Gateway
+from tests.support.records import bare_tick, put_tick
 
 EXPIRY_S = 0.5
 ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE})
@@ -60,7 +61,7 @@ class CommandBench:
         commands: list[tuple[OperatorCommand, bool]] = [(c, c.kind in ACCEPTED) for c in self._mailbox.poll()]
         pressed = self._stop.pressed()
         state = State.ESTOP if pressed else State.READY
-        self._records.tick(0, now_ns, now_ns, state, 0, 0, ESTOP * pressed, 0, -1)
+        put_tick(self._records, bare_tick(0, now_ns, flags=ESTOP * pressed), state)
         self._ring.append(self._records.traffic(commands, [], []))
         if pressed:
             self._stop.latched(state.name, 0)
