@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_plant.physics.dynamics import Dynamics, Motion, Structure
+from sim_plant.physics.dynamics import Dynamics
+from sim_plant.physics.structure import Motion, Structure
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim_plant.config import PlantConfig
-from sim_plant.physics.dynamics import Motion
 from sim_plant.physics.stage import Stage, Truth
+from sim_plant.physics.structure import Motion
 
 MS = 1_000_000
 X = {"mass": [0.93], "coulomb": [0.66], "viscous": [3.2], "quadratic": [0.0]}  # the microscope's X
