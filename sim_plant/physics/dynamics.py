@@ -35,6 +35,7 @@ from sim_plant.physics.structure import Motion, Structure
 MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
 BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
 TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+BREAKING_LOOSE = 0.3  # of the dry friction, that may be gone within a piece
 MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP = 0.4  # rad of a sinusoid
 SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
@@ -98,24 +99,34 @@ class Dynamics:
         self._ring_rate: Number = 0.0 * motor
         if self.has_mode:
             self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
-        per_speed = 0.0 * motor
+        per_speed, amplitudes = 0.0 * motor, abs(s.cable_hysteresis)
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
+            amplitudes = amplitudes + abs(amplitude)
             rate = rate + root(abs(amplitude) * wavenumber * TURN * self.inverse_mass) * (1.0 / SLOPE_STEP)
         if self.has_variation:
             per_speed = per_speed + (TURN / LINE_STEP) * s.variation_wavenumber * (s.variation != 0.0)
         for amplitude, frequency, _ in self.floor:
             rate = rate + (TURN / LINE_STEP) * frequency * (amplitude != 0.0)
+        self._amplitudes: Number = amplitudes
         self._rate: Number = rate
         self._speed_rate: Number = per_speed + 2.0 * abs(s.quadratic) * self.inverse_mass * (1.0 / SLOPE_STEP)
         self._stuck_rate: Number = 4.0 * self.stiffness * self.inverse_mass
 
-    def effort(self, at: Motion, drive: Number, h: float) -> Number:
-        """Steps that h seconds should be divided into, not rounded; drive: N, what acts but friction."""
+    def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
+        """Steps that h seconds should be divided into, not rounded. forces: as in `step`."""
         s = self.structure
+        external, command = forces
+        drive = external + command
         speed = abs(at.velocity)
-        dry = s.coulomb + s.stribeck
-        reach = h * (abs(drive) + dry + s.mode_stiffness * abs(at.load_position - at.position)) * self.inverse_mass
+        pull = s.mode_stiffness * abs(at.load_position - at.position) + s.cable_stiffness * abs(at.position)
+        if self.has_bristle:  # friction changes with the motion alone, though fast where it breaks loose
+            pull = pull + abs(drive - self.stiffness * at.bristle) + BREAKING_LOOSE * s.coulomb
+        else:
+            pull = pull + abs(drive) + s.coulomb + s.stribeck
+        if self.has_lag:
+            pull = pull + abs(at.force - command)
+        reach = h * (pull + self._amplitudes) * self.inverse_mass
         fastest = speed + reach
         work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
         if self.has_stribeck:

@@ -52,7 +52,7 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
     return Structure(
         mass=mass,
         coulomb=coulomb,
-        stribeck=flat["stribeck"],
+        stribeck=flat["stribeck"] * (held == 0.0),  # a grip has no peak that steps would have to resolve
         slowness=1.0 / flat["stribeck_velocity"],
         viscous=flat["viscous"],
         quadratic=flat["quadratic"],
