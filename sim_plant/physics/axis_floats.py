@@ -3,9 +3,9 @@
 It costs two thirds of the general ones where friction is all that acts, a third with ripple and a Stribeck peak.
 
 A lockstep run and the live emulator spend their time here, one axis at a time, where an array of one costs more than
-the arithmetic. Every operation comes in the order it has in axis.py, friction.py and membrane.py, so that the bits are the
-same (tests/sim_plant/test_stage.py compares them with the batch); events, which are rare, are left to `advance_piece`
-there.
+the arithmetic. Every operation comes in the order it has in axis.py, friction.py and membrane.py, so that the bits are
+the same (tests/sim_plant/test_stage.py compares them with the batch); events, which are rare, are left to
+`advance_piece` there.
 """
 
 from collections.abc import Callable
