@@ -67,7 +67,7 @@ class ControlCycle:
         self.models = [axis_model(model, index) for index in range(n)]
 
         self.protocol: HostProtocol = host_protocol(
-            rig.bus, n, [axis.rated_force for axis in axes], base_dir, rig.period_ns
+            rig.bus, n, [axis.rated_force for axis in axes], base_dir, rig.period_ns, rig.mountings
         )
         self.machine = StateMachine()
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
