@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -24,6 +24,9 @@ run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 
 test: setup  ## unit, lockstep and live tests on this machine (about three minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
+
+attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about two minutes)
+	@$(BIN)/python -m tests.attacks attacks.json
 
 lint: setup  ## ruff and mypy --strict
 	@$(BIN)/ruff check .

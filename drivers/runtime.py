@@ -8,11 +8,10 @@ import signal
 import stat
 from pathlib import Path
 
+from drivers.runtime_path import runtime_path, trusted_owner
+
 _OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
-_MEMORY = Path("/dev/shm")  # on a disk, its journal stalls whoever writes a mapped page at the wrong moment (7 ms seen)
-_DISK = Path("/tmp")
-_SERVICE_DIRECTORY = Path("/run/hil")  # made by the systemd units (RuntimeDirectory=hil)
 
 
 class RuntimeDirectoryError(Exception):
@@ -22,31 +21,17 @@ class RuntimeDirectoryError(Exception):
 def runtime_dir() -> Path:
     """The runtime directory of this user, made when missing; mode 0700, owned by this user.
 
-    The first of: $HIL_RUNTIME_DIR, $RUNTIME_DIRECTORY (set by systemd), /run/hil where it exists and is writable,
-    $XDG_RUNTIME_DIR/hil, /dev/shm/hil-<uid>, /tmp/hil-<uid>. Raises RuntimeDirectoryError.
+    Which one: drivers.runtime_path. Raises RuntimeDirectoryError.
     """
-    path = _choose()
+    path = Path(runtime_path())
     make_private(path)
     return path
-
-
-def _choose() -> Path:
-    named = os.environ.get("HIL_RUNTIME_DIR") or os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    if named:
-        return Path(named).absolute()
-    if os.access(_SERVICE_DIRECTORY, os.W_OK | os.X_OK):
-        return _SERVICE_DIRECTORY
-    session = os.environ.get("XDG_RUNTIME_DIR")
-    if session and os.access(session, os.W_OK | os.X_OK):
-        return Path(session) / "hil"
-    base = _MEMORY if os.access(_MEMORY, os.W_OK | os.X_OK) else _DISK
-    return base / f"hil-{os.geteuid()}"
 
 
 def make_private(path: Path) -> None:
     """Make `path` (and its parents) where missing, and see to it that only this user can enter it.
 
-    Root may use another user's directory: it is how an administrator looks at a service. Raises RuntimeDirectoryError.
+    Whose it may be: drivers.runtime_path.trusted_owner. Raises RuntimeDirectoryError.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +41,7 @@ def make_private(path: Path) -> None:
         raise RuntimeDirectoryError(f"runtime directory {path}: {error.strerror}; set HIL_RUNTIME_DIR") from None
     if not stat.S_ISDIR(found.st_mode):  # a symbolic link, planted before us in /tmp
         raise RuntimeDirectoryError(f"runtime directory {path}: is not a directory; remove it or set HIL_RUNTIME_DIR")
-    if found.st_uid != os.geteuid() and os.geteuid() != 0:
+    if not trusted_owner(os.path.abspath(path), found.st_uid):
         raise RuntimeDirectoryError(
             f"runtime directory {path}: belongs to user {found.st_uid}, not to {os.geteuid()}; set HIL_RUNTIME_DIR"
         )
@@ -81,6 +66,10 @@ def write_private(path: Path, text: str) -> None:
     """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
     fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-    with os.fdopen(fd, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.replace(temporary, path)
+    try:
+        with os.fdopen(fd, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None

@@ -1,7 +1,35 @@
-"""The control service: one pure control cycle and the shells that run it live, in lockstep, or from a recording."""
+"""The control service: one pure control cycle and the shells that run it live, in lockstep, or from a recording.
 
+What Python programs use of it is listed in `__all__`, and loaded when it is first asked for: `import hil` itself loads
+nothing. Everything else may change from one version to the next.
+"""
+
+import importlib
 import os
+from typing import Any
 
 # Nothing in hil calls BLAS (bit determinism forbids it). One thread, set before numpy is imported, saves each process
 # 40 MB and an idle thread beside the real-time loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+_PUBLIC = {
+    "Gain": "hil.control.gain",
+    "Knob": "hil.control.gain",
+    "Law": "hil.control.laws.base",
+    "LawInputs": "hil.control.laws.base",
+    "Model": "hil.control.laws.base",
+    "Reference": "hil.control.laws.base",
+}
+__all__ = sorted(_PUBLIC)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'hil' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

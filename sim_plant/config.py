@@ -8,6 +8,14 @@ from drivers.config import REQUIRED, STRICT, key
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
 Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
+Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
+Distance = Annotated[float, Field(ge=0, le=1)]
+Ratio = Annotated[float, Field(ge=0, le=10)]
+Part = Annotated[float, Field(ge=0, le=0.95)]
+Lag = Annotated[float, Field(ge=0, le=0.1)]
+Speed = Annotated[float, Field(ge=-1, le=1)]
+Latency = Annotated[float, Field(ge=0, le=1e-3)]
+Force = Annotated[float, Field(ge=-1e6, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 Position = Annotated[float, Field(ge=-1e3, le=1e3)]
 Resolution = Annotated[float, Field(ge=1e-15, le=1e3)]
@@ -28,6 +36,42 @@ class CellConfig(BaseModel):
     stiffness: Positive = key(1.54e8, "force over the cube of the depth", "N/m^3")
     puncture_depth: Positive = key(164e-6, "depth at which the membrane is pierced", "m")
     drag: NonNegative = key(0.0, "viscous drag inside the cell, after piercing", "N s/m")
+
+
+class ModeConfig(BaseModel):
+    """[[plant.modes]]: the tool's mass on a spring; the encoder sees the motor (physics/dynamics.py)."""
+
+    model_config = STRICT
+    axis: str | None = key(None, "axis that rings; without: every axis that has no entry of its own")
+    frequency_hz: float = key(
+        REQUIRED,
+        "at which the tool rings while the motor is held; 1/sqrt(1 - load) times that while it is free",
+        "Hz",
+        ge=1,
+        le=5000,
+    )
+    damping: float = key(0.02, "damping ratio of the tool on the held motor", "1", ge=0, le=1)
+    load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
+
+
+class CoggingConfig(BaseModel):
+    """[[plant.cogging]]: one harmonic of the motor's force, amplitude sin(2 pi position / period + phase)."""
+
+    model_config = STRICT
+    axis: str | None = key(None, "axis whose motor has it; without: every axis")
+    amplitude: NonNegative = key(REQUIRED, "peak of the force", "N (N m)")
+    period: Positive = key(REQUIRED, "travel after which it repeats", "m (rad)")
+    phase: Angle = key(0.0, "phase at position 0", "rad")
+
+
+class VibrationConfig(BaseModel):
+    """[[plant.vibration]]: one line of the floor's motion, acceleration sin(2 pi frequency t + phase)."""
+
+    model_config = STRICT
+    axis: str | None = key(None, "axis it shakes; without: every axis")
+    acceleration: NonNegative = key(REQUIRED, "peak acceleration of the floor along the axis", "m/s^2 (rad/s^2)")
+    frequency_hz: float = key(REQUIRED, "frequency", "Hz", gt=0, le=5000)
+    phase: Angle = key(0.0, "phase at the emulated stage's start", "rad")
 
 
 class PlantConfig(BaseModel):
@@ -72,12 +116,52 @@ class PlantConfig(BaseModel):
     initial_position: Position | list[Position] = key(0.0, "true position at the start", "m (rad)")
     cells: list[CellConfig] = key([], "cells in front of the pipette")
     brake_force: Positive | list[Positive] = key(100.0, "force the brakes of [drives] hold", "N (N m)")
-    seed: int = key(1, "reserved: noise is seeded by a scenario, losses and jitter by [wire]", "1", ge=0, lt=2**32)
+    seed: int = key(1, "of the noise in force and encoders", "1", ge=0, lt=2**32)
+
+    stage: Literal["ideal", "air-bearing", "crossed-roller", "ball-screw", "flexure"] = key(
+        "ideal", "kind of stage: values for the keys below that are not stated (sim_plant/stages.py); ideal: none"
+    )
+    presliding: Distance | list[Distance] = key(
+        0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
+    )
+    presliding_damping: Ratio | list[Ratio] = key(0.2, "damping ratio of the axis stuck on that stiffness", "1")
+    torque_lag: Lag | list[Lag] = key(0.0, "time constant of the force behind its command", "s")
+    torque_noise: NonNegative | list[NonNegative] = key(
+        0.0, "white noise of the force, one-sided density", "N/sqrt(Hz) (N m/sqrt(Hz))"
+    )
+    modes: list[ModeConfig] = key([], "flexible modes, at most one per axis")
+    friction_variation: Part | list[Part] = key(
+        0.0, "fraction by which dry friction varies along the travel, a sinusoid", "1"
+    )
+    friction_period: Positive | list[Positive] = key(0.01, "period of that along the travel", "m (rad)")
+    friction_phase: Angle | list[Angle] = key(0.0, "phase of that at position 0", "rad")
+    cogging: list[CoggingConfig] = key([], "harmonics of the motors' forces, at most three per axis")
+    cable_stiffness: NonNegative | list[NonNegative] = key(
+        0.0, "of the moving cables, about position 0", "N/m (N m/rad)"
+    )
+    cable_hysteresis: NonNegative | list[NonNegative] = key(0.0, "half the width of their loop of force", "N (N m)")
+    cable_reach: Positive | list[Positive] = key(1e-3, "travel over which that force turns round", "m (rad)")
+    bias: Force | list[Force] = key(0.0, "constant force that no model knows", "N (N m)")
+    bias_walk: NonNegative | list[NonNegative] = key(
+        0.0, "of a force that walks at random: RMS change in a second", "N/sqrt(s) (N m/sqrt(s))"
+    )
+    vibration: list[VibrationConfig] = key([], "lines of the floor's motion, at most four per axis")
+    backlash: Distance | list[Distance] = key(0.0, "lost motion between the load and a tool without mass", "m (rad)")
+    drift: Speed | list[Speed] = key(0.0, "thermal, of the tool; seen by no encoder", "m/s (rad/s)")
+    encoder_noise: Distance | list[Distance] = key(0.0, "white noise of every sample, RMS", "m (rad)")
+    encoder_periodic_error: Distance | list[Distance] = key(
+        0.0, "amplitude of the error within a signal period", "m (rad)"
+    )
+    encoder_period: Positive | list[Positive] = key(20e-6, "signal period of the encoder", "m (rad)")
+    encoder_latency: Latency | list[Latency] = key(0.0, "by which a sample is older than its time stamp says", "s")
 
     @model_validator(mode="after")
-    def _one_cell_per_axis(self) -> "PlantConfig":
-        axes = [cell.axis for cell in self.cells]
-        twice = sorted({axis for axis in axes if axes.count(axis) > 1})
-        if twice:
-            raise ValueError(f"cells: more than one on axis {', '.join(twice)}; at most one is allowed per axis")
+    def _counted_per_axis(self) -> "PlantConfig":
+        for name, most in (("cells", 1), ("modes", 1), ("cogging", 3), ("vibration", 4)):
+            axes = [entry.axis for entry in getattr(self, name)]
+            often = sorted({axis or "(every)" for axis in axes if axes.count(axis) > most})
+            if often:
+                raise ValueError(
+                    f"{name}: more than {most} on axis {', '.join(often)}; allowed per axis: at most {most}"
+                )
         return self

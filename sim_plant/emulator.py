@@ -162,14 +162,14 @@ class EmulatedStage:
     def _truth_now(self) -> tuple[Array, Array, Array]:
         return self._stage.peek(self.now_ns - self._physics_ns, self._force)
 
-    def _true_position(self, axis: int) -> float:
+    def _shown_position(self, axis: int) -> float:
         if self._physics_ns != self.now_ns:
-            return float(self.position[axis])
-        return self._stage.positions[axis]
+            return self._stage.peek_reading(self.now_ns - self._physics_ns, self._force, axis)
+        return self._stage.reading(axis)
 
     def _position_at_drive(self, axis: int) -> float:
         """What the encoder of the drive sees, m of the axis."""
-        position = self._true_position(axis)
+        position = self._shown_position(axis)
         if not self._mountings:
             return position
         mounting = self._mountings[axis]
@@ -194,6 +194,13 @@ class EmulatedStage:
         self._run_physics()
         self._push[axis] = force
         self._update()
+
+    def change_plant(self, axis: int, key: str, value: float) -> float:
+        """From now on that quantity of the axis' truth (Truth.changed) is `value`. Returns what it was."""
+        self._run_physics()
+        truth, before = self._stage.truth.changed(axis, key, value)
+        self._stage.change(truth)
+        return before
 
     def advance(self, now_ns: int) -> list[Frame]:
         """Let time pass to now_ns, through everything that falls due on the way; a time already past changes nothing.
@@ -289,7 +296,7 @@ class EmulatedStage:
         assert self._protocol is not None
         now_ns = self.now_ns
         self._note_sampling()
-        positions = self.sampled[0]
+        positions = self._stage.readings()
         if self._mountings:
             positions = [self._position_at_drive(axis) for axis in range(len(self.drives))]
         encode = self._protocol.encode_feedback

@@ -21,6 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
 
+from deploy.compiled.flag_members import find_flags, hoist  # noqa: E402
 from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
 
 WORK = ROOT / "build" / "compiled"
@@ -44,12 +45,13 @@ hil/control/laws: *
 
 # What works for one rig alone, and so imports those modules from hil/floats.
 ONE_RIG = """
-hil/cycle: command_desk damped_stop fault_monitor fault_table gate inbox limits sampling state_machine step tick
+hil/cycle: axes command_desk damped_stop fault_monitor fault_table gate inbox limits record_builder sampling
+hil/cycle: state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
 """
 
 OTHERS = """
-hil/control/trajectories: base displaced figures minimum_jerk segments
+hil/control/trajectories: base displaced figures minimum_jerk paths segments
 hil/cycle: record
 hil/live: mailbox ring
 drivers: arbitration frame frame_length
@@ -61,9 +63,10 @@ sim_plant/drives: servo
 sim_plant/physics: axis_floats exact_trigonometry
 """
 
-SEAM = "hil/control/laws/coupled.py"  # makes arrays of floats: there once, interpreted, with the laws for arrays
+# There once, interpreted, with the laws for arrays: what makes arrays of floats, and what runs the laws of users.
+SEAM = ("hil/control/laws/coupled.py", "hil/control/laws/users.py")
 IMPORT = re.compile(
-    r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.coupled|\w)"
+    r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.(?:coupled|users)\b|\w)"
 )  # of FOR_BOTH
 HIDDEN_IMPORT = re.compile(
     r"^from hil(\.control(\.estimator|\.laws)?)? import .*\b(control|motion_filter|number|setpoints|laws|coupled)\b",
@@ -91,7 +94,7 @@ def listed(table: str) -> list[str]:
     lines = [line.partition(": ") for line in table.strip().splitlines()]
     patterns = [f"{folder}/{name}.py" for folder, _, names in lines for name in names.split()]
     found = [path.relative_to(ROOT).as_posix() for pattern in patterns for path in sorted(ROOT.glob(pattern))]
-    return [name for name in found if name != SEAM]
+    return [name for name in found if name not in SEAM]
 
 
 def on_floats(name: str) -> str:
@@ -138,6 +141,14 @@ def instantiate() -> None:
         if HIDDEN_IMPORT.search(text):
             sys.exit(f"compiled: {name}: `from hil import ...` is not led to hil/floats; import from the module itself")
         (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
+
+
+def make_flags_ints() -> None:
+    """Spare the modules to compile the operators of flags (flag_members.py says why)."""
+    known = find_flags(WORK, PACKAGES)
+    for name in modules():
+        path = WORK / name
+        path.write_text(hoist(path.read_text(), name.removesuffix(".py").replace("/", "."), known))
 
 
 def make_tuples_directly() -> None:
@@ -204,6 +215,7 @@ def main() -> None:
     print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
     copy_sources()
     instantiate()
+    make_flags_ints()
     make_tuples_directly()
     compile_modules()
     make_environment(directory)

@@ -22,8 +22,6 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import Final, Literal, Protocol
 
-import can
-
 from drivers.bus.counters import BusState, PortCounters
 from drivers.bus.error_frames import decode_error
 from drivers.bus.local_medium import LocalMedium
@@ -263,7 +261,7 @@ class Port:
         """
         try:
             medium = self._open_medium()
-        except (OSError, can.CanError):
+        except OSError:
             self._counts[_STATE] = BusState.DOWN
             return False
         old = self._medium
@@ -354,7 +352,7 @@ def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = Non
             return Port(socketcan, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
         port = Port if echo_id is None else EchoingPort
         return port(local, fd=fd, receive_limit=bus.receive_limit, echo_id=echo_id)
-    except (OSError, can.CanError, RuntimeDirectoryError) as error:
+    except (OSError, RuntimeDirectoryError) as error:
         raise PortError(f"bus.channel = '{bus.channel}' ({kind}): {_explain(error)}") from error
 
 

@@ -1,16 +1,15 @@
-"""SocketCAN behind a Port: python-can opens and configures the socket, then the socket itself is used."""
+"""SocketCAN behind a Port: one raw CAN socket of the standard library (kernel: Documentation/networking/can.rst)."""
 
-import contextlib
 import fcntl
 import socket
 import struct
 from pathlib import Path
 
-from can.interfaces.socketcan import SocketcanBus
-
 from drivers.bus.counters import BusState
-from drivers.bus.recvmmsg import SO_RXQ_OVFL
+from drivers.bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS
 
+_CAN_RAW_ERR_FILTER = 2  # <linux/can/raw.h>
+_EVERY_ERROR = 0x1FFFFFFF  # CAN_ERR_MASK, <linux/can.h>
 _ARPHRD_CAN = 280  # <linux/if_arp.h>
 _SIOCGIFFLAGS = 0x8913
 _SIOCSIFFLAGS = 0x8914
@@ -40,12 +39,16 @@ class SocketCanMedium:
         it saves a frame per tick; should an echo arrive all the same, the Port tells it apart.
         """
         self._channel = channel
-        self._bus = SocketcanBus(channel=channel, fd=fd, receive_own_messages=echo)
-        self._socket = self._bus.socket
+        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             self._socket.setblocking(False)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _EVERY_ERROR)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, echo)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, fd)
+            self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
             self._socket.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, transmit_queue * _FRAME_MEMORY // 2)
+            self._socket.bind((channel,))
         except OSError:
             self.close()
             raise
@@ -114,5 +117,4 @@ class SocketCanMedium:
 
     def close(self) -> None:
         """Close the socket."""
-        with contextlib.suppress(OSError):
-            self._bus.shutdown()
+        self._socket.close()

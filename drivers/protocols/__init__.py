@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from drivers.config import BusConfig
-from drivers.protocols.base import DeviceProtocol, HostProtocol
-from drivers.protocols.dbc_codec import LayoutError
+from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
 from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_straight
+
+if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
+    from drivers.config import BusConfig
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
@@ -14,7 +16,7 @@ __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
 
 def host_protocol(
-    bus: BusConfig,
+    bus: "BusConfig",
     n_axes: int,
     rated_force: Sequence[float],
     base_dir: Path,
@@ -52,7 +54,7 @@ def host_protocol(
 
 
 def device_protocol(
-    bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path, mountings: Sequence[Mounting] = ()
+    bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path, mountings: Sequence[Mounting] = ()
 ) -> DeviceProtocol:
     """The drives' side of the layout `bus.protocol`; arguments and errors as in `host_protocol`."""
     if not is_straight(mountings):

@@ -8,6 +8,10 @@ from typing import NamedTuple, Protocol
 from drivers.frame import Frame
 
 
+class LayoutError(ValueError):
+    """A frame layout, or the binding of a rig to it, that cannot be used. The text says what to change."""
+
+
 class DriveStatus(IntFlag):
     """A drive's status in the layout-independent form the control cycle works with."""
 

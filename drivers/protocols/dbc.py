@@ -24,9 +24,9 @@ from typing import Any
 from drivers.arbitration import arbitration_key
 from drivers.config import BusConfig, DbcBinding, SignalBinding
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
-from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, bind_messages, bound_items, check_binding
-from drivers.protocols.dbc_codec import LayoutError, load_dbc
+from drivers.protocols.dbc_codec import load_dbc
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 

@@ -9,9 +9,9 @@ from cantools.database.can import Message as DbcMessage
 
 from drivers.config import DbcBinding, SignalBinding
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
-from drivers.protocols.base import Reject
+from drivers.protocols.base import LayoutError, Reject
 from drivers.protocols.checksum import ALGORITHMS
-from drivers.protocols.dbc_codec import Codec, LayoutError, compile_codec
+from drivers.protocols.dbc_codec import Codec, compile_codec
 
 
 class Place(NamedTuple):

@@ -15,9 +15,7 @@ from cantools.database import UnsupportedDatabaseFormatError  # type: ignore[att
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
-
-class LayoutError(ValueError):
-    """A frame layout, or the binding of a rig to it, that cannot be used. The text says what to change."""
+from drivers.protocols.base import LayoutError
 
 
 class Codec(NamedTuple):

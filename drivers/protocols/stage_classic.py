@@ -10,9 +10,9 @@ from typing import ClassVar, Final
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.protocols.base import Command, Message, Reject, Sample
+from drivers.protocols.base import Command, LayoutError, Message, Reject, Sample
 from drivers.protocols.checksum import IdentifiedCrc8
-from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
+from drivers.protocols.dbc_codec import compile_codec, load_dbc
 from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
 
 DBC = Path(__file__).with_name("stage_classic.dbc")

@@ -6,8 +6,7 @@ from typing import Final
 
 from drivers.config import BusConfig
 from drivers.frame import ERROR, EXTENDED, REMOTE, STANDARD_MASK
-from drivers.protocols.base import DriveStatus, Message, Reject
-from drivers.protocols.dbc_codec import LayoutError
+from drivers.protocols.base import DriveStatus, LayoutError, Message, Reject
 
 MAX_AXES: Final = 4
 STATUS_MASK: Final = 0x7F  # every bit DriveStatus knows

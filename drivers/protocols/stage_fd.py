@@ -1,4 +1,8 @@
-"""The default layout: CAN FD, one command frame for all axes, one feedback frame per axis. Contract: stage_fd.dbc."""
+"""The default layout: CAN FD, one command frame for all axes, one feedback frame per axis.
+
+Contract: stage_fd.dbc. Its two messages are of whole bytes, so that a struct says each; a test holds them equal to what
+the DBC file says. So a control process on this layout needs no DBC parser.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,12 +13,11 @@ from zlib import crc32 as _crc32
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Command, Message, Reject, Sample
-from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
 from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
 
 DBC = Path(__file__).with_name("stage_fd.dbc")
-COMMAND_NAMES = ("force_0", "force_1", "force_2", "force_3", "sequence", "flags", "checksum")
-FEEDBACK_NAMES = ("position", "sample_time", "status", "sequence", "checksum")
+COMMAND: Final = Struct("<ffffHHI")  # force_0 to force_3, sequence, flags, checksum
+FEEDBACK: Final = Struct("<iIHHI")  # position, sample_time, status, sequence, checksum
 
 RESET: Final = 1 << MAX_AXES
 SEQUENCE_MODULUS: Final = 1 << 16
@@ -31,7 +34,7 @@ _SINGLE = Struct("<f")
 
 
 class _Layout:
-    """What both ends share: identifiers, codecs, limits."""
+    """What both ends share: identifiers and limits."""
 
     name = "stage_fd"
     checksum = True
@@ -39,13 +42,6 @@ class _Layout:
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         check_ids(bus, n_axes, rated_force)
-        database = load_dbc(DBC)
-        command = database.get_message_by_name("Command")
-        feedback = database.get_message_by_name("Feedback0")
-        self._command = compile_codec(command, COMMAND_NAMES)
-        self._feedback = compile_codec(feedback, FEEDBACK_NAMES)
-        if (self._command.length, self._feedback.length) != (COMMAND_LENGTH, FEEDBACK_LENGTH):
-            raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 24 and 16")
         self.n_axes = n_axes
         self.sequence_modulus = SEQUENCE_MODULUS
         self.echo_id: int | None = None
@@ -63,8 +59,8 @@ class StageFdHost(_Layout):
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
         super().__init__(bus, n_axes, rated_force)
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
-        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = self._feedback.unpack
-        self._pack_command = self._command.pack
+        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = FEEDBACK.unpack
+        self._pack_command = COMMAND.pack
         self._padding = (0.0,) * (MAX_AXES - n_axes)
 
     def decode(self, frame: Frame) -> Sample | Reject:
@@ -115,7 +111,7 @@ class StageFdDevice(_Layout):
             return Reject.WRONG_FORMAT
         if len(data) != COMMAND_LENGTH:
             return Reject.WRONG_LENGTH
-        *force, sequence, bits, checksum = self._command.unpack(data)
+        *force, sequence, bits, checksum = COMMAND.unpack(data)
         if crc32(data[:COMMAND_CHECKED], can_id) != checksum:
             return Reject.BAD_CHECKSUM
         if bits & ~(self._enable_mask | RESET):
@@ -129,6 +125,6 @@ class StageFdDevice(_Layout):
         """The feedback frame of one axis; position and stamp wrap at 32 bits."""
         can_id = self._feedback_id + sample.axis
         position, stamp = (sample.position + _HALF) % _WRAP - _HALF, sample.stamp_ns % _WRAP
-        data = self._feedback.pack(position, stamp, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0)
+        data = FEEDBACK.pack(position, stamp, sample.status & STATUS_MASK, sample.sequence % SEQUENCE_MODULUS, 0)
         data = data[:FEEDBACK_CHECKED]
         return Frame(can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS)

@@ -1,21 +1,22 @@
 """`hil ...`: every command is one function in a module of its own; only the one asked for is imported."""
 
-import io
+import os
 import sys
-import warnings
 from importlib.metadata import version
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 from drivers.runtime import RuntimeDirectoryError
-from hil.cli.commands import Entry, add_commands, first_word
+from hil.cli.commands import Entry, add_commands, first_word, load
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
-from hil.rig.former_keys import FormerKeyWarning
+from hil.rig.former_keys import show_former_keys
 from hil.rig.provenance import control_path
 from hil.rig.schema import RigError
 from hil.rig.shipped import IncompleteError
 from sim_plant.config import PlantError
+
+UNPARSED = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
 COMMANDS: dict[str, Entry] = {
     "demo": Entry(
@@ -23,13 +24,17 @@ COMMANDS: dict[str, Entry] = {
     ),
     "sim": Entry("hil.virtual.commands:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
     "check": Entry("hil.operate.check:check", "Does the traffic fit the bus, and is the sampled loop stable?"),
-    "run": Entry("hil.live.run:run", "The control process"),
+    "run": Entry("hil.cli.app:run_directly", "The control process", UNPARSED),
     "emulate": Entry("hil.virtual.commands:emulate", "The plant on the bus, when there is no stage"),
     "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
+    "new": Entry("hil.operate.new:new", "Write a rig file for a stage of your own"),
     "explain": Entry("hil.operate.explain:explain", "What a key of the rig file means: unit, range, default"),
+    "estop": Entry(
+        "hil.operate.estop:estop", "Stop a rig now, by its name alone: needs nothing but its control process"
+    ),
     "doctor": Entry("hil.operate.doctor:doctor", "What this machine grants, and what to do about it"),
     "faults": Entry(
         "hil.studies.fault_campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"
@@ -48,6 +53,11 @@ COMMANDS: dict[str, Entry] = {
 }
 
 
+def run_directly(context: typer.Context) -> None:
+    """`hil run` parses its own arguments; hil/__main__.py starts it without coming here."""
+    load("hil.live.run:main")(context.args)
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"hil {version('hil')}, control path {control_path()}")
@@ -64,24 +74,22 @@ def _options(
 
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line with `wanted` loaded and all others as lines of help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+    app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
     app.callback(help=__doc__)(_options)
     add_commands(app, COMMANDS, wanted)
     return app
 
 
-def _show_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
-) -> None:
-    """What a rig file of an earlier version should say instead, as a line like any other; other warnings as ever."""
-    plain = f"hil: {message}\n"
-    other = warnings.formatwarning(message, category, filename, lineno, line)
-    (file or sys.stderr).write(plain if issubclass(category, FormerKeyWarning) else other)
+def _words() -> list[str]:
+    """The command line: this process' own, or the one a shell wants completed (zsh and fish, then bash)."""
+    if "_HIL_COMPLETE" not in os.environ:
+        return sys.argv
+    return (os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")).split()
 
 
 def main() -> None:
     """The whole command line."""
-    run(build_app(first_word(sys.argv[1:])))
+    run(build_app(first_word(_words()[1:])))
 
 
 def run(app: typer.Typer) -> None:
@@ -90,10 +98,7 @@ def run(app: typer.Typer) -> None:
     78: the rig file, or an override of it; 69: no runtime directory, or files of this copy of hil are missing; 74: a
     file or folder that was named cannot be read or written.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a character the terminal cannot show becomes a question mark
-    warnings.showwarning = _show_warning
+    show_former_keys()
     try:
         app()
     except RigError as error:

@@ -14,16 +14,17 @@ class Entry(NamedTuple):
 
     target: str
     help: str
+    settings: dict[str, Any] | None = None  # click's context settings
 
 
 def add_commands(group: typer.Typer, entries: Mapping[str, Entry], wanted: str | None) -> None:
     """Add every entry to a group: the one named `wanted` loaded, all others as lines of help."""
     for name, entry in entries.items():
-        command: Callable[..., Any] | typer.Typer = _load(entry.target) if name == wanted else _not_loaded
+        command: Callable[..., Any] | typer.Typer = load(entry.target) if name == wanted else _not_loaded
         if isinstance(command, typer.Typer):
             group.add_typer(command, name=name, help=entry.help)
         else:
-            group.command(name, help=entry.help)(command)
+            group.command(name, help=entry.help, context_settings=entry.settings)(command)
 
 
 def first_word(words: list[str]) -> str | None:
@@ -31,7 +32,8 @@ def first_word(words: list[str]) -> str | None:
     return next((word for word in words if not word.startswith("-")), None)
 
 
-def _load(target: str) -> Any:
+def load(target: str) -> Any:
+    """What "module:name" names."""
     module, _, name = target.partition(":")
     return getattr(importlib.import_module(module), name)
 

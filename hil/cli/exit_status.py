@@ -1,4 +1,4 @@
-"""How a command ends, beside 0 and 1, by the numbers of sysexits.h. The systemd units do not restart on 77 and 78."""
+"""Exit statuses beside 0 and 1, numbered as in sysexits.h. The systemd units do not restart on 77 and 78."""
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE: no bus, no runtime directory, no sidecar to ask, no port to listen on
 EXIT_SOFTWARE = 70  # EX_SOFTWARE: the control cycle failed

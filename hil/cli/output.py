@@ -1,4 +1,4 @@
-"""What commands say alike: JSON to a file or standard output, lengths for people, the table of axes."""
+"""Output helpers shared by all commands: JSON, lengths for people, the table of axes."""
 
 import contextlib
 import json
@@ -13,14 +13,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from hil.rig.plant import plant_notes
+from hil.rig.plant_notes import plant_notes
 from hil.rig.schema import RigConfig
 
-PICTURES = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tiff", ".webp")  # by suffix, as matplotlib knows them
+PICTURES = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tiff", ".webp")  # suffixes that matplotlib writes
 
 
 def writable(target: str | None) -> str | None:
-    """For options that name a file to write, as their callback: refused before a long run, not lost after it.
+    """Option callback for a file to write: refuse it before a long run rather than fail after it.
 
     Raises typer.BadParameter.
     """
@@ -34,22 +34,22 @@ def writable(target: str | None) -> str | None:
 
 
 def drawable(picture: Path | None) -> Path | None:
-    """The same for options that name a picture. Raises typer.BadParameter."""
+    """Option callback for a picture to write. Raises typer.BadParameter."""
     if picture and picture.suffix.lower() not in PICTURES:
         raise typer.BadParameter(f"{picture}: the name must end in one of {', '.join(PICTURES)}")
     return picture
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a file anew, with its old owner, group and mode; where there is no room it stays what it was. Raises
+    """Replace a file's text, keeping owner, group and mode; on failure the old file is left as it was. Raises
     OSError.
     """
-    place = path.resolve()  # a symbolic link stays one
+    place = path.resolve()  # replace what a symbolic link points to, not the link
     draft = place.with_name(f"{place.name}.{os.getpid()}.new")
     try:
         draft.write_text(text, encoding="utf-8")
         old = place.stat()
-        with contextlib.suppress(OSError):  # root alone gives files away; where that is refused, this user has it
+        with contextlib.suppress(OSError):  # only root may change the owner; otherwise this user owns it
             os.chown(draft, old.st_uid, old.st_gid)
         shutil.copymode(place, draft)
         draft.replace(place)

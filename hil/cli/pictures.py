@@ -1,4 +1,4 @@
-"""Pictures of a run: what the stage was asked, how far off it was, and with what force."""
+"""Pictures of a run: setpoint, following error and applied force over time."""
 
 from pathlib import Path
 from typing import Protocol
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hil.rig.schema import RigConfig
 
-_BUCKETS = 1500  # of a drawn line; each shows its lowest and highest value, so that no peak is lost
+_BUCKETS = 1500  # per drawn line; each keeps its lowest and highest value, so that no peak is lost
 _UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
 
 

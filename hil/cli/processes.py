@@ -1,4 +1,4 @@
-"""Child processes, ended whatever happens to their parent: workers, and those of `hil demo`, started and watched."""
+"""Child processes that end with their parent: worker pools, and the processes of `hil demo`."""
 
 import ctypes
 import multiprocessing
@@ -17,14 +17,14 @@ _LIBC = ctypes.CDLL(None)
 
 
 def die_with_parent(parent: int) -> None:
-    """In a child: SIGTERM when the parent dies, or died before this was said, so that no process is left running."""
+    """Call in a child: it gets SIGTERM when the parent dies, and exits at once if the parent is dead already."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(1)
 
 
 def worker_pool(workers: int, method: Literal["fork", "spawn"] = "fork") -> ProcessPoolExecutor:
-    """A pool of so many processes that end with this one, and not of a fork server, which would be their parent."""
+    """A pool of worker processes that end with this one. No fork server: it would be the workers' parent."""
     return ProcessPoolExecutor(workers, multiprocessing.get_context(method), die_with_parent, (os.getpid(),))
 
 
@@ -42,7 +42,7 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C is the parent's business: it ends its children in the right order
+                start_new_session=True,  # Ctrl-C goes to the parent alone, which ends its children in order
                 preexec_fn=lambda: die_with_parent(parent),
             )
         self.pid = self._process.pid
@@ -53,7 +53,7 @@ class Child:
         return self._process.poll()
 
     def fate(self) -> str:
-        """How it ended, and its last words."""
+        """How it ended, with the last lines of its log."""
         status = self.exit_status
         if status is None:
             return f"the {self.name} is running"

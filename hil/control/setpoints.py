@@ -1,7 +1,7 @@
 """Setpoints of one tick: at the samples' instants, and at both ends of the interval in which the coming force acts."""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 from librt.vecs import vec
 from mypy_extensions import i64
@@ -47,6 +47,8 @@ class Setpoints:
             x.task_ns = -1
             for reference in (x.sample, x.start, x.end):
                 reference.position, reference.velocity, reference.acceleration = q, 0.0, 0.0
+            for reference in x.preview or ():
+                reference.position, reference.velocity, reference.acceleration = q, 0.0, 0.0
             x.mean_velocity = x.mean_acceleration = x.mean_sign = 0.0
 
     def follow(self, trajectory: Trajectory, origin_ns: Sequence[int]) -> None:
@@ -75,10 +77,13 @@ class Setpoints:
             sample, start = start, sample
         else:
             sample.position, sample.velocity, sample.acceleration = trajectory.at(axis, sampled)
-        if begins == self._ends[axis]:
+        follows = begins == self._ends[axis]
+        if follows:
             start, end = end, start
         else:
             start.position, start.velocity, start.acceleration = trajectory.at(axis, begins)
+        if x.preview:
+            self._look_ahead(trajectory, axis, begins, x.preview, follows=follows)
         self._starts[axis], self._ends[axis] = begins, ends
         end.position, end.velocity, end.acceleration = trajectory.at(axis, ends)
         x.sample, x.start, x.end, x.task_ns = sample, start, end, begins
@@ -86,6 +91,18 @@ class Setpoints:
         v0, v1 = start.velocity, end.velocity
         x.mean_acceleration = (v1 - v0) / period
         # The velocity taken as linear in the interval. The feedforward at the sample's instant instead would cost 45-55
-        # um on the paper's task (PAPER.md, Pitfalls).
+        # um on the paper's task (docs/paper.md).
         total = abs(v0) + abs(v1)
         x.mean_sign = (v0 + v1) / total if total > 0.0 else 0.0
+
+    def _look_ahead(self, trajectory: Trajectory, axis: int, begins: int, preview: list[Any], *, follows: bool) -> None:
+        """References at `begins` and at the ends of the periods after it; only the last is new where the interval
+        follows the one before.
+        """
+        first = len(preview) - 1 if follows else 0
+        if follows:
+            preview.append(preview.pop(0))
+        for k in range(first, len(preview)):
+            reference = preview[k]
+            instant = begins + k * self._period_ns
+            reference.position, reference.velocity, reference.acceleration = trajectory.at(axis, instant)

@@ -17,7 +17,7 @@ import numpy as np
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
-from hil.control.laws.base import Array, LawInputs, Model
+from hil.control.laws.base import Array, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs, rig_model
 from hil.rig.schema import RigConfig, RigError
 
@@ -139,6 +139,12 @@ class _Loop:
             reference.position = self._speed * self._period * instant
             reference.velocity = self._speed.copy()
             reference.acceleration = np.zeros(self._needed.shape)
+        if self._law.preview:
+            still = np.zeros(self._needed.shape)
+            inputs.preview = [
+                Reference(self._speed * self._period * (k + ahead), self._speed.copy(), still.copy())
+                for ahead in range(self._law.preview + 1)
+            ]
 
     def step(self, pulse: Array) -> Array:
         """One tick with `pulse` (m) added to the measured error; the measured error."""

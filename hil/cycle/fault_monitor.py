@@ -1,26 +1,33 @@
-"""What can go wrong, how it is seen, after how long, and what is done about it: one table, and the detectors that fill
-it.
+"""The detectors: each looks at one thing and flags the faults it finds; the gravest one decides what the tick does.
 
-Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks the law runs on the filter's prediction (holding the last torque
-instead would throw away what the model knows, and decaying it would drop the friction compensation: 13 um in one tick
-on the paper's X axis); R2 STOP: damped stop, zero within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT:
-R3, and nothing more is sent until an explicit reset, so that the drives' own watchdogs act.
+Rules:
+- A detector only flags. It changes nothing but its own streak counters, and reacts to nothing.
+- Detectors run in every state. fault_table.py says in which states a fault is armed; one that is not armed is dropped.
+- A fault is present in this tick or it is not: what must last for several ticks (streaks) is counted by the detector,
+  and flagged once it has lasted long enough.
+
+Theory of operation: `begin` clears `active`, the checks set one bit per fault, and `worst_fault` masks what is not
+armed, counts what is, and returns the gravest with its reaction. Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks
+the law runs on the filter's prediction (holding the last torque instead would throw away what the model knows, and
+decaying it would drop the friction compensation: 13 um in one tick on the paper's X axis); R2 STOP: damped stop, zero
+within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT: R3, and nothing more is sent until an explicit reset,
+so that the drives' own watchdogs act. Bits, because a tick in which nothing is wrong then costs one comparison with
+zero.
 """
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from drivers.bus.counters import BusState, PortCounters
 from drivers.protocols.base import DriveStatus
 from hil.control.laws.base import Reference
 from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import State
-from hil.cycle.tick import BusState, PortCounters, Tick
+from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
 
-_NONE: Final = Fault.NONE
-_COUNT: Final = Reaction.COUNT
-_FAULTS: Final = list(Fault)  # by number: an enum's own lookup is slow
+_FAULTS: Final = list(Fault)  # by number
 REACTIONS: Final = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
 _BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
 _STATUS_FAULTS = (
@@ -29,7 +36,6 @@ _STATUS_FAULTS = (
     (int(DriveStatus.ENCODER_FAULT), Fault.ENCODER_FAULT),
 )
 _BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
-_ENABLED: Final = int(DriveStatus.ENABLED)
 _ARMED: Final = [sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State]
 
 
@@ -46,7 +52,7 @@ class AxisLimits(NamedTuple):
 
 
 class FaultMonitor:
-    """The detectors. Each method looks at one thing and raises bits of `active`; `worst` is the gravest armed one."""
+    """The detectors. Each method looks at one thing and flags faults as bits of `active`."""
 
     def __init__(
         self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
@@ -80,10 +86,10 @@ class FaultMonitor:
         self._no_ack_ticks = self._refused_ticks = self._overruns = self._enabled_ticks = 0
 
     def begin(self) -> None:
-        """A new tick: nothing seen yet."""
+        """A new tick: nothing is flagged yet."""
         self.active = 0
 
-    def see(self, fault: Fault) -> None:
+    def flag(self, fault: Fault) -> None:
         """Mark a fault as present in this tick."""
         self.active |= 1 << fault
 
@@ -96,37 +102,37 @@ class FaultMonitor:
         if slots < 1:
             slots = 1
         if useless_now >= self._flood_frames * slots:
-            self.see(Fault.RECEIVE_FLOOD)
+            self.flag(Fault.RECEIVE_FLOOD)
         if port == before:
             self._no_ack_ticks = self._refused_ticks = 0
             if port.state is not BusState.ERROR_ACTIVE:
-                self._see_bus_state(port)
+                self._flag_bus_state(port)
             return
         self._port = port
         if port.state is not BusState.ERROR_ACTIVE or port.bus_off != before.bus_off or port.down != before.down:
-            self._see_bus_state(port)
+            self._flag_bus_state(port)
             if port.bus_off != before.bus_off:
-                self.see(Fault.BUS_OFF)
+                self.flag(Fault.BUS_OFF)
             if port.down != before.down:
-                self.see(Fault.INTERFACE_DOWN)
+                self.flag(Fault.INTERFACE_DOWN)
         self._no_ack_ticks = self._no_ack_ticks + 1 if port.no_ack > before.no_ack else 0
         if self._no_ack_ticks >= 2:
-            self.see(Fault.NO_ACK)
+            self.flag(Fault.NO_ACK)
         self._refused_ticks = self._refused_ticks + 1 if port.refused > before.refused else 0
         if self._refused_ticks:
-            self.see(Fault.TRANSMIT_REFUSED)
+            self.flag(Fault.TRANSMIT_REFUSED)
             if self._refused_ticks >= self._safety.transmit_refused_limit:
-                self.see(Fault.TRANSMIT_BLOCKED)
+                self.flag(Fault.TRANSMIT_BLOCKED)
         if slots == 1 and (port.overflow > before.overflow or port.discarded > before.discarded):
-            self.see(Fault.RECEIVE_FLOOD)
+            self.flag(Fault.RECEIVE_FLOOD)
 
-    def _see_bus_state(self, port: PortCounters) -> None:
+    def _flag_bus_state(self, port: PortCounters) -> None:
         if port.state == BusState.ERROR_PASSIVE:
-            self.see(Fault.BUS_PASSIVE)
+            self.flag(Fault.BUS_PASSIVE)
         elif port.state == BusState.BUS_OFF:
-            self.see(Fault.BUS_OFF)
+            self.flag(Fault.BUS_OFF)
         elif port.state == BusState.DOWN:
-            self.see(Fault.INTERFACE_DOWN)
+            self.flag(Fault.INTERFACE_DOWN)
 
     def check_timing(self, tick: Tick) -> None:
         """Skipped slots and long gaps between ticks."""
@@ -134,51 +140,51 @@ class FaultMonitor:
         skipped = not first and tick.index > self._previous_index + 1
         self._overruns = self._overruns + 1 if skipped else 0
         if skipped:
-            self.see(Fault.OVERRUN)
+            self.flag(Fault.OVERRUN)
             if self._overruns >= self._safety.overrun_streak:
-                self.see(Fault.OVERRUN_BURST)
+                self.flag(Fault.OVERRUN_BURST)
             if tick.now_ns - self._previous_now_ns > self._safety.overrun_zero_s * 1e9:
-                self.see(Fault.OVERRUN_LONG)
+                self.flag(Fault.OVERRUN_LONG)
         self._previous_index = tick.index
         self._previous_now_ns = tick.now_ns
 
     def check_grants(self, tick: Tick) -> None:
         """What makes a new ACTIVE unacceptable without stopping a running one."""
         if not tick.realtime_ok:
-            self.see(Fault.REALTIME_DENIED)
+            self.flag(Fault.REALTIME_DENIED)
         if not tick.recorder_ok:
-            self.see(Fault.RECORDER_LOST)
+            self.flag(Fault.RECORDER_LOST)
         if not tick.rig_ok:
-            self.see(Fault.RIG_CHANGED)
+            self.flag(Fault.RIG_CHANGED)
 
     def check_samples(self, inbox: Inbox, enabled_seen: bool) -> None:
         """Silence, bad frames and what the drives say of themselves."""
         oldest = inbox.oldest()
         if oldest:
-            self.see(Fault.ENCODER_GAP)
+            self.flag(Fault.ENCODER_GAP)
             if oldest >= self._safety.silent_stop_ticks:
-                self.see(Fault.ENCODER_LOST)
+                self.flag(Fault.ENCODER_LOST)
             if oldest >= self._safety.silent_zero_ticks:
-                self.see(Fault.ENCODER_DEAD)
+                self.flag(Fault.ENCODER_DEAD)
         if inbox.bad_frames >= self._bad_frame_limit:
-            self.see(Fault.BAD_FRAMES)
+            self.flag(Fault.BAD_FRAMES)
         for sample in inbox.samples:
             if sample is None:
                 continue
             if sample.status & _BAD_STATUS:
                 for bit, fault in _STATUS_FAULTS:
                     if sample.status & bit:
-                        self.see(fault)
-            if enabled_seen and not sample.status & _ENABLED:
-                self.see(Fault.DRIVE_DISABLED)
+                        self.flag(fault)
+            if enabled_seen and not sample.status & DriveStatus.ENABLED:
+                self.flag(Fault.DRIVE_DISABLED)
 
     def check_released(self, inbox: Inbox) -> None:
         """Where no torque is permitted: a drive that goes on saying it is enabled."""
         said = zip(inbox.fresh, inbox.samples, strict=True)
-        enabled = any(fresh and sample is not None and sample.status & _ENABLED for fresh, sample in said)
+        enabled = any(fresh and sample is not None and sample.status & DriveStatus.ENABLED for fresh, sample in said)
         self._enabled_ticks = self._enabled_ticks + 1 if enabled else 0
         if self._enabled_ticks >= self._safety.disable_timeout_ticks:
-            self.see(Fault.DRIVE_STAYS_ENABLED)
+            self.flag(Fault.DRIVE_STAYS_ENABLED)
 
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""
@@ -186,7 +192,7 @@ class FaultMonitor:
             self._glitches[axis] = 0
             return False
         self._glitches[axis] += 1
-        self.see(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH)
+        self.flag(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH)
         return True
 
     def check_filter(self, axis: int, innovation: float) -> None:
@@ -197,9 +203,9 @@ class FaultMonitor:
             return
         self._diverging[axis] += 1
         if innovation != innovation:
-            self.see(Fault.NOT_FINITE)
+            self.flag(Fault.NOT_FINITE)
         if self._diverging[axis] >= self._safety.nis_ticks:
-            self.see(Fault.FILTER_DIVERGED)
+            self.flag(Fault.FILTER_DIVERGED)
 
     def check_motion(
         self, axis: int, q: float, v: float, force: float, sample: Reference, planned: float, *, following: bool
@@ -213,19 +219,19 @@ class FaultMonitor:
         limits, vd = self._axes[axis], sample.velocity
         low, high = limits.position_low, limits.position_high
         if not low <= q <= high:
-            self.see(Fault.TRAVEL)
+            self.flag(Fault.TRAVEL)
         if abs(v) > limits.speed or v != v:
-            self.see(Fault.SPEED)
+            self.flag(Fault.SPEED)
         if abs(vd) > limits.speed:
-            self.see(Fault.SPEED_PLANNED)
+            self.flag(Fault.SPEED_PLANNED)
         self._check_stuck(axis, q, force, limits.stuck_force)
         if not following:
             return
         stopped_at = q + v * abs(v) / (2.0 * limits.braking)
         if not (low <= planned <= high and low <= stopped_at <= high):
-            self.see(Fault.TRAVEL_PLANNED)
+            self.flag(Fault.TRAVEL_PLANNED)
         if abs(q - sample.position) > limits.following_error * (1.0 + abs(vd) / limits.speed):
-            self.see(Fault.FOLLOWING_ERROR)
+            self.flag(Fault.FOLLOWING_ERROR)
 
     def _check_stuck(self, axis: int, position: float, force: float, threshold: float) -> None:
         if -threshold < force < threshold or position != self._stuck_position[axis]:
@@ -234,26 +240,26 @@ class FaultMonitor:
             return
         self._stuck[axis] += 1
         if self._stuck[axis] >= self._safety.stuck_ticks:
-            self.see(Fault.ENCODER_STUCK)
+            self.flag(Fault.ENCODER_STUCK)
 
-    def judge(self, state: State) -> tuple[Fault, Reaction]:
+    def worst_fault(self, state: State) -> tuple[Fault, Reaction]:
         """The gravest fault armed in `state` (lowest number first among equals), counted; (NONE, COUNT) when there is
         none.
         """
         armed = self.active & _ARMED[state]
         self.active = armed
-        worst, reaction = _NONE, _COUNT
+        worst, reaction = Fault.NONE, Reaction.COUNT
         while armed:
             low = armed & -armed
             fault = _FAULTS[low.bit_length() - 1]
             armed ^= low
             self.counts[fault] += 1
-            if worst is _NONE or REACTIONS[fault] > reaction:
+            if worst is Fault.NONE or REACTIONS[fault] > reaction:
                 worst, reaction = fault, REACTIONS[fault]
         return worst, reaction
 
     def named_counts(self) -> dict[str, int]:
-        """Ticks each fault was seen in, while armed."""
+        """Ticks each fault was flagged in, while armed."""
         return {fault.name.lower(): self.counts[fault] for fault in Fault if fault}
 
     def blocks_reset(self) -> bool:

@@ -1,4 +1,4 @@
-"""Every fault: how it is seen, after how many ticks, in which states it is watched, and the reaction to it."""
+"""Every fault: how it is detected, after how many ticks, in which states it is armed, and the reaction to it."""
 
 from enum import IntEnum
 from typing import NamedTuple

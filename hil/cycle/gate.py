@@ -1,8 +1,15 @@
 """The torque gate: the only way force leaves this process, and the only code that builds a command frame.
 
-In this order: finite? does the state permit it? position-dependent limits, clamp, rate limit, encode. It knows nothing
-of laws and trajectories and trusts neither. Anything not finite, or not permitted, becomes zero at once: the rate limit
-never delays zero.
+Rules:
+- It knows nothing of laws and trajectories and trusts neither: whatever is asked for, what is applied lies within the
+  axis' force limit, changes by no more than the rate limit allows, and never pushes an axis further beyond its travel.
+- Anything not finite, or not permitted by the state, becomes zero at once: the rate limit never delays zero.
+- It never raises on a request; it raises on a programming error alone (a wrong number of axes).
+
+Theory of operation, in this order: finite? does the state permit it? rate limit, then clamp by force limit and
+position, then encode. The clamp comes last and wins: at a travel limit the outward force is zero in the same tick,
+however small the rate limit. `force` holds what was applied last, which is where the next tick's rate limit starts
+from.
 """
 
 import math
@@ -36,14 +43,14 @@ def limit_force(request: float, previous: float, position: float, limits: ForceL
 
 
 class TorqueGate:
-    """Holds the last force let out, per axis (N), and counts what it had to change."""
+    """Holds the force applied last, per axis (N), and counts what it had to change."""
 
     def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits]) -> None:
         self._encode = protocol.encode
         self._limits = list(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
-        self.force = self._zero  # let out in the latest tick
+        self.force = self._zero  # applied in the latest tick
         self._all_axes = (1 << n) - 1
         self.saturations = [0] * n
 
@@ -69,9 +76,9 @@ class TorqueGate:
         force = []
         for axis, limits in enumerate(self._limits):
             wanted = request[axis]
-            let_out = limit_force(wanted, self.force[axis], position[axis], limits)
-            force.append(let_out)
-            if let_out != wanted:
+            applied = limit_force(wanted, self.force[axis], position[axis], limits)
+            force.append(applied)
+            if applied != wanted:
                 self.saturations[axis] += 1
         self.force = force
         return self._encode(Command(sequence, force, self._all_axes, False))

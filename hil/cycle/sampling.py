@@ -1,7 +1,7 @@
 """From the inbox's samples to instants and positions that can be trusted, per axis.
 
 The drives' stamps say when a sample was taken; their usual distance from the tick's start says when the next force will
-act. A sample whose step is beyond belief is left out; where none came, the filter's prediction stands in and nothing is
+act. A sample whose step is implausible is left out; where none came, the filter's prediction stands in and nothing is
 learnt.
 """
 
@@ -15,7 +15,7 @@ from hil.cycle.inbox import Inbox
 
 LATENCY_SHIFT: Final = 6  # the send-to-sample latency is averaged over 64 samples
 LATENCY_STEP_NS: Final = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
-LONGEST_PERIODS: Final = 8  # a stamp that jumps is no reason to integrate for hours; the position is judged anyway
+LONGEST_PERIODS: Final = 8  # a stamp that jumps is no reason to integrate for hours; the position is checked anyway
 
 
 class SampleClock:

@@ -39,11 +39,13 @@ class Tick:
     index: 0, 1, 2, ...; skipped slots leave gaps. scheduled_ns: the tick's deadline on the control clock.
     now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
     recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
-    rig_ok: the rig file is still the one this process was started with.
+    rig_ok: the rig file is still the one this process was started with. estop: somebody pressed stop since the last
+    tick (hil estop).
     """
 
     __slots__ = (
         "commands",
+        "estop",
         "index",
         "now_ns",
         "port",
@@ -61,10 +63,12 @@ class Tick:
         now_ns: int,
         port: PortCounters,
         commands: tuple[OperatorCommand, ...] = (),
+        *,
         stop: bool = False,
         recorder_ok: bool = True,
         realtime_ok: bool = True,
         rig_ok: bool = True,
+        estop: bool = False,
     ) -> None:
         self.index = index
         self.scheduled_ns = scheduled_ns
@@ -75,6 +79,7 @@ class Tick:
         self.recorder_ok = recorder_ok
         self.realtime_ok = realtime_ok
         self.rig_ok = rig_ok
+        self.estop = estop
 
 
 class CycleResult:

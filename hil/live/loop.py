@@ -4,6 +4,12 @@ Rules:
 - Nothing in here waits but the pacing sleep, and nothing grows.
 - Whatever goes wrong in the cycle ends the loop without another frame, so that the drives' watchdogs act.
 - Chores (systemd, rig file, statistics) are done a few times a second, one per tick, after the tick's frames are out.
+
+Theory of operation: `run` repeats `_tick`, which hands the cycle (hil/cycle/step.py) what has come in since the last
+one and hands on what the cycle makes of it: command frames to the bus, then the record to the ring, then times to the
+timing record. The loop decides nothing about the stage. It ends when the cycle is in SHUTDOWN; asked to stop, it waits
+for that no longer than a damped stop may take and STOP_GRACE_S. What the kernel does to the process (lateness, lost
+slots, page faults) is measured here and never acted upon: skipped slots reach the cycle as a gap in the ticks' index.
 """
 
 import threading
@@ -22,6 +28,7 @@ from hil.live.miss_ledger import MissLedger
 from hil.live.pacing import Pacer, run_signal_handlers, sleeper
 from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
+from hil.live.stop_line import StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder
 from hil.live.watched_file import WatchedFile
@@ -30,8 +37,6 @@ from hil.rig.schema import RigConfig
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
 _NO_AGE: Final = -1
-_monotonic_ns: Final = time.monotonic_ns
-_SHUTDOWN: Final = State.SHUTDOWN
 
 
 class TimedCycle(ControlCycle):
@@ -55,6 +60,7 @@ class Parts(NamedTuple):
     port: Port
     ring: RingWriter
     mailbox: Mailbox
+    stop_line: StopLine
     timing: TimingRecorder
     claim: Claim
     rig_file: WatchedFile
@@ -74,7 +80,7 @@ class ControlLoop:
         self.ticks = 0
         self.parts = parts
         rig = parts.cycle.rig
-        self._cycle, self._port, self._ring, self._mailbox, self._timing, *_ = parts
+        self._cycle, self._port, self._ring, self._mailbox, self._stop_line, self._timing, *_ = parts
         self._clock = stage_clock
         self.cpu_clock: Callable[[], int] = time.thread_time_ns
         alone = threading.active_count() == 1
@@ -95,7 +101,7 @@ class ControlLoop:
 
     def _plan_chores(self, period_ns: int) -> dict[int, Callable[[], None]]:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
-        chores = (self._tell_systemd, self._look_at_rig, self._take_stock, self._recover_bus)
+        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus)
         ticks = max(len(chores), round(interval * 1e9 / period_ns))
         return {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
 
@@ -109,7 +115,7 @@ class ControlLoop:
         while True:
             self._tick()
             self.ticks += 1
-            if self._cycle.state is _SHUTDOWN:
+            if self._cycle.state is State.SHUTDOWN:
                 return
             if self.ticks == max_ticks:
                 self.stop = True
@@ -132,20 +138,31 @@ class ControlLoop:
             self._book_miss()
         frames = port.drain(woke)
         commands = mailbox.poll()
+        estop = self._stop_line.pressed()
         if commands:
             self._before_commands(commands)
         tick = Tick(
-            pacer.index, pacer.scheduled_ns, woke, port.counters(), commands, self.stop, mailbox.recorder_ok(woke),
-            self._realtime_ok, self._rig_ok,
-        )  # fmt: skip
+            pacer.index,
+            pacer.scheduled_ns,
+            woke,
+            port.counters(),
+            commands,
+            stop=self.stop,
+            recorder_ok=mailbox.recorder_ok(woke),
+            realtime_ok=self._realtime_ok,
+            rig_ok=self._rig_ok,
+            estop=estop,
+        )
         result = self._cycle.step(tick, frames)
         if commands:
             self._after_commands()
         sending = self._cycle.stamps[RECORD]
         for frame in result.frames:
             port.send(frame)
-        sent_ns = _monotonic_ns()
+        sent_ns = time.monotonic_ns()
         self._ring.append(result.record)
+        if estop:
+            self._stop_line.latched(self._cycle.state.name, pacer.index)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:
             self._silent = self._recall_due = self._cycle.silent
@@ -169,7 +186,7 @@ class ControlLoop:
                 break
             age = max(age, sent_ns - instant)
         lateness = pacer.now_ns - pacer.scheduled_ns
-        self._timing.note(lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age)
+        self._timing.note([lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age])
 
     def _book_miss(self) -> None:
         ledger = self.ledger
@@ -179,9 +196,10 @@ class ControlLoop:
 
     # chores -----------------------------------------------------------------------------------------------------------
 
-    def _tell_systemd(self) -> None:
-        """Only from here: whoever hears it knows that ticks are being run."""
+    def _tell_alive(self) -> None:
+        """To systemd and on the stop page. Only from here: whoever hears it knows that ticks are being run."""
         state = self._cycle.state
+        self._stop_line.tell(state.name, self.pacer.index)
         if state is self._told:
             self.parts.notifier.send("WATCHDOG=1")
             return

@@ -1,9 +1,16 @@
 """The mailbox: how commands reach the control process at next to no cost.
 
-A small memory-mapped file. Senders (the sidecar's gateway; benchmarks and tests) post under a lock among themselves;
-the control process alone takes. A tick without mail costs one comparison. Each slot carries a CRC: a torn or damaged
-slot is dropped and counted, and nothing in the file, whatever its bytes, can raise in the control process. It also
-carries a time (monotonic ns): when the recorder last gave a sign of life.
+Rules:
+- Senders (the sidecar's gateway; benchmarks and tests) post under a lock among themselves; the control process alone
+  takes, and never waits for a sender.
+- Nothing in the file, whatever its bytes, can raise in the control process.
+- No command outlives the process it was meant for: each control process makes a new, empty mailbox.
+
+Theory of operation: a small memory-mapped file of slots in a circle, with two counters, posted and taken, each written
+by one side only and on a cache line of its own. A sender fills the slot, then raises `posted`: who sees the count sees
+the command. A tick without mail costs one comparison of `posted` with the reader's own count. Each slot carries its
+sequence number and a CRC: a torn or damaged slot is dropped and counted, and so is a count that no sender could have
+reached. The file also carries a time (monotonic ns): when the recorder last gave a sign of life.
 """
 
 import fcntl

@@ -1,4 +1,4 @@
-"""Files that processes share by mapping them: how a new one is laid out, and how an end is let go of."""
+"""Files that processes share by mapping them: how a new one is laid out, and closed."""
 
 import os
 from abc import ABC, abstractmethod
@@ -11,16 +11,16 @@ def lay_out(path: Path, size: int) -> tuple[int, Path]:
     """An open file of `size` zero bytes, private to this user, beside `path` under a temporary name; and that name.
 
     Every block is there: else a full file system would be a SIGBUS in some later tick. Who opens `path` never sees a
-    half-made file, as the finished one is moved there. Raises OSError.
+    half-made file, as the finished one is moved there. Raises OSError that names `path`.
     """
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
     fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
     try:
         os.posix_fallocate(fd, 0, size)
-    except OSError:
+    except OSError as error:
         os.close(fd)
         temporary.unlink(missing_ok=True)
-        raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
     return fd, temporary
 
 
@@ -29,7 +29,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it; again does no harm."""
+        """Close; idempotent."""
 
     def __enter__(self) -> Self:
         return self

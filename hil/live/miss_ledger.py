@@ -54,5 +54,5 @@ class MissLedger:
         self.longest = max(self.longest, skipped)
 
     def close(self) -> None:
-        """Let go of the kernel's file."""
+        """Close the kernel's file."""
         os.close(self._schedstat)

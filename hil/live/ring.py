@@ -1,20 +1,21 @@
 """The ring: how telemetry leaves the control process without ever making it wait.
 
-A memory-mapped file of fixed-size slots (hil.cycle.record). One writer copies each tick's record into the next
-slot and then publishes a new write index; it never looks at readers. Any number of readers copy slots out and then
-check, by the write index before and after, which of them the writer may have overtaken meanwhile (a seqlock over the
-whole ring). The order "record first, index second" relies on stores becoming visible in program order, as they do on
-x86-64.
+Rules:
+- The one writer never waits and never looks at readers. A reader that is too slow loses records, and is told how many.
+- A reader never gets a record that the writer was changing while it was copied.
+- The file outlives its writer: what a killed control process left is kept as `<path>.previous`, the black box.
 
-The file outlives its writer. A lock that the kernel drops with the process tells a living writer from a dead one, and
-an end mark tells a clean end from a killed process; the ring of a killed one is kept as `<path>.previous`: the black
-box.
+Theory of operation: a memory-mapped file of fixed-size slots (hil.cycle.record). The writer copies each tick's record
+into the next slot and then publishes a new write index. Readers copy slots out and then check, by the write index
+before and after, which of them the writer may have overtaken meanwhile (a seqlock over the whole ring). The order
+"record first, index second" relies on stores becoming visible in program order, as they do on x86-64. A lock that the
+kernel drops with the process tells a living writer from a dead one, and an end mark tells a clean end from a killed
+process.
 
 Layout: one page of header, the metadata (JSON: rig, hash, version, platform) padded to pages, the slots.
 """
 
 import contextlib
-import fcntl
 import json
 import mmap
 import os
@@ -28,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
+from hil.live.file_lock import is_locked, try_lock
 from hil.live.mapped_file import Closing, lay_out
 
 MAGIC = b"HILRING1"
 VERSION = 1
 PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
-_LOCK = struct.Struct("hhqqi0q")  # struct flock (fcntl.h)
 
 _WRITE_INDEX: Final = 128 // 8  # u64 words of the header, on cache lines of their own
 _ENDED = 192 // 8
@@ -68,20 +69,6 @@ class Batch(NamedTuple):
     records: NDArray[np.void]
     first: int
     lost: int
-
-
-def _try_lock(fd: int) -> bool:
-    """Take the writer's lock: of the open file description, so that it ends with the process, however that ends."""
-    try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
-    except (BlockingIOError, PermissionError):
-        return False
-    return True
-
-
-def _is_locked(fd: int) -> bool:
-    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
-    return bool(_LOCK.unpack(answer)[0] != fcntl.F_UNLCK)
 
 
 def previous_path(path: Path) -> Path:
@@ -136,7 +123,7 @@ class RingWriter(Closing):
         self._record = record
 
     def close(self) -> None:
-        """Mark a clean end and let go of the file, which stays."""
+        """Mark a clean end and close; the file stays."""
         if not self._map.closed:
             self._words[_ENDED] = _CLEAN
             self._record = None
@@ -168,7 +155,7 @@ def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[in
         )
         _HEADER.pack_into(ring, 0, *header)
         ring[PAGE : PAGE + len(metadata)] = metadata
-        _try_lock(fd)
+        try_lock(fd)
         _replace(path, temporary)
     except BaseException:
         os.close(fd)
@@ -189,7 +176,7 @@ def _replace(path: Path, temporary: Path) -> None:
                 return
             continue  # another writer was faster
         try:
-            if not _try_lock(old):
+            if not try_lock(old):
                 raise RingError(f"{path}: another control process is running this rig (pid {_pid(old)})")
             with contextlib.suppress(FileNotFoundError):
                 if os.stat(path).st_ino == os.fstat(old).st_ino:
@@ -279,7 +266,7 @@ class RingReader(Closing):
     @property
     def writer_alive(self) -> bool:
         """The writing process exists and has the ring open."""
-        return _is_locked(self._fd)
+        return is_locked(self._fd)
 
     @property
     def replaced(self) -> bool:

@@ -5,17 +5,16 @@ Exit status: 0 stopped as asked, zero torque sent last; 69 no bus, or the rig is
 false; 78 the rig file is wrong (no bus was touched).
 """
 
+import argparse
 import contextlib
 import os
 import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
-
-import typer
+from typing import NoReturn
 
 from drivers.bus.port import PortError, open_port
 from drivers.protocols import host_protocol
@@ -26,29 +25,52 @@ from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
+from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import load_rig
+from hil.rig.former_keys import show_former_keys
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.shipped import by_name
 
 
 class RealtimeRefusedError(Exception):
     """The kernel refused what [timing] asks for, and the rig file does not allow to go on without."""
 
 
-def run(
-    rig: Annotated[Path, typer.Argument(help="rig file")],
-    override: Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the rig file")] = None,
-    ticks: Annotated[int | None, typer.Option(min=1, help="stop after so many ticks")] = None,
-    cpu_clock: Annotated[bool, typer.Option(hidden=True, help="measure stages in CPU time (benchmarks)")] = False,
-) -> None:
-    """Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, SIGHUP, or an operator's shutdown)."""
-    clock = time.thread_time_ns if cpu_clock else time.monotonic_ns
-    sys.exit(run_rig(rig, override or [], ticks, clock))
+def main(words: Sequence[str]) -> NoReturn:
+    """The command, without its name. It reads its words with argparse, so that no command-line library (typer, rich) is
+    ever in the control process.
+    """
+    asked = _parser().parse_args(words)
+    show_former_keys()
+    clock = time.thread_time_ns if asked.cpu_clock else time.monotonic_ns
+    sys.exit(run_rig(by_name("rigs", asked.rig), asked.overrides, asked.ticks, clock))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hil run",
+        description="Run the control process of RIG until it is told to stop (SIGTERM, SIGINT, SIGHUP, or an "
+        "operator's shutdown).",
+    )
+    parser.add_argument("rig", metavar="RIG", type=Path, help="rig file")
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", dest="overrides", action="append", default=[], help="overrides the rig file"
+    )
+    parser.add_argument("--ticks", metavar="N", type=_count, help="stop after so many ticks (at least 1)")
+    parser.add_argument("--cpu-clock", action="store_true", help=argparse.SUPPRESS)  # stages in CPU time; benchmarks
+    return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of at least 1")
+    return int(text)
 
 
 def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Callable[[], int]) -> int:
@@ -62,7 +84,7 @@ def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Ca
         return _refuse(EXIT_CONFIG, error.problems)
     except RealtimeRefusedError as error:
         return _refuse(EXIT_REALTIME, [str(error)])
-    except (PortError, RingError, RuntimeDirectoryError, OSError) as error:
+    except (PortError, RingError, RigInUseError, RuntimeDirectoryError, OSError) as error:
         return _refuse(EXIT_UNAVAILABLE, [str(error)])
 
 
@@ -93,12 +115,14 @@ def control_loop(
     rig: RigConfig, base_dir: Path, rig_file: WatchedFile, stage_clock: Callable[[], int]
 ) -> Iterator[ControlLoop]:
     """All the loop needs, in the order in which it may fail; real time after every import and large allocation."""
-    files = places(rig.name)
+    files = runtime_paths(rig.name)
     try:
         cycle = TimedCycle(rig, base_dir, stage_clock)
     except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
         raise RigError([str(error)]) from None
     with contextlib.ExitStack() as stack:
+        # Before a bus, core, priority or memory is asked for: a second control process must not disturb the first.
+        stop_line = stack.enter_context(StopLine(files.directory))
         port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
         stack.callback(port.close)
         notifier = Notifier()
@@ -114,7 +138,7 @@ def control_loop(
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
-        yield ControlLoop(Parts(cycle, port, ring, mailbox, timing, held, rig_file, notifier), stage_clock)
+        yield ControlLoop(Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier), stage_clock)
 
 
 def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:

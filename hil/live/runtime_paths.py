@@ -1,73 +1,61 @@
 """Where the processes of one rig find each other's files."""
 
 import contextlib
-import fcntl
 import os
-import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.runtime import make_private, runtime_dir, write_private
+from drivers.runtime import make_private, runtime_dir
+from hil.live.file_lock import try_lock
 
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
 
 
-class Places(NamedTuple):
+class RuntimePaths(NamedTuple):
     """Files in the rig's part of the runtime directory."""
 
     directory: Path
     ring: Path
     mailbox: Path
-    token: Path  # whoever can read it may command the rig
+    commands: Path  # the Unix socket on which the sidecar takes commands
     endpoint: Path  # where the sidecar listens
+    access: Path  # what of the sidecar is open to whom, as JSON, for `hil doctor`
     timing: Path  # what hil/live/timing_record.py keeps of the loop
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
 
 
-def places_in(runtime: Path, rig_name: str) -> Places:
+def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
-    names = ("ring", "mailbox", "token", "endpoint", "timing", "emulator.json")
-    return Places(directory, *(directory / name for name in names))
+    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json")
+    return RuntimePaths(directory, *(directory / name for name in names))
 
 
 class AlreadyServedError(Exception):
-    """The rig has a sidecar already; the text names the rig's directory."""
+    """The rig has such a process already; the text names it."""
 
 
-def places(rig_name: str) -> Places:
+def runtime_paths(rig_name: str) -> RuntimePaths:
     """The rig's files below this user's runtime directory; makes the rig's (private) part of it."""
-    found = places_in(runtime_dir(), rig_name)
+    found = runtime_paths_in(runtime_dir(), rig_name)
     make_private(found.directory)
     return found
 
 
 @contextlib.contextmanager
-def sole_sidecar(rig_places: Places) -> Iterator[None]:
-    """While open, this process alone may serve the rig; the kernel lets go with the process, however that ends.
-
-    A second one would put its own token in the place of the first one's, whose operators could then command nothing,
-    not even an emergency stop. Raises AlreadyServedError.
+def sole(paths: RuntimePaths, kind: str) -> Iterator[None]:
+    """While open, this process alone is the rig's `kind` (sidecar, emulator); the kernel drops the lock with the
+    process. Raises AlreadyServedError.
     """
-    fd = os.open(rig_places.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)  # a file could be another user's
+    path = paths.directory / f"{kind}.lock"
+    fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     try:
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise AlreadyServedError(
-                f"another sidecar serves this rig already (it holds {rig_places.directory})"
-            ) from None
+        if not try_lock(fd):
+            raise AlreadyServedError(f"another {kind} serves this rig already (it holds {path})")
         yield
     finally:
         os.close(fd)
-
-
-def renew_token(path: Path) -> str:
-    """A new secret, readable by its owner only."""
-    token = secrets.token_hex(32)
-    write_private(path, token)
-    return token
 
 
 class Known(NamedTuple):
@@ -75,7 +63,7 @@ class Known(NamedTuple):
 
     rig: str
     endpoint: str
-    token: Path
+    directory: Path
 
 
 def known_sidecars(rig: str | None = None) -> list[Known]:
@@ -86,5 +74,12 @@ def known_sidecars(rig: str | None = None) -> list[Known]:
     for path in files:
         if rig in (None, path.parent.name):
             with contextlib.suppress(OSError):  # it ended meanwhile
-                known.append(Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.with_name("token")))
+                known.append(Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.parent))
     return known
+
+
+def command_directories(rig: str) -> list[Path]:
+    """Where a sidecar of that rig may take commands: in the directories of demos, and at last in the rig's own."""
+    base = runtime_dir()
+    demos = [path for path in sorted(base.glob(f"{DEMO_PREFIX}*/{rig}")) if (path / "commands").exists()]
+    return [*demos, base / rig]

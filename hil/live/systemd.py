@@ -1,4 +1,4 @@
-"""Word to systemd, by the sd_notify(3) protocol: one datagram that never waits."""
+"""Notifications to systemd (sd_notify(3)): one datagram that never waits."""
 
 import os
 import socket
@@ -28,7 +28,7 @@ class Notifier:
         return True
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close; idempotent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

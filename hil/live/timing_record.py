@@ -126,18 +126,10 @@ class TimingRecorder:
         self._ticks = 0
         self._file["magic"] = MAGIC  # last: a reader that sees it sees a whole header
 
-    def note(
-        self, lateness: int, read: int, estimate: int, control: int, gate: int, send: int, cpu: int, age: int
-    ) -> None:
-        """One tick: its METRICS, ns."""
-        self._count(0, lateness)
-        self._count(1, read)
-        self._count(2, estimate)
-        self._count(3, control)
-        self._count(4, gate)
-        self._count(5, send)
-        self._count(6, cpu)
-        self._count(7, age)
+    def note(self, times: list[int]) -> None:
+        """One tick: its METRICS in their order, ns."""
+        for metric, value in enumerate(times):
+            self._count(metric, value)
         self._ticks += 1
         metric = self._ticks % WINDOW
         if metric < len(METRICS) and self._ticks >= WINDOW:

@@ -23,7 +23,7 @@ from drivers.config import BusConfig
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
 from hil.rig.file import load_rig
 
-FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # by suffix, as python-can knows them
+FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # suffixes that python-can reads and writes
 REFRESH_HZ = 4
 POLL_S = 0.1
 SHORTEST_WINDOW_S = 0.1
@@ -143,7 +143,7 @@ def _config(channel: str, interface: Interface, rig: Path | None) -> BusConfig:
 
 @contextlib.contextmanager
 def _open(config: BusConfig) -> Iterator[can.BusABC]:
-    """The bus as a member with FD; exits with a message where it cannot be opened."""
+    """Join the bus with CAN FD; exits with a message where it cannot be opened."""
     try:
         member = can.Bus(interface=resolve_interface(config), channel=config.channel, fd=True)
     except (can.CanError, OSError) as error:
@@ -154,7 +154,7 @@ def _open(config: BusConfig) -> Iterator[can.BusABC]:
 
 @contextlib.contextmanager
 def _until_stopped(seconds: float | None) -> Iterator[threading.Event]:
-    """An event that is set by SIGINT, SIGTERM or after `seconds`; the handlers of before are put back."""
+    """An event that is set by SIGINT, SIGTERM or after `seconds`; restores the previous signal handlers."""
     stopped = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(number, lambda *_: stopped.set()) for number in numbers]

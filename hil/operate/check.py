@@ -17,7 +17,7 @@ from hil.cli.output import drawable, writable, write_json
 from hil.control.stability import StabilityReport, check_stability
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
 from hil.rig.file import load_rig
-from hil.rig.plant import encoder_notes
+from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
@@ -142,7 +142,7 @@ def _any_fd(analysis: Analysis) -> bool:
 
 
 def draw_tick(rig: RigConfig, analysis: Analysis, target: Path) -> None:
-    """PNG: what the analysis promises of one tick. Bars: each frame at its longest, ending when it ends at worst."""
+    """PNG: the worst case of one tick. A bar is a frame at its longest, ending at its worst-case response time."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,8 @@
-"""`hil command RIG ACTION`: an operator's command through the gateway, with the control process's verdict."""
+"""`hil command RIG ACTION`: an operator's command, with the control process' verdict.
+
+On the rig's machine through the sidecar's Unix socket, as the rig's user or root; `estop` through the stop page,
+without anybody's help. From elsewhere (--connect) over TLS, where the sidecar allows it.
+"""
 
 import signal
 import sys
@@ -11,12 +15,12 @@ import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
-from hil.live.runtime_paths import Known, known_sidecars, places
+from hil.live.runtime_paths import command_directories
+from hil.operate.estop import stop_rig
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient, listens
-
-CONNECT_S = 3.0
+from hil.telemetry.command_client import CommandClient, NoGatewayError, local_client, remote_client
+from hil.telemetry.credentials import Credentials, CredentialsError
 
 
 class Action(StrEnum):
@@ -31,55 +35,59 @@ class Action(StrEnum):
     HEARTBEAT = "heartbeat"
 
 
-def find_sidecar(rig: RigConfig, endpoint: str | None) -> Known:
-    """Where the rig's sidecar listens, and the token file that goes with it."""
-    for known in known_sidecars(rig.name):
-        if known.endpoint == endpoint or (endpoint is None and listens(known.endpoint)):
-            return known
-    listen = endpoint or (rig.telemetry.listen or [DEFAULT_ENDPOINT])[0]
-    return Known(rig.name, listen, places(rig.name).token)
-
-
 def command(
     rig: Annotated[Path, typer.Argument(help="rig file", show_default=False)],
     action: Annotated[Action, typer.Argument(help="what to ask for", show_default=False)],
-    connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
+    connect: Annotated[str | None, typer.Option(help="host:port of a sidecar elsewhere [this machine's]")] = None,
+    credentials: Annotated[Path | None, typer.Option(help="directory with an operator's, for --connect")] = None,
     hold: Annotated[bool, typer.Option(help="keep sending the operator's heartbeat until Ctrl-C, then stop")] = False,
 ) -> None:
     """Exit status 0: the control process took it; 1: refused, with the reason; 69: nobody to ask."""
     config = load_rig(rig)
-    sidecar = find_sidecar(config, connect)
+    if connect and credentials is None:
+        raise typer.BadParameter("commands from elsewhere need --credentials", param_hint="--connect")
+    if action is Action.ESTOP and not connect:
+        sys.exit(stop_rig(config.name))
     try:
-        token = sidecar.token.read_text(encoding="utf-8")
-    except OSError as error:
-        print(f"hil command: {sidecar.token}: {error.strerror}: is the sidecar running, as this user?", file=sys.stderr)
+        client = remote_client(connect, Credentials(credentials)) if connect and credentials else at_hand(config.name)
+        with client:
+            accepted = _hold(client, action, config) if hold else _ask(client, action)
+    except (NoGatewayError, CredentialsError) as error:
+        print(f"hil command: {error}", file=sys.stderr)
+        print(
+            f"hil command: whatever else fails, `hil estop {config.name}` on the rig's machine stops", file=sys.stderr
+        )
         raise typer.Exit(EXIT_UNAVAILABLE) from None
-    with RigClient(sidecar.endpoint, config.telemetry.key, config.name) as client:
-        try:
-            client.wait_status(CONNECT_S)
-            accepted = _hold(client, token, action, config) if hold else _ask(client, token, action)
-        except NoSidecarError as error:
-            print(f"hil command: {error}", file=sys.stderr)
-            raise typer.Exit(EXIT_UNAVAILABLE) from None
     if not accepted:
         raise typer.Exit(1)
 
 
-def _ask(client: RigClient, token: str, action: Action) -> bool:
-    reply = client.command(CommandKind[action.name], token)
-    print(f"{action}: {'accepted' if reply.accepted else reply.reason}; state {reply.state}", flush=True)
-    return reply.accepted
+def at_hand(rig: str) -> CommandClient:
+    """A connection to the sidecar of that rig on this machine, a demo's first. Raises NoGatewayError."""
+    *others, ordinary = command_directories(rig)
+    for directory in others:
+        try:
+            return local_client(directory)
+        except NoGatewayError:
+            continue
+    return local_client(ordinary)
 
 
-def _hold(client: RigClient, token: str, action: Action, rig: RigConfig) -> bool:
+def _ask(client: CommandClient, action: Action) -> bool:
+    verdict = client.command(CommandKind[action.name])
+    print(f"{action}: {'accepted' if verdict.accepted else verdict.reason}; state {verdict.state}", flush=True)
+    return verdict.accepted
+
+
+def _hold(client: CommandClient, action: Action, rig: RigConfig) -> bool:
     """A deadman's handle: the rig moves while this runs, and stops within safety.heartbeat_s when it does not."""
     interval = (rig.safety.heartbeat_s or 1.0) / 4
-    if not client.command(CommandKind.HEARTBEAT, token).accepted or not _ask(client, token, action):
+    if not client.command(CommandKind.HEARTBEAT).accepted or not _ask(client, action):
         return False
     released: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: released.append(1))
     while not released:
-        client.command(CommandKind.HEARTBEAT, token)
+        client.command(CommandKind.HEARTBEAT)
         time.sleep(interval)
-    return _ask(client, token, Action.STOP)
+    return _ask(client, Action.STOP)

@@ -1,11 +1,13 @@
 """`hil dashboard`: a rig in the browser. A Bokeh page (extra `dashboard`) that streams status messages from Zenoh."""
 
+import html
 import sys
 from typing import Annotated, Any
 
 import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.operate.monitor import Newest, silence
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, find_endpoint
 
@@ -29,15 +31,17 @@ def row(status: pb.Status) -> dict[str, list[float]]:
     return values
 
 
-def headline(status: pb.Status) -> str:
-    """State and counters in one line of text."""
+def headline(status: pb.Status, age_s: float = 0.0) -> str:
+    """State and counters in one line of HTML; names come from elsewhere and are escaped. age_s: of the status."""
     counts = status.counters
     fate = "" if status.control_alive else " · control process " + ("ended" if status.control_ended else "killed")
     fault = f" · fault {status.fault}" if status.fault not in ("", "NONE") else ""
-    return (
+    dead = silence(status, age_s)
+    text = html.escape(
         f"{status.rig} · {status.law} · {status.state or '-'}{fault}{fate} · missed {counts.missed_own} own, "
         f"{counts.missed_host} the host's · {counts.samples_lost} samples lost · {status.dropped} ticks not published"
     )
+    return f'<b style="color: red">{html.escape(dead)}</b> · it was: {text}' if dead else text
 
 
 class Page:
@@ -45,7 +49,7 @@ class Page:
 
     def __init__(self, document: Any, client: RigClient) -> None:
         self._document = document
-        self._client = client
+        self._newest = Newest(client)
         self._source: Any = None
         self._title: Any = None
         document.title = "hil"
@@ -54,13 +58,14 @@ class Page:
 
     def update(self) -> None:
         """Take the newest status in; the page is laid out when the first one names the axes."""
-        status = self._client.status()
-        if status is None or not status.position:
+        fresh, status = self._newest.look(), self._newest.status
+        if status is None or not (status.position or self._source):
             return
         if self._source is None:
             self._lay_out(status)
-        self._title.text = headline(status)
-        self._source.stream(row(status), rollover=ROLLOVER)
+        self._title.text = headline(status, self._newest.age_s)
+        if fresh and status.position:
+            self._source.stream(row(status), rollover=ROLLOVER)
 
     def _lay_out(self, status: pb.Status) -> None:
         from bokeh.layouts import column, gridplot

@@ -19,13 +19,14 @@ from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
-from hil.live.runtime_paths import DEMO_PREFIX, Places, places_in
+from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.monitor import drive_words, line, view
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
+from hil.telemetry.command_client import NoGatewayError, local_client
 from hil.telemetry.recorder import RecordingError
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
@@ -45,7 +46,7 @@ STALL_FAULTS = (
     "TRANSMIT_REFUSED",
     "TRANSMIT_BLOCKED",
     "ENABLE_TIMEOUT",
-)  # what a host that holds up the emulator or the loop for milliseconds looks like
+)  # faults that a host stalling the emulator or the loop for milliseconds causes
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
@@ -53,15 +54,15 @@ ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record
 
 
 class DemoError(Exception):
-    """Something the demo cannot go on without; the text says what happened."""
+    """The demo cannot go on; the text says why."""
 
 
-class Interrupted(Exception):  # it is no error
+class Interrupted(Exception):  # not an error
     """SIGINT or SIGTERM."""
 
 
 class Scene(NamedTuple):
-    """Where everything is."""
+    """The demo's rig and its folders."""
 
     rig: RigConfig
     rig_file: Path
@@ -70,13 +71,13 @@ class Scene(NamedTuple):
     out: Path
 
     @property
-    def places(self) -> Places:
+    def paths(self) -> RuntimePaths:
         """The rig's files in the private runtime directory."""
-        return places_in(self.runtime, self.rig.name)
+        return runtime_paths_in(self.runtime, self.rig.name)
 
 
 class Signals:
-    """Notes SIGINT and SIGTERM; they take effect where `check` is called, so that nothing cuts the end short."""
+    """Notes SIGINT and SIGTERM; they take effect where `check` is called, so that no shutdown is cut short."""
 
     def __init__(self) -> None:
         self.seen = 0
@@ -148,7 +149,7 @@ class Demo:
 
     def _await_endpoint(self) -> str:
         """Where the sidecar listens, as soon as it does."""
-        place = self.scene.places.endpoint
+        place = self.scene.paths.endpoint
         until = time.monotonic() + START_S
         while not place.exists():
             self._check_alive()
@@ -180,17 +181,17 @@ class Demo:
         drives = "".join(f"; {axis}: {drive_words(bits).plain.strip()}" for axis, bits in words)
         return f"state {status.state or 'unknown'}, fault {status.fault or 'unknown'}{drives}{self._refusal}"
 
-    def _operate(self, client: RigClient) -> None:
+    def _operate(self) -> None:
         """What an operator does: activate what is READY; reset what stopped because this machine held a process up."""
         status = self.status
         if status.state in ("FAULT", "ESTOP"):
             if status.fault not in STALL_FAULTS:
                 raise DemoError(f"the rig stopped: {self._where()}")
-            self._command(client, CommandKind.RESET)
+            self._command(CommandKind.RESET)
         elif tripped(status):
-            self._command(client, CommandKind.RESET)
+            self._command(CommandKind.RESET)
         elif status.state == "READY" and status.recording:
-            self._command(client, CommandKind.ACTIVATE)
+            self._command(CommandKind.ACTIVATE)
 
     def _note_stall(self, before: pb.Status) -> None:
         status = self.status
@@ -201,9 +202,14 @@ class Demo:
             if self.stalls <= SHOWN_STALLS:
                 self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
 
-    def _command(self, client: RigClient, kind: CommandKind) -> None:
-        reply = client.command(kind, self.scene.places.token.read_text(encoding="utf-8"))
-        self._refusal = "" if reply.accepted else f"; {kind.name} was refused: {reply.reason}"
+    def _command(self, kind: CommandKind) -> None:
+        try:
+            with local_client(self.scene.paths.directory) as gateway:
+                verdict = gateway.command(kind)
+        except NoGatewayError as error:  # this machine holds the sidecar up: the next status is another chance
+            self._refusal = f"; {kind.name} got no answer: {error}"
+            return
+        self._refusal = "" if verdict.accepted else f"; {kind.name} was refused: {verdict.reason}"
 
     def _look(self, client: RigClient) -> bool:
         """Take in the newest status and act on it. Raises DemoError when a process ended, Interrupted on a signal."""
@@ -213,7 +219,7 @@ class Demo:
             return False
         before, self.status = self.status, status
         self._note_stall(before)
-        self._operate(client)
+        self._operate()
         return True
 
     def _watch(self, client: RigClient, seconds: float) -> None:
@@ -237,7 +243,7 @@ class Demo:
             self.console.print(f"{left:5.1f} s to go  {line(self.status)}", soft_wrap=True)
 
     def _finish(self) -> None:
-        """In this order: the stage stops and the last torque sent is zero; then the recording ends; then the stage."""
+        """End the control process (its last torque is zero), then the sidecar with its recording, then the stage."""
         if not hasattr(self, "control"):
             return
         if self.control.exit_status is None and not self.control.end(STOP_S):
@@ -251,7 +257,7 @@ class Demo:
         if self.control.exit_status == 0:
             return
         try:
-            state = json.loads(self.scene.places.emulator.read_text(encoding="utf-8"))
+            state = json.loads(self.scene.paths.emulator.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             self.troubles.append("the emulator left no word of its drives")
             return
@@ -259,7 +265,7 @@ class Demo:
 
 
 def tripped(status: pb.Status) -> bool:
-    """Whether a drive's watchdog keeps the rig from READY. Nothing moves in CONNECTED, so that is no fault of the rig's
+    """Whether a drive's watchdog keeps the rig from READY. Nothing moves in CONNECTED, so that is no fault of the rig
     and stops nothing; but it stays until an operator's RESET.
     """
     return status.state == "CONNECTED" and any(bits & DriveStatus.WATCHDOG for bits in status.drive_status)
@@ -318,7 +324,7 @@ def demo(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
-    """Exit status 0: it went as planned; 1: something failed, said what; 130 or 143: interrupted, in good order."""
+    """Exit status 0: it went as planned; 1: something failed, and the output says what; 130 or 143: interrupted."""
     chosen = (*(overrides or ()), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()

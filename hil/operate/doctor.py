@@ -17,11 +17,12 @@ from rich.table import Table
 
 from drivers.runtime import RuntimeDirectoryError, runtime_dir
 from hil.live.realtime import claim
+from hil.live.runtime_paths import known_sidecars
 from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
 
 ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
-BUSY_DEVICE = 1000  # interrupts since the machine started; fewer are no device at work
+BUSY_DEVICE = 1000  # interrupts since the machine started; a device with fewer is idle
 RT_TESTS = "install rt-tests (Debian: apt install rt-tests)"
 
 
@@ -72,6 +73,7 @@ def examine() -> list[Finding]:
         cores_finding(),
         interrupts_finding(max(os.sched_getaffinity(0))),
         runtime_finding(),
+        *access_findings(),
         tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
         tool_finding("strace", "the benchmarks (make bench) count system calls with it: apt install strace"),
         tool_finding("cc", "the compiled build and the benchmarks need it: apt install gcc"),
@@ -127,7 +129,7 @@ def _interface_finding(name: str, net: Path) -> Finding:
 
 
 def realtime_findings() -> list[Finding]:
-    """What a control process started by this user would be granted; tried in a child, so that nothing sticks here."""
+    """What a control process started by this user would be granted; tried in a child, so that nothing stays here."""
     command = [sys.executable, "-c", "from hil.operate.doctor import probe_realtime; probe_realtime()"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
@@ -223,6 +225,45 @@ def runtime_finding() -> Finding:
         return Finding("runtime directory", "ok", f"{path}, in memory")
     advice = "its write-back can delay the loop; put it on a tmpfs, for example HIL_RUNTIME_DIR=/dev/shm/hil"
     return Finding("runtime directory", "note", f"{path}, on a disk", advice)
+
+
+def access_findings() -> list[Finding]:
+    """Per sidecar that runs: who can connect to it, and to do what."""
+    try:
+        sidecars = known_sidecars()
+    except RuntimeDirectoryError:  # said above
+        return []
+    return [access_finding(known.rig, known.directory) for known in sidecars]
+
+
+def access_finding(rig: str, directory: Path) -> Finding:
+    """Of one rig's sidecar."""
+    topic = f"access to {rig}"
+    try:
+        access = json.loads((directory / "access.json").read_text(encoding="utf-8"))
+        watch, commands = [str(endpoint) for endpoint in access["watch"]], str(access["commands"])
+        owner = directory.stat().st_uid
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return Finding(topic, "note", f"not known: {error}", "start its sidecar again")
+    watchers = "; ".join(f"{endpoint}: {_watchers(endpoint)}" for endpoint in watch)
+    elsewhere = f"operators' certificates at {commands}" if commands else "nobody from elsewhere"
+    detail = f"stop and command: uid {owner} and root here, {elsewhere}. Watch, no more: {watchers}"
+    if any(_open_to_all(endpoint) for endpoint in watch):
+        return Finding(topic, "warn", detail, "listen with tls/ and --credentials beyond this machine: deploy/zenoh")
+    return Finding(topic, "ok", detail)
+
+
+def _watchers(endpoint: str) -> str:
+    if endpoint.startswith("tls/"):
+        return "certificates of its authority"
+    return "everybody who reaches this machine" if _open_to_all(endpoint) else "every account of this machine"
+
+
+def _open_to_all(endpoint: str) -> bool:
+    """Neither TLS nor loopback."""
+    protocol, _, address = endpoint.partition("/")
+    host = address.rpartition(":")[0].strip("[]")
+    return protocol != "tls" and not (host.startswith("127.") or host in ("localhost", "::1"))
 
 
 class _Statfs(ctypes.Structure):

@@ -1,4 +1,4 @@
-"""`hil install` and `hil uninstall`: systemd units, network files and a rig file, put in place and taken away again."""
+"""`hil install` and `hil uninstall`: put systemd units, network files and a rig file in place, and remove them."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ from hil.rig.shipped import shipped
 
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"
-CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, worked out again where they are missing
+CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, computed again where they are missing
 _UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil.target")
 _PACKAGED_TARGET = "usr/lib/systemd/system/hil.target"
 
@@ -49,7 +49,7 @@ def with_values(text: str, **values: object) -> str:
 def system_files(executable: str, *, packaged: bool) -> Files:
     """What every rig shares: units, user, directories, device permission.
 
-    executable: absolute path of `hil` for ExecStart. packaged: at a package's places, else at an administrator's.
+    executable: absolute path of `hil` for ExecStart. packaged: in a package's directories, else in the administrator's.
     """
     source = shipped("systemd")
     base, udev = ("usr/lib", "usr/lib/udev") if packaged else ("etc", "etc/udev")
@@ -123,8 +123,8 @@ def rig_files(rig: RigConfig, *, fd: bool, emulator: bool) -> Files:
     drop_ins = {"hil-control": unit_drop_in(rig, control_cpu(rig, os.cpu_count() or 1))}
     if emulator:
         drop_ins["hil-emulator"] = unit_drop_in(rig)
-    places = {f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": text for unit, text in drop_ins.items()}
-    return {**network_files(rig.bus, fd=fd), **places}
+    files = {f"etc/systemd/system/{unit}@{rig.name}.service.d/rig.conf": text for unit, text in drop_ins.items()}
+    return {**network_files(rig.bus, fd=fd), **files}
 
 
 def _digest(text: str) -> str:
@@ -158,7 +158,7 @@ def _write(root: Path, files: Files, links: Links, manifest: dict[str, str]) -> 
 
 
 def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
-    """The rig file's text, with another channel where one is asked for (comments stay), and what it says."""
+    """The rig file's text (comments kept), with its channel replaced where one is given, and the rig parsed from it."""
     try:
         document = tomlkit.parse(source.read_text(encoding="utf-8"))
     except OSError as error:
@@ -183,7 +183,7 @@ def _dbc_file(rig: RigConfig, source: Path) -> Files:
         return {}
     if ".." in Path(name).parts:
         raise InstallError(f"bus.protocol = '{rig.bus.protocol}': must lie beside {source}, or be an absolute path")
-    # DBC files are in whatever 8-bit encoding their editor used: carry the bytes through
+    # DBC files come in any 8-bit encoding: keep the bytes
     return {name: (source.parent / name).read_text(encoding="utf-8", errors="surrogateescape")}
 
 
@@ -204,7 +204,7 @@ def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> No
 
 
 def _reload(root: Path, channel: str = "") -> None:
-    """Let the running system see the new files; nothing is started or stopped.
+    """Make the running system read the new files; starts and stops nothing.
 
     channel: an interface to which udev is to apply its .link file (the transmit queue) now, if it is there.
     """

@@ -1,4 +1,4 @@
-"""Which machine this is: processor, kernel, versions; printed beside every figure of time."""
+"""Facts about this machine (processor, kernel, versions), printed beside every figure of time."""
 
 import os
 import platform

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,18 +17,34 @@ from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import metres
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+from hil.telemetry.credentials import Credentials
 
-STALE_S = 2.0
+STALE_S = 0.5  # a status comes ten times a second, a tick a hundred times and more
 POLL_S = 0.05
-LINE_INTERVAL_S = 1.0  # without a terminal
+FIRST_S = 30.0
+LINE_INTERVAL_S = 0.5  # without a terminal
 
 _STATE_STYLES = {"ACTIVE": "bold green", "HOMING": "green", "READY": "cyan", "FAULT": "bold red", "ESTOP": "bold red"}
 
 
-def control_line(status: pb.Status) -> Text:
-    """State, fault and fate of the control process."""
+def silence(status: pb.Status | None, age_s: float) -> str:
+    """What is dead though it was alive, and how long; empty where all are alive. age_s: of the status."""
+    if status is None:
+        return "no sidecar answers"
+    if age_s > STALE_S:
+        return f"NO WORD FROM THE SIDECAR for {age_s:.1f} s; what is shown is as old"
+    ticked_s = (status.now_ns - status.tick_ns) * 1e-9
+    if status.control_alive and status.tick_ns and ticked_s > STALE_S:
+        return f"THE CONTROL PROCESS HANGS: no tick for {ticked_s + age_s:.1f} s; what is shown is as old"
+    return ""
+
+
+def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
+    """State, fault and fate of the control process. age_s: of the status."""
     text = Text()
-    text.append(status.state or "-", style=_STATE_STYLES.get(status.state, "yellow"))
+    if dead := silence(status, age_s):
+        text.append(f"{dead}; it was ", style="bold red")
+    text.append(status.state or "-", style="dim" if dead else _STATE_STYLES.get(status.state, "yellow"))
     if status.fault not in ("", "NONE"):
         text.append(f"  fault {status.fault}", style="bold red")
     if status.faults_active:
@@ -52,9 +69,9 @@ def axis_rows(status: pb.Status) -> Table:
     columns = (status.axes, status.units, status.position, status.setpoint, status.max_error, status.force)
     for name, unit, position, setpoint, error, force, drive in zip(*columns, status.drive_status, strict=False):
         table.add_row(
-            name,
-            f"{position * 1e3:+.6f} m{unit}",
-            f"{setpoint * 1e3:+.6f} m{unit}",
+            Text(name),
+            Text(f"{position * 1e3:+.6f} m{unit}"),
+            Text(f"{setpoint * 1e3:+.6f} m{unit}"),
             metres(error, "linear" if unit == "m" else "rotary"),
             f"{force:+.4f} {'N' if unit == 'm' else 'N m'}",
             drive_words(drive),
@@ -74,38 +91,39 @@ def counter_rows(status: pb.Status) -> Table:
     table.add_row("frames", f"{counts.sent} sent, {counts.received} received; {lost}")
     recording = "recording" if status.recording else "not recording"
     table.add_row("telemetry", f"{status.sent} ticks sent, {status.dropped} dropped; {recording}")
-    table.add_row("real time", status.realtime or "-")
+    table.add_row("real time", Text(status.realtime or "-"))
     return table
 
 
-def view(status: pb.Status) -> RenderableType:
-    """The whole picture."""
+def view(status: pb.Status, age_s: float = 0.0) -> RenderableType:
+    """The whole picture. age_s: of the status."""
     title = (
         f"{status.rig} · {status.law} · {1e9 / status.period_ns if status.period_ns else 0:g} Hz · tick {status.index}"
     )
-    return Panel(Group(control_line(status), axis_rows(status), counter_rows(status)), title=title)
+    return Panel(Group(control_line(status, age_s), axis_rows(status), counter_rows(status)), title=Text(title))
 
 
-def line(status: pb.Status) -> str:
+def line(status: pb.Status, age_s: float = 0.0) -> str:
     """The same in one line, where there is no terminal."""
     errors = " ".join(
         f"{name} {metres(error, 'linear' if unit == 'm' else 'rotary')}"
         for name, unit, error in zip(status.axes, status.units, status.max_error, strict=False)
     )
     late = f"late p99 {status.lateness_p99 * 1e6:.0f} max {status.lateness_max * 1e6:.0f} us"
-    return f"tick {status.index:>7}  {control_line(status).plain}  max error {errors or '-'}  {late}"
+    return f"tick {status.index:>7}  {control_line(status, age_s).plain}  max error {errors or '-'}  {late}"
 
 
 def monitor(
     rig: Annotated[str | None, typer.Argument(help="name of the rig [any]")] = None,
     connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
     key: Annotated[str, typer.Option(help="[telemetry] key of the rig file")] = "hil",
+    credentials: Annotated[Path | None, typer.Option(help="directory, for an endpoint tls/...")] = None,
     once: Annotated[bool, typer.Option("--once", help="print one snapshot and leave")] = False,
 ) -> None:
     """Watch a rig until Ctrl-C. Exit status 69: no sidecar answers (with --once)."""
     console = Console()
     endpoint = connect or find_endpoint(rig)
-    with RigClient(endpoint, key, rig or "*") as client:
+    with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:
         try:
             if once:
                 console.print(view(client.wait_status(3.0)))
@@ -118,24 +136,48 @@ def monitor(
             pass
 
 
+class Newest:
+    """The newest status and its age, s."""
+
+    def __init__(self, client: RigClient) -> None:
+        self._client = client
+        self._heard_s = time.monotonic()
+        self.status: pb.Status | None = None
+
+    def look(self) -> bool:
+        """Take a newer one in; False where there is none."""
+        status = self._client.status()
+        if status:
+            self.status, self._heard_s = status, time.monotonic()
+        return status is not None
+
+    @property
+    def age_s(self) -> float:
+        """Since it came; of none since the start."""
+        return time.monotonic() - self._heard_s
+
+
 def _watch(client: RigClient, console: Console) -> None:
-    waiting = Text(f"waiting for a sidecar at {client.endpoint} (hil sidecar RIG, or hil demo RIG); Ctrl-C ends")
     if not console.is_terminal:
         _watch_lines(client, console)
         return
-    last_s = 0.0
+    waiting = Text(f"waiting for a sidecar at {client.endpoint} (hil sidecar RIG, or hil demo RIG); Ctrl-C ends")
+    newest = Newest(client)
     with Live(waiting, console=console, auto_refresh=False, transient=False) as live:
         while True:
-            status = client.status()
-            if status:
-                last_s = time.monotonic()
-                live.update(view(status), refresh=True)
-            elif time.monotonic() - last_s > STALE_S:
-                live.update(waiting, refresh=True)
+            if (newest.look() or newest.age_s > STALE_S) and newest.status:
+                live.update(view(newest.status, newest.age_s), refresh=True)
             time.sleep(POLL_S)
 
 
 def _watch_lines(client: RigClient, console: Console) -> None:
+    newest = Newest(client)
+    due_s = 0.0
     while True:
-        console.print(line(client.wait_status(30.0)), soft_wrap=True)
-        time.sleep(LINE_INTERVAL_S)
+        newest.look()
+        if newest.status is None and newest.age_s > FIRST_S:
+            raise NoSidecarError(f"no sidecar answers at {client.endpoint}")
+        if newest.status and time.monotonic() >= due_s:
+            console.print(line(newest.status, newest.age_s), soft_wrap=True, markup=False)
+            due_s = time.monotonic() + LINE_INTERVAL_S
+        time.sleep(POLL_S)

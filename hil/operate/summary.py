@@ -1,4 +1,4 @@
-"""What a run was like, from its recording: the table at the end of `hil demo`, and summary.json."""
+"""Summary of a run from its recording: the table at the end of `hil demo`, and summary.json."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
 
 @dataclass
 class RunData:
-    """A recording as columns (hil.telemetry.codec.columns), with what it says about itself."""
+    """A recording as columns (hil.telemetry.codec.columns), and its metadata."""
 
     rig: RigConfig
     metadata: dict[str, Any]
@@ -56,7 +56,7 @@ class RunData:
 
     @property
     def lateness(self) -> NDArray[np.float64]:
-        """Of every tick behind its deadline, s."""
+        """Start of every tick after its deadline, s."""
         result: NDArray[np.float64] = (self.columns["now_ns"] - self.columns["scheduled_ns"]) * 1e-9
         return result
 

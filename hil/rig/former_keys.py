@@ -1,5 +1,7 @@
 """Keys of earlier versions of the rig file: moved to where they are now, with a line each that says what to change."""
 
+import sys
+import warnings
 from typing import Any
 
 from drivers.toml_file import shown
@@ -13,6 +15,20 @@ class FormerKeyWarning(FutureWarning):
 
 class FormerKeyError(ValueError):
     """A rig file states a former key and the present one, and they differ; the text says which to remove."""
+
+
+def show_former_keys() -> None:
+    """From now on this process prints a FormerKeyWarning as one line on stderr; other warnings as before."""
+    warnings.showwarning = _show_warning
+
+
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+) -> None:
+    """What a rig file of an earlier version should say instead, as a line like any other; other warnings as ever."""
+    plain = f"hil: {message}\n"
+    other = warnings.formatwarning(message, category, filename, lineno, line)
+    (file or sys.stderr).write(plain if issubclass(category, FormerKeyWarning) else other)
 
 
 def modernise(document: dict[str, Any]) -> list[str]:

@@ -91,6 +91,9 @@ class RigConfig(BaseModel):
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
 
 
+_LISTS_OF_TABLES = ("cells", "modes", "cogging", "vibration")  # of [plant]; their entries name an axis
+
+
 def _length_problems(rig: RigConfig) -> list[str]:
     n = len(rig.axes)
     tables: list[tuple[str, BaseModel]] = [("plant", rig.plant), ("drives", rig.drives), ("estimator", rig.estimator)]
@@ -105,21 +108,50 @@ def _length_problems(rig: RigConfig) -> list[str]:
 
 
 def _one_per_axis(table: str, name: str, value: list[object], model: BaseModel) -> bool:
-    """Whether that list has to have a value for every axis: not the cells, nor what [plant] leaves to [axes]."""
+    """Whether that list has to have a value for every axis: not the tables, nor what [plant] leaves to [axes]."""
     if table != "plant":
         return True
-    return name != "cells" and name in model.model_fields_set and not (name == "gravity" and not value)
+    return name not in _LISTS_OF_TABLES and name in model.model_fields_set and not (name == "gravity" and not value)
 
 
 def _task_problems(rig: RigConfig) -> list[str]:
     names = rig.axis_names
-    named = [("task.axes", axis) for axis in rig.task.axes] + [("plant.cells", cell.axis) for cell in rig.plant.cells]
+    named = [("task.axes", axis) for axis in rig.task.axes]
+    for name in _LISTS_OF_TABLES:
+        named += [(f"plant.{name}", entry.axis) for entry in getattr(rig.plant, name) if entry.axis is not None]
     problems = [
         f"{path}: no axis '{axis}'; the axes are {', '.join(names)}" for path, axis in named if axis not in names
     ]
-    if rig.task.kind in ("circle", "lissajous") and len(rig.task.axes) != 2:
+    if len(set(rig.task.axes)) != len(rig.task.axes):
+        problems.append(f"task.axes = {rig.task.axes}: an axis twice")
+    if not problems:
+        problems += _path_problems(rig)
+    if rig.task.kind in ("circle", "lissajous", "spiral") and len(rig.task.axes) != 2:
         problems.append(f"task.axes = {rig.task.axes}: a {rig.task.kind} needs two axes")
     return problems
+
+
+def _path_problems(rig: RigConfig) -> list[str]:
+    """The first point of a path or of waypoints that is beyond an axis' travel, or too fast to get to."""
+    task = rig.task
+    if task.kind not in ("path", "waypoints"):
+        return []
+    timed = task.kind == "path"
+    table, rows = ("task.samples", task.samples) if timed else ("task.waypoints", task.waypoints)
+    if task.repeat and timed and rows[0][1:] != rows[-1][1:]:
+        return [f"task.repeat = true: row {len(rows)} of {table} must have the positions of row 1"]
+    for column, name in enumerate(task.axes, 1 if timed else 0):
+        limits = rig.axes[name].limits
+        for number, row in enumerate(rows, 1):
+            where, value = f"{table}: row {number}, column {name}", row[column]
+            if not limits.position[0] <= value <= limits.position[1]:
+                return [f"{where}: {value:g} is outside axes.{name}.limits.position = {limits.position}"]
+            if timed and number > 1:
+                before = rows[number - 2]
+                speed = abs(value - before[column]) / (row[0] - before[0])
+                if speed > limits.speed:
+                    return [f"{where}: {speed:g} /s from the row before, axes.{name}.limits.speed is {limits.speed:g}"]
+    return []
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:

@@ -4,15 +4,16 @@
 Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
 from drivers.protocols.mounting import Mounting
+from hil.rig.task_file import MOST_ROWS, sample_problems
 from sim_plant.config import NonNegative, Positive, Resolution
 
-MAX_AXES = 4
+MAX_AXES: Final = 4
 LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
@@ -82,7 +83,7 @@ class LawConfig(BaseModel):
     """[law]: which control law, with which gains."""
 
     model_config = STRICT
-    name: str = key("pd-feedforward", "the control law; `hil compare` runs all of them")
+    name: str = key("pd-feedforward", "the law: its name, package.module:Class, or ./file.py:Class beside the rig file")
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
@@ -130,17 +131,27 @@ class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
     model_config = STRICT
-    kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection"] = key("hold", "the kind of motion")
-    axes: list[str] = key([], "circle, lissajous: the two axes; point_to_point: those that move")
-    radius: Positive = key(1.0, "circle: radius; lissajous: amplitude", "m (rad)")
+    kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spiral"] = key(
+        "hold", "the kind of motion"
+    )
+    axes: list[str] = key([], "circle, lissajous, spiral: the two axes; others: those that move")
+    radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
     ratio: int = key(2, "lissajous: frequency of the second axis over that of the first", "1", ge=1, le=16)
     phase: float = key(0.0, "phase at the start of the figure", "rad")
     approach_s: Duration = key(2.0, "duration of the minimum-jerk approach to the figure", "s")
     settle_s: Pause = key(6.0, "after the approach; statistics start then", "s")
     target: list[float] = key([], "point_to_point: target per axis in `axes`", "m (rad)")
-    move_s: Duration = key(1.0, "point_to_point: duration of one move", "s")
-    dwell_s: Pause = key(0.5, "point_to_point: rest between moves", "s")
+    move_s: Duration = key(1.0, "point_to_point: duration of one move; spiral: of all of it", "s")
+    dwell_s: Pause = key(0.5, "point_to_point, waypoints: rest between moves", "s")
+    file: str = key("", "path: CSV or NPZ beside the rig file, with time_s and a column for each axis that moves")
+    samples: list[list[float]] = key([], "path: rows of time and positions in the order of `axes`; read from `file`")
+    waypoints: list[list[float]] = key([], "waypoints: positions in the order of `axes`", "m (rad)")
+    speed: Positive = key(0.1, "waypoints: greatest speed of an axis", "m/s (rad/s)")
+    acceleration: Positive = key(1.0, "waypoints: greatest acceleration of an axis", "m/s^2 (rad/s^2)")
+    jerk: Positive = key(100.0, "waypoints: greatest jerk of an axis", "m/s^3 (rad/s^3)")
+    turns: float = key(3.0, "spiral: number of turns", "1", ge=0.25, le=300)
+    repeat: bool = key(False, "path, waypoints: over and over again")
     injection: InjectionConfig | None = key(None, "the injection plan; needed for kind = 'injection'")
 
     @model_validator(mode="after")
@@ -149,7 +160,18 @@ class TaskConfig(BaseModel):
             raise ValueError("kind = 'injection' needs a table [task.injection]")
         if self.kind == "point_to_point" and self.target and len(self.target) != len(self.axes):
             raise ValueError(f"target has {len(self.target)} values for {len(self.axes)} axes")
+        if self.kind == "path" and (problems := sample_problems(self.axes, self.samples)):
+            raise ValueError(f"samples: {problems[0]}")
+        if self.kind == "waypoints":
+            self._check_waypoints()
         return self
+
+    def _check_waypoints(self) -> None:
+        if not self.axes or not 2 <= len(self.waypoints) <= MOST_ROWS:
+            raise ValueError(f"kind = 'waypoints' needs `axes` and from 2 to {MOST_ROWS} waypoints")
+        for number, point in enumerate(self.waypoints, 1):
+            if len(point) != len(self.axes):
+                raise ValueError(f"waypoints: row {number} has {len(point)} values for {len(self.axes)} axes")
 
 
 class TimingConfig(BaseModel):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hil.live.ring import RingError, RingReader, previous_path
-from hil.live.runtime_paths import Places, places
+from hil.live.runtime_paths import RuntimePaths, runtime_paths
 from hil.rig.file import load_rig
 from hil.telemetry.recorder import Recorder, write_batch
 
@@ -28,10 +28,10 @@ def save_ring(reader: RingReader, path: Path) -> int:
     return saved
 
 
-def killed_rings(rig_places: Places) -> list[Path]:
+def killed_rings(paths: RuntimePaths) -> list[Path]:
     """Rings of this rig whose writer was killed, the oldest first."""
     found = []
-    for path in (previous_path(rig_places.ring), rig_places.ring):
+    for path in (previous_path(paths.ring), paths.ring):
         try:
             with RingReader(path) as reader:
                 if reader.written and not (reader.ended or reader.saved or reader.writer_alive):
@@ -41,10 +41,10 @@ def killed_rings(rig_places: Places) -> list[Path]:
     return found
 
 
-def save_black_boxes(rig_places: Places, directory: Path | None) -> list[Path]:
+def save_black_boxes(paths: RuntimePaths, directory: Path | None) -> list[Path]:
     """Save every killed ring once, as blackbox.mcap, blackbox-2.mcap, ... in `directory`, or in one made for them."""
     saved: list[Path] = []
-    for ring in killed_rings(rig_places):
+    for ring in killed_rings(paths):
         directory = directory or run_directory()
         target = directory / f"blackbox{f'-{len(saved) + 1}' if saved else ''}.mcap"
         with RingReader(ring) as reader:
@@ -70,7 +70,7 @@ def blackbox(
     out: Annotated[Path | None, typer.Option(help="directory for blackbox.mcap [runs/<time>]")] = None,
 ) -> None:
     """Save what a killed control process left behind."""
-    saved = save_black_boxes(places(load_rig(rig).name), out)
+    saved = save_black_boxes(runtime_paths(load_rig(rig).name), out)
     for path in saved:
         print(f"saved {path}; look into it with: hil replay {path}")
     if not saved:

@@ -1,7 +1,5 @@
-"""A client of a sidecar: the newest status, and commands with their verdict."""
+"""A client of a sidecar: the newest status. Commands are not given over Zenoh: hil/telemetry/command_client.py."""
 
-import contextlib
-import os
 import socket
 import time
 from typing import Any
@@ -10,15 +8,13 @@ import zenoh
 from google.protobuf.message import DecodeError
 from zenoh.handlers import RingChannel
 
-from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.gateway import ASK_TIME
+from hil.telemetry.credentials import Credentials
 from hil.telemetry.session import client_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-COMMAND_LIFE_NS = 300_000_000
 _POLL_S = 0.01
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
 
@@ -46,14 +42,28 @@ def listens(endpoint: str) -> bool:
     return True
 
 
+def printable(status: pb.Status) -> pb.Status:
+    """The status without characters that would command a terminal (ESC and its like)."""
+    for field, value in status.ListFields():
+        if field.type == field.TYPE_STRING:
+            if isinstance(value, str):
+                setattr(status, field.name, _printable(value))
+            else:
+                value[:] = [_printable(text) for text in value]
+    return status
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 class RigClient(Closing):
     """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
 
-    def __init__(self, endpoint: str, key: str = "hil", rig: str = "*") -> None:
+    def __init__(self, endpoint: str, key: str = "hil", rig: str = "*", credentials: Credentials | None = None) -> None:
         self.endpoint = endpoint
         self._key = f"{key}/{rig}"
-        self._client = int.from_bytes(os.urandom(7), "little")
-        self._sequence = 0
+        self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
 
@@ -61,7 +71,7 @@ class RigClient(Closing):
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
         if self._session is None:
             try:
-                self._session = zenoh.open(client_config(self.endpoint))
+                self._session = zenoh.open(client_config(self.endpoint, self._credentials))
             except zenoh.ZError:
                 return False
             self._statuses = self._session.declare_subscriber(f"{self._key}/status", RingChannel(1))
@@ -71,7 +81,7 @@ class RigClient(Closing):
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
         try:
-            return pb.Status.FromString(sample.payload.to_bytes()) if sample else None
+            return printable(pb.Status.FromString(sample.payload.to_bytes())) if sample else None
         except DecodeError:  # of another version, or of anybody else who can publish there
             return None
 
@@ -83,28 +93,6 @@ class RigClient(Closing):
                 return status
             time.sleep(_POLL_S)
         raise NoSidecarError(_NOBODY.format(self.endpoint))
-
-    def command(self, kind: CommandKind, token: str) -> pb.CommandReply:
-        """Send a command and wait for the verdict. Raises NoSidecarError."""
-        clock = self._ask(pb.CommandRequest(token=token, kind=ASK_TIME))
-        if not clock.accepted:
-            return clock
-        self._sequence += 1
-        expires_ns = clock.now_ns + COMMAND_LIFE_NS
-        request = pb.CommandRequest(
-            token=token, kind=kind, client=self._client, sequence=self._sequence, expires_ns=expires_ns
-        )
-        return self._ask(request)
-
-    def _ask(self, request: pb.CommandRequest) -> pb.CommandReply:
-        if not self._connect() or self._session is None:
-            raise NoSidecarError(_NOBODY.format(self.endpoint))
-        replies = self._session.get(f"{self._key}/command", payload=request.SerializeToString(), timeout=2.0)
-        for reply in replies:
-            if reply.ok:
-                with contextlib.suppress(DecodeError):
-                    return pb.CommandReply.FromString(reply.ok.payload.to_bytes())
-        raise NoSidecarError(f"no command gateway answers at {self.endpoint}")
 
     def close(self) -> None:
         """Leave."""

@@ -25,7 +25,7 @@ _COUNTERS = (
     "commands_refused",
     "law_floors",
 )
-STOP, RECORDER_OK, REALTIME_OK, RIG_OK = 1, 2, 4, 8  # bits of record flags
+STOP, RECORDER_OK, REALTIME_OK, RIG_OK, ESTOP = 1, 2, 4, 8, 32  # bits of record flags
 _N_PORT = len(PortCounters._fields)
 _DATA_BYTES = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 
@@ -118,6 +118,7 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
             recorder_ok=bool(flags & RECORDER_OK),
             realtime_ok=bool(flags & REALTIME_OK),
             rig_ok=bool(flags & RIG_OK),
+            estop=bool(flags & ESTOP),
         )
         inputs = [next(received) for _ in range(message.received_count[place])]
         outputs = [next(sent) for _ in range(message.sent_count[place])]

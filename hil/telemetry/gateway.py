@@ -1,97 +1,102 @@
-"""The command gateway: from a Zenoh query to the mailbox, and the control process's verdict back.
+"""The command gateway: from a request to the mailbox, and the control process' verdict back.
 
-A request must carry the token (a file only the rig's owner can read), a known kind, a sequence number above the
-client's last, and an expiry on the rig's own clock that is neither past nor further off than safety.command_expiry_s.
-Whatever is wrong is refused with the reason; nothing is adjusted. The answer waits for the tick that judged it.
+Rules:
+- A request needs an authorised peer, a known kind, a sequence number above the connection's last, and an expiry on the
+  rig's clock that is neither past nor further off than safety.command_expiry_s. Nothing is adjusted.
+- ESTOP needs the authorised peer alone: it presses the stop page (hil/live/stop_page.py), whatever the clock says.
+- The reply waits for the tick that judged the command, and names it, so that a client can read it itself.
+- Every request is recorded, and every press of stop: who, what, when, verdict, why.
 """
 
-import hmac
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import zenoh
-from google.protobuf.message import DecodeError
 
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.codec import REALTIME_OK, RECORDER_OK, RIG_OK
+from hil.telemetry.codec import ESTOP, REALTIME_OK, RECORDER_OK, RIG_OK
+from hil.telemetry.command_server import Asked
 
-ASK_TIME = 0  # kind of a request that wants to know the rig's clock only
 VERDICT_TIMEOUT_NS = 500_000_000
-_CLIENTS = 256  # remembered; older ones would have to guess an unexpired time to be replayed
+_NOBODY = "no control process is running this rig"
 
 
 class _Pending(NamedTuple):
-    query: zenoh.Query
-    kind: CommandKind
+    asked: Asked
     until_ns: int
 
 
 class Gateway:
-    """Judges requests and keeps those whose verdict is still to come. expiry_s: longest life of a command."""
+    """Judges requests and keeps those whose verdict is still to come.
 
-    def __init__(self, key: str, token: str, expiry_s: float) -> None:
-        self._key = f"{key}/command"
-        self._token = token.encode()
+    expiry_s: longest life of a command. stop: the rig's stop page. record: takes every entry.
+    """
+
+    def __init__(self, expiry_s: float, stop: Path, record: Callable[[pb.CommandEntry], None]) -> None:
         self._expiry_ns = round(expiry_s * 1e9)
-        self._last_sequence: dict[int, int] = {}
+        self._stop = stop
+        self._record = record
         self._pending: dict[int, _Pending] = {}  # by mailbox sequence
+        self._stops: list[_Pending] = []  # presses of the stop page
         self.refused = 0
 
-    def judge(self, request: pb.CommandRequest, now_ns: int) -> str:
-        """Why the request is refused; empty when it is not. Notes the sequence number of an authorised client."""
-        if not hmac.compare_digest(request.token.encode(), self._token):
-            return "not authorised: the token is not the one in the rig's runtime directory"
-        if request.kind == ASK_TIME:
-            return ""
-        last = self._last_sequence.get(request.client, 0)
+    def judge(self, asked: Asked, now_ns: int) -> str:
+        """Why the request is refused; empty when it is not. Notes the sequence number."""
+        request, last = asked.request, asked.connection.last_sequence
+        if asked.refusal:
+            return asked.refusal
         if request.kind not in set(CommandKind):
             return f"unknown command {request.kind}: known are 1 to {max(CommandKind)}"
+        if request.kind == CommandKind.ESTOP:
+            return ""
         if request.sequence <= last:
             return f"replayed: sequence {request.sequence} is not above {last}"
         if request.expires_ns <= now_ns:
             return f"stale: expired {(now_ns - request.expires_ns) * 1e-6:.1f} ms ago"
         if request.expires_ns > now_ns + self._expiry_ns:
             return f"expires too late: at most {self._expiry_ns * 1e-9:g} s ahead (safety.command_expiry_s)"
-        self._remember(request)
+        asked.connection.last_sequence = request.sequence
         return ""
 
-    def _remember(self, request: pb.CommandRequest) -> None:
-        self._last_sequence.pop(request.client, None)
-        self._last_sequence[request.client] = request.sequence
-        if len(self._last_sequence) > _CLIENTS:
-            del self._last_sequence[next(iter(self._last_sequence))]
+    def take(self, asked: Asked, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
+        """Judge one request; hand it on, or answer it at once."""
+        reason = self.judge(asked, now_ns)
+        if not reason:
+            pending = _Pending(asked, now_ns + VERDICT_TIMEOUT_NS)
+            press = asked.request.kind == CommandKind.ESTOP
+            reason = self._press(pending) if press else self._post(pending, mailbox)
+        if reason:
+            self._answer(asked, pb.CommandReply(reason=reason, now_ns=now_ns, state=state))
 
-    def take(self, query: zenoh.Query, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
-        """Judge one query; hand it on, or answer it at once."""
-        payload = query.payload
-        try:
-            request = pb.CommandRequest.FromString(payload.to_bytes() if payload else b"")
-        except DecodeError:
-            self._answer(query, now_ns, state, "not a CommandRequest")
-            return
-        reason = self.judge(request, now_ns)
-        if not reason and request.kind != ASK_TIME:
-            reason = self._post(query, request, mailbox, now_ns)
-            if not reason:
-                return
-        self._answer(query, now_ns, state, reason)
+    def _press(self, pending: _Pending) -> str:
+        page = stop_page.open_page(str(self._stop))
+        if page is None:
+            return _NOBODY
+        page.press()
+        page.close()
+        self._stops.append(pending)
+        return ""
 
-    def _post(self, query: zenoh.Query, request: pb.CommandRequest, mailbox: Mailbox | None, now_ns: int) -> str:
+    def _post(self, pending: _Pending, mailbox: Mailbox | None) -> str:
         if mailbox is None:
-            return "no control process is running this rig"
-        kind = CommandKind(request.kind)
+            return _NOBODY
+        request = pending.asked.request
         try:
-            sequence = mailbox.post(kind, request.expires_ns)
+            sequence = mailbox.post(CommandKind(request.kind), request.expires_ns)
         except MailboxError as error:
             return str(error)
-        self._pending[sequence] = _Pending(query, kind, now_ns + VERDICT_TIMEOUT_NS)
+        self._pending[sequence] = pending
         return ""
 
-    def verdicts(self, records: np.ndarray, now_ns: int) -> None:
-        """Answer the requests that these ticks judged."""
+    def verdicts(self, records: np.ndarray, first: int, now_ns: int) -> None:
+        """Answer the requests that these ticks judged. first: ring index of the first."""
+        for place in np.flatnonzero(records["flags"] & ESTOP):
+            self._stopped(records[place], first + int(place), now_ns)
         if not self._pending:
             return
         for place in np.flatnonzero(records["n_commands"]):
@@ -99,20 +104,57 @@ class Gateway:
             for command in record["commands"][: record["n_commands"]]:
                 pending = self._pending.pop(int(command["sequence"]), None)
                 if pending:
-                    reason = "" if command["accepted"] else explain(pending.kind, int(command["expires_ns"]), record)
-                    self._answer(pending.query, now_ns, State(int(record["state"])).name, reason)
+                    kind, expires_ns = CommandKind(pending.asked.request.kind), int(command["expires_ns"])
+                    accepted = bool(command["accepted"])
+                    reason = "" if accepted else explain(kind, expires_ns, record)
+                    reply = _reply(record, first + int(place), now_ns, reason)
+                    reply.posted = int(command["sequence"])
+                    self._answer(pending.asked, reply)
+
+    def _stopped(self, record: np.void, index: int, now_ns: int) -> None:
+        """A tick in which stop was pressed: by whom the page says, or by those who asked here."""
+        for pending in self._stops:
+            self._answer(pending.asked, _reply(record, index, now_ns, ""))
+        if not self._stops:
+            page = stop_page.open_page(str(self._stop))
+            status = page.status() if page else None
+            if page:
+                page.close()
+            who = f"uid {status.presser_uid} (pid {status.presser_pid}) says the stop page" if status else "unknown"
+            self._note(who, CommandKind.ESTOP, _reply(record, index, int(record["now_ns"]), ""))
+        self._stops = []
 
     def give_up(self, now_ns: int, state: str, *, everything: bool = False) -> None:
         """Answer requests nobody judged in time."""
         overdue = [sequence for sequence, pending in self._pending.items() if everything or now_ns > pending.until_ns]
-        for sequence in overdue:
-            self._answer(self._pending.pop(sequence).query, now_ns, state, "the control process did not take it")
+        late = [self._pending.pop(sequence) for sequence in overdue]
+        late += [pending for pending in self._stops if everything or now_ns > pending.until_ns]
+        self._stops = [pending for pending in self._stops if pending not in late]
+        for pending in late:
+            reason = "the control process did not take it"
+            if pending.asked.request.kind == CommandKind.ESTOP:
+                reason += " yet: stop stays pressed"
+            self._answer(pending.asked, pb.CommandReply(reason=reason, now_ns=now_ns, state=state))
 
-    def _answer(self, query: zenoh.Query, now_ns: int, state: str, reason: str) -> None:
-        self.refused += bool(reason)
-        reply = pb.CommandReply(accepted=not reason, reason=reason, now_ns=now_ns, state=state)
-        with query:
-            query.reply(self._key, reply.SerializeToString())
+    def _answer(self, asked: Asked, reply: pb.CommandReply) -> None:
+        reply.sequence = asked.request.sequence
+        self._note(asked.who, asked.request.kind, reply)
+        asked.connection.answer(reply)
+
+    def _note(self, who: str, kind: int, reply: pb.CommandReply) -> None:
+        self.refused += not reply.accepted
+        entry = pb.CommandEntry(who=who, kind=kind, when_ns=reply.now_ns, accepted=reply.accepted)
+        entry.reason, entry.state = reply.reason, reply.state
+        self._record(entry)
+
+    def note_rejected(self, who: str, reason: str, now_ns: int) -> None:
+        """Somebody who did not get as far as to ask."""
+        self._note(who, 0, pb.CommandReply(reason=reason, now_ns=now_ns))
+
+
+def _reply(record: np.void, index: int, now_ns: int, reason: str) -> pb.CommandReply:
+    state = State(int(record["state"])).name
+    return pb.CommandReply(accepted=not reason, reason=reason, now_ns=now_ns, state=state, tick=index + 1)
 
 
 def explain(kind: CommandKind, expires_ns: int, record: np.void) -> str:

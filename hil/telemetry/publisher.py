@@ -7,9 +7,11 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from hil.live.mapped_file import Closing
+from hil.telemetry.credentials import Credentials
 from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64
+QUERIES_A_ROUND = 8
 
 
 class ListenError(Exception):
@@ -19,12 +21,12 @@ class ListenError(Exception):
 class Publisher(Closing):
     """An open Zenoh session with the keys of one rig. Nothing blocks: what the network cannot take is dropped."""
 
-    def __init__(self, key: str, rig: str, listen: list[str]) -> None:
+    def __init__(self, key: str, rig: str, listen: list[str], credentials: Credentials | None = None) -> None:
         self.key = f"{key}/{rig}"
         self.listen = listen
-        self.failed = 0
+        self.failed = self.answered = 0
         with ExitStack() as stack:
-            self._session = stack.enter_context(_open(listen))
+            self._session = stack.enter_context(_open(listen, self.key, credentials))
             self._publishers = {
                 topic: self._session.declare_publisher(
                     f"{self.key}/{topic}",
@@ -34,7 +36,6 @@ class Publisher(Closing):
                 for topic in ("telemetry", "status")
             }
             self.rig_queries = self._session.declare_queryable(f"{self.key}/rig", RingChannel(_QUERIES_WAITING))
-            self.commands = self._session.declare_queryable(f"{self.key}/command", RingChannel(_QUERIES_WAITING))
             self._alive = self._session.liveliness().declare_token(f"{self.key}/alive")
             self._stack = stack.pop_all()
 
@@ -49,8 +50,12 @@ class Publisher(Closing):
 
     def answer_rig_queries(self, description: Callable[[], bytes]) -> None:
         """Reply to everybody who asked which rig this is. description: called for each, as hardly anybody asks."""
-        while query := self.rig_queries.try_recv():
+        for _ in range(QUERIES_A_ROUND):
+            query = self.rig_queries.try_recv()
+            if query is None:
+                return
             with query:
+                self.answered += 1
                 query.reply(f"{self.key}/rig", description(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def close(self) -> None:
@@ -58,8 +63,8 @@ class Publisher(Closing):
         self._stack.close()
 
 
-def _open(listen: list[str]) -> zenoh.Session:
+def _open(listen: list[str], key: str, credentials: Credentials | None) -> zenoh.Session:
     try:
-        return zenoh.open(server_config(listen))
+        return zenoh.open(server_config(listen, f"{key}/**", credentials))
     except zenoh.ZError as error:
         raise ListenError(f"cannot listen on {', '.join(listen)}: {error}") from None

@@ -1,7 +1,8 @@
 """MCAP recordings: self-describing, compressed in small chunks, readable to the last whole chunk when cut short.
 
 Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Channels: `telemetry`
-and `traffic` (every tick, in batches), `status` (10 Hz).
+and `traffic` (every tick, in batches), `status` (10 Hz), `commands` (every
+request, refused ones included).
 """
 
 import json
@@ -30,7 +31,12 @@ from hil.rig.schema import RigConfig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 
-CHANNELS: dict[str, type[Message]] = {"telemetry": pb.Telemetry, "traffic": pb.Traffic, "status": pb.Status}
+CHANNELS: dict[str, type[Message]] = {
+    "telemetry": pb.Telemetry,
+    "traffic": pb.Traffic,
+    "status": pb.Status,
+    "commands": pb.CommandEntry,
+}
 CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
 _LOCKSTEP_BATCH = 50  # ticks
 RUN_ATTACHMENT = "run.json"

@@ -12,26 +12,32 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.cycle.tick import CommandKind
+from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
 from hil.live.ring import RingError, RingReader
-from hil.live.runtime_paths import AlreadyServedError, Places, places, renew_token, sole_sidecar
+from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
+from hil.telemetry.command_server import CommandServer
+from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.recorder import Recorder
 from hil.telemetry.window import Window
 
 STATUS_NS = 100_000_000
+DRAINED = 512  # ticks a round
+NOTED = 32  # entries on commands a round
 MAX_PERIOD = 0.1  # s; commands and the recorder's sign of life do not wait longer
 SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process to end before it
 
@@ -51,6 +57,7 @@ class Attached:
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
         self.batches = self.sent = self.dropped = 0
         self.lost = 0  # since the last batch
+        self.caught_up = False  # the ring was read to its end: the window is the present
         self.over = False  # the control process is gone, and all it left is safe
 
     def close(self) -> None:
@@ -66,12 +73,15 @@ class Sidecar:
     """The loop's body. rig: for keys and limits; what is published about a run comes from its ring."""
 
     def __init__(
-        self, rig: RigConfig, rig_places: Places, publisher: Publisher, gateway: Gateway, out: Path | None
+        self, rig: RigConfig, paths: RuntimePaths, publisher: Publisher, commands: CommandServer, out: Path | None
     ) -> None:
         self.rig = rig
-        self._places = rig_places
+        self._paths = paths
         self._publisher = publisher
-        self._gateway = gateway
+        self._commands = commands
+        stop = paths.directory / stop_page.NAME
+        self._gateway = Gateway(rig.safety.command_expiry_s, stop, self._note_command)
+        self._noted = 0  # entries of this round
         self._out = out
         self._runs = 0
         self._status_due_ns = 0
@@ -96,7 +106,7 @@ class Sidecar:
         if current and not current.reader.replaced:
             return
         try:
-            reader = RingReader(self._places.ring)
+            reader = RingReader(self._paths.ring)
         except RingError:
             return
         if reader.run_id == self._seen_run or not reader.writer_alive:
@@ -108,7 +118,7 @@ class Sidecar:
 
     def _open_mailbox(self) -> Mailbox | None:
         try:
-            return Mailbox(self._places.mailbox)
+            return Mailbox(self._paths.mailbox)
         except MailboxError:
             return None
 
@@ -148,10 +158,11 @@ class Sidecar:
             return False
         if run.recorder and run.recorder.ok and run.mailbox:
             run.mailbox.beat_recorder(now_ns)
-        batch = run.reader.read()
+        batch = run.reader.read(DRAINED)
         run.lost += batch.lost
         run.dropped += batch.lost
         records = batch.records
+        run.caught_up = run.caught_up or len(records) < DRAINED
         if not len(records):
             return False
         message = codec.telemetry(records, len(run.axes), batch=run.batches, first=batch.first, lost=run.lost)
@@ -167,18 +178,35 @@ class Sidecar:
             run.recorder.write("telemetry", at, data)
             run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
         run.window.add(records)
-        self._gateway.verdicts(records, now_ns)
+        self._gateway.verdicts(records, batch.first, now_ns)
         return True
 
     def _serve(self, now_ns: int, alive: bool) -> None:
         run = self.attached
-        state = run.window.state if run else "-"
+        state = run.window.state_at(now_ns) if run and run.caught_up else "-"
         if run and (run.mailbox is None or run.mailbox.replaced):
             run.mailbox = self._open_mailbox()
-        while query := self._publisher.commands.try_recv():
-            self._gateway.take(query, run.mailbox if run and alive else None, now_ns, state)
+        self._noted = 0
+        asked, ended = self._commands.poll(now_ns)
+        for connection in ended:
+            if connection.closed_because:
+                self._gateway.note_rejected(connection.who, connection.closed_because, now_ns)
+        for request in asked:
+            self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
         self._publisher.answer_rig_queries(self._description)
+
+    def _note_command(self, entry: pb.CommandEntry) -> None:
+        """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
+        self._noted += 1
+        if self._noted > NOTED:
+            return
+        if self.attached and self.attached.recorder:
+            self.attached.recorder.write("commands", entry.when_ns, entry.SerializeToString())
+        if entry.kind != CommandKind.HEARTBEAT or not entry.accepted:
+            name = CommandKind(entry.kind).name if entry.kind in set(CommandKind) else f"command {entry.kind}"
+            verdict = "accepted" if entry.accepted else f"refused: {entry.reason}"
+            print(f"{entry.who}: {name}: {verdict}; state {entry.state or '-'}", flush=True)
 
     def _description(self) -> bytes:
         """Which rig this is: the whole of it, as JSON."""
@@ -200,7 +228,8 @@ class Sidecar:
             status.control_ended = run.reader.ended
             status.produced = run.reader.written
             status.sent, status.dropped = run.sent, run.dropped
-            run.window.fill(status)
+            if run.caught_up:
+                run.window.fill(status)
             if run.recorder:
                 status.recording = run.recorder.ok
                 status.recorder_errors = run.recorder.errors
@@ -233,29 +262,39 @@ class _StopFlag:
         self.set = True
 
 
-def _listening(rig: RigConfig, listen: list[str], or_free_port: bool) -> Publisher:
+def _listening(rig: RigConfig, listen: list[str], credentials: Credentials | None, or_free_port: bool) -> Publisher:
     """A publisher on the endpoints wanted, or else on a free port where that is allowed. Raises ListenError."""
     try:
-        return Publisher(rig.telemetry.key, rig.name, listen)
+        return Publisher(rig.telemetry.key, rig.name, listen, credentials)
     except ListenError:
         if not or_free_port:
             raise
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    return Publisher(rig.telemetry.key, rig.name, [f"tcp/127.0.0.1:{port}"])
+    return Publisher(rig.telemetry.key, rig.name, [f"tcp/127.0.0.1:{port}"], credentials)
 
 
-def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: bool = False) -> None:
-    """Run until told to stop by a signal. Raises ListenError."""
+class Outside(NamedTuple):
+    """What of a sidecar is open to other machines. commands: "host:port"; empty: none may command."""
+
+    commands: str = ""
+    credentials: Credentials | None = None
+
+
+def serve(rig: RigConfig, out: Path | None, listen: list[str], outside: Outside, *, or_free_port: bool = False) -> None:
+    """Run until told to stop by a signal. Raises ListenError, CredentialsError, OSError."""
     stop = _StopFlag()
-    rig_places = places(rig.name)
-    token = renew_token(rig_places.token)
+    paths = runtime_paths(rig.name)
     period = min(1.0 / rig.telemetry.publish_hz, MAX_PERIOD)
-    with _listening(rig, listen, or_free_port) as publisher:
-        write_private(rig_places.endpoint, publisher.listen[0])
-        gateway = Gateway(publisher.key, token, rig.safety.command_expiry_s)
-        sidecar = Sidecar(rig, rig_places, publisher, gateway, out)
+    remote = (outside.commands, outside.credentials) if outside.commands and outside.credentials else None
+    with (
+        _listening(rig, listen, outside.credentials, or_free_port) as publisher,
+        CommandServer(paths.commands, remote) as commands,
+    ):
+        write_private(paths.endpoint, publisher.listen[0])
+        write_private(paths.access, json.dumps({"watch": publisher.listen, "commands": outside.commands}))
+        sidecar = Sidecar(rig, paths, publisher, commands, out)
         print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
             while not stop.set:
@@ -268,7 +307,8 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], *, or_free_port: 
                 time.sleep(period)
         finally:
             sidecar.close()
-            rig_places.endpoint.unlink(missing_ok=True)
+            paths.endpoint.unlink(missing_ok=True)
+            paths.access.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -289,17 +329,22 @@ def sidecar(
     listen: Annotated[str | None, typer.Option(help="Zenoh endpoint instead of the rig file's")] = None,
     or_free_port: Annotated[bool, typer.Option("--or-free-port", help="else on any free port of loopback")] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value over the rig file")] = None,
+    credentials: Annotated[Path | None, typer.Option(help="directory, for TLS (see deploy/zenoh)")] = None,
+    commands_from: Annotated[str, typer.Option(help="host:port where other machines' operators may command")] = "",
 ) -> None:
     """Publish, record and take commands for a control process. Ends on SIGTERM, SIGINT or SIGHUP."""
     config = load_rig(rig, set_ or ())
-    rig_places = places(config.name)
+    paths = runtime_paths(config.name)
+    if commands_from and credentials is None:
+        raise typer.BadParameter("needs --credentials", param_hint="--commands-from")
     try:
+        outside = Outside(commands_from, Credentials(credentials) if credentials else None)
         recordings = _recordings(out) if config.telemetry.record else nullcontext()
-        with sole_sidecar(rig_places), recordings as directory:
-            for saved in save_black_boxes(rig_places, directory or out):
+        with sole(paths, "sidecar"), recordings as directory:
+            for saved in save_black_boxes(paths, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
             endpoints = [listen] if listen else list(config.telemetry.listen)
-            serve(config, directory, endpoints, or_free_port=or_free_port)
-    except (ListenError, AlreadyServedError) as error:
+            serve(config, directory, endpoints, outside, or_free_port=or_free_port)
+    except (ListenError, AlreadyServedError, CredentialsError) as error:
         print(f"hil sidecar: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None

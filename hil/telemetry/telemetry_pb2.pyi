@@ -155,7 +155,7 @@ class Traffic(_message.Message):
     def __init__(self, first: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[Frames, _Mapping]] = ..., sent: _Optional[_Union[Frames, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path")
+    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path")
     RIG_FIELD_NUMBER: _ClassVar[int]
     RIG_HASH_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
@@ -172,6 +172,7 @@ class Status(_message.Message):
     INDEX_FIELD_NUMBER: _ClassVar[int]
     NOW_NS_FIELD_NUMBER: _ClassVar[int]
     TASK_NS_FIELD_NUMBER: _ClassVar[int]
+    TICK_NS_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
     SETPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -203,6 +204,7 @@ class Status(_message.Message):
     index: int
     now_ns: int
     task_ns: int
+    tick_ns: int
     counters: Counters
     position: _containers.RepeatedScalarFieldContainer[float]
     setpoint: _containers.RepeatedScalarFieldContainer[float]
@@ -218,30 +220,66 @@ class Status(_message.Message):
     recording: bool
     recorder_errors: int
     recording_path: str
-    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ...) -> None: ...
+    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ...) -> None: ...
+
+class Challenge(_message.Message):
+    __slots__ = ("nonce", "now_ns")
+    NONCE_FIELD_NUMBER: _ClassVar[int]
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    nonce: bytes
+    now_ns: int
+    def __init__(self, nonce: _Optional[bytes] = ..., now_ns: _Optional[int] = ...) -> None: ...
+
+class Authenticated(_message.Message):
+    __slots__ = ("body", "mac")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    MAC_FIELD_NUMBER: _ClassVar[int]
+    body: bytes
+    mac: bytes
+    def __init__(self, body: _Optional[bytes] = ..., mac: _Optional[bytes] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
-    __slots__ = ("token", "kind", "client", "sequence", "expires_ns")
-    TOKEN_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("kind", "sequence", "expires_ns")
     KIND_FIELD_NUMBER: _ClassVar[int]
-    CLIENT_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPIRES_NS_FIELD_NUMBER: _ClassVar[int]
-    token: str
     kind: int
-    client: int
     sequence: int
     expires_ns: int
-    def __init__(self, token: _Optional[str] = ..., kind: _Optional[int] = ..., client: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ...) -> None: ...
+    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ...) -> None: ...
 
 class CommandReply(_message.Message):
-    __slots__ = ("accepted", "reason", "now_ns", "state")
+    __slots__ = ("accepted", "reason", "now_ns", "state", "sequence", "posted", "tick", "challenge")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     NOW_NS_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    POSTED_FIELD_NUMBER: _ClassVar[int]
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    CHALLENGE_FIELD_NUMBER: _ClassVar[int]
     accepted: bool
     reason: str
     now_ns: int
     state: str
-    def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ...) -> None: ...
+    sequence: int
+    posted: int
+    tick: int
+    challenge: Challenge
+    def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ..., sequence: _Optional[int] = ..., posted: _Optional[int] = ..., tick: _Optional[int] = ..., challenge: _Optional[_Union[Challenge, _Mapping]] = ...) -> None: ...
+
+class CommandEntry(_message.Message):
+    __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state")
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    WHEN_NS_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    who: str
+    kind: int
+    when_ns: int
+    accepted: bool
+    reason: str
+    state: str
+    def __init__(self, who: _Optional[str] = ..., kind: _Optional[int] = ..., when_ns: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., state: _Optional[str] = ...) -> None: ...

@@ -10,6 +10,7 @@ from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 
+STALE_NS = 500_000_000  # a control process whose newest tick is older hangs, or is gone
 _TORQUE = [int(state) for state in TORQUE_STATES]
 
 
@@ -43,6 +44,11 @@ class Window:
         """Name of the newest tick's state."""
         return "-" if self.last is None else State(int(self.last["state"])).name
 
+    def state_at(self, now_ns: int) -> str:
+        """The same for people, with its age where the control process has not ticked since."""
+        age_ns = 0 if self.last is None else now_ns - int(self.last["now_ns"])
+        return f"{self.state} {age_ns * 1e-9:.1f} s ago, nothing since" if age_ns > STALE_NS else self.state
+
     def fill(self, status: pb.Status) -> None:
         """Write the figures into a status message."""
         last = self.last
@@ -53,6 +59,7 @@ class Window:
         status.fault = Fault(int(last["fault"])).name
         status.faults_active.extend(fault.name for fault in Fault if int(last["faults_active"]) >> fault & 1)
         status.index = int(last["index"])
+        status.tick_ns = int(last["now_ns"])
         status.task_ns = int(last["task_ns"])
         status.counters.CopyFrom(codec.counters(last, n))
         status.position.extend(last["position"][:n].tolist())

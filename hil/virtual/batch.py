@@ -12,7 +12,7 @@ import numpy as np
 from hil.control.estimator.gains import design_gains, per_axis
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
-from hil.control.laws.base import Array, Law, axis_inputs
+from hil.control.laws.base import Array, Law, Reference, axis_inputs
 from hil.control.laws.coupled import gather
 from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
@@ -76,6 +76,8 @@ class BatchRun:
         for x in self._shared:
             x.fresh = 1.0
             x.sample_interval = x.ahead = self._period_ns * 1e-9
+            if self._law.preview:
+                x.preview = [Reference(0.0, 0.0, 0.0) for _ in range(self._law.preview + 1)]
         self._setpoints = Setpoints(self._shared, rig.period_ns)
         zero = np.zeros(shape)
         self._net_last, self._net_before = zero, zero
@@ -101,7 +103,7 @@ class BatchRun:
 
     def _estimate(self) -> None:
         motion, interval = self._filter, self._period_ns * 1e-9
-        self._measured = np.rint(self._stage.position / self._resolution) * self._nominal_resolution
+        self._measured = np.rint(self._stage.read() / self._resolution) * self._nominal_resolution
         motion.correct(self._net_before, interval, self._measured)
         motion.look_ahead(self._net_last, interval)
 

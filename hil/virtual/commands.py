@@ -1,5 +1,6 @@
 """The commands `hil sim`, `hil replay` and `hil emulate`: arguments in, text and exit status out."""
 
+import contextlib
 import dataclasses
 import json
 import sys
@@ -85,6 +86,8 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    if report.law_failure:
+        console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
     if picture:
         from hil.cli.pictures import tracking_picture
@@ -95,6 +98,8 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
 
 def _show_replay(report: Any, console: Console) -> None:
     verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
+    if not report.frames:
+        verdict = "nothing was compared, as it holds no frame that was sent"
     console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
     if report.first_different is not None:
         console.print(f"the first tick that differs is {report.first_different}")
@@ -114,7 +119,7 @@ def replay(
         str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
     ] = "",
 ) -> None:
-    """Exit status 0: every byte is the same; 1: some differ or nothing could be replayed."""
+    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared."""
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
     from hil.telemetry.recorder import RecordingError
     from hil.virtual.replay import replay_run
@@ -128,7 +133,7 @@ def replay(
     if json_target:
         document: dict[str, Any] = dataclasses.asdict(report)
         write_json(document, json_target)
-    if report.different or not report.ticks:
+    if report.different or not report.frames:
         raise typer.Exit(1)
 
 
@@ -142,8 +147,8 @@ def emulate(
     from drivers.bus.port import PortError, open_port
     from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
-    from hil.live.runtime_paths import places
-    from hil.rig.plant import plant_notes
+    from hil.live.runtime_paths import AlreadyServedError, runtime_paths, sole
+    from hil.rig.plant_notes import plant_notes
     from hil.virtual.emulate import emulated_stage, live_scenario
     from sim_plant.process import Emulator
     from sim_plant.scenario.injector import Injector
@@ -155,20 +160,20 @@ def emulate(
     stage = emulated_stage(config, rig.parent, time.monotonic_ns())
     if scenario:
         Injector(scenario, stage, None, config.period_ns)
-    try:
-        port = open_port(config.bus, role="device", fd=stage.fd)
-        target = status or places(config.name).emulator
-    except (PortError, RuntimeDirectoryError) as error:
-        print(f"hil emulate: {error}", file=sys.stderr)
-        sys.exit(EXIT_UNAVAILABLE)
-    for note in plant_notes(config):
-        print(f"hil emulate: {note}", flush=True)
-    emulator = Emulator(stage, port, target)
-    print(f"hil emulate: {config.name} on {config.bus.channel}, status in {target}", flush=True)
-    try:
+    with contextlib.ExitStack() as stack:
+        try:
+            files = runtime_paths(config.name)
+            stack.enter_context(sole(files, "emulator"))  # two would answer every command twice
+            port = open_port(config.bus, role="device", fd=stage.fd)
+        except (PortError, RuntimeDirectoryError, AlreadyServedError) as error:
+            print(f"hil emulate: {error}", file=sys.stderr)
+            sys.exit(EXIT_UNAVAILABLE)
+        stack.callback(port.close)
+        for note in plant_notes(config):
+            print(f"hil emulate: {note}", flush=True)
+        emulator = Emulator(stage, port, status or files.emulator)
+        print(f"hil emulate: {config.name} on {config.bus.channel}, status in {status or files.emulator}", flush=True)
         emulator.run()
-    finally:
-        port.close()
     if emulator.status_error:
         print(f"hil emulate: no status: {emulator.status_error}", file=sys.stderr)
     print(f"hil emulate: {stage.commands} commands answered", flush=True)

@@ -81,6 +81,7 @@ class LockstepRun:
         self.index = 0
         self.activated_at = -1  # tick of the first ACTIVE
         self.stop = False
+        self.estop = False  # the stop line is pressed: for one tick
         self._true = self.stage.sampled  # of the samples the latest tick worked on
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
@@ -106,7 +107,17 @@ class LockstepRun:
     def tick(self) -> CycleResult:
         """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
         now = self.index * self.rig.period_ns
-        tick = Tick(self.index, now, now, self.host.counters(), self._commands(now), stop=self.stop, **self.grants)
+        tick = Tick(
+            self.index,
+            now,
+            now,
+            self.host.counters(),
+            self._commands(now),
+            stop=self.stop,
+            estop=self.estop,
+            **self.grants,
+        )
+        self.estop = False
         frames = self.received.copy()
         self.received.clear()
         result = self.cycle.step(tick, frames)

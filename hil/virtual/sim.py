@@ -33,6 +33,7 @@ class SimReport:
     samples_lost: int = 0
     wire_busy: float = 0.0
     overrides: list[str] = field(default_factory=list)
+    law_failure: str = ""  # why a user's law no longer counts, with file and line
 
 
 def simulate(
@@ -72,6 +73,7 @@ def simulate(
         trace_sha256=run.trace_sha256,
         samples_lost=run.cycle.inbox.lost,
         wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
+        law_failure=run.cycle.law.failure,
     )
     return report, traces
 

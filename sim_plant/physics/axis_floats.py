@@ -39,6 +39,10 @@ class SingleAxis:
         """Position, velocity, pierced."""
         return State(self.position, self.velocity, self.pierced)
 
+    def restore(self, state: State) -> None:
+        """Back to a state it had."""
+        self.position, self.velocity, self.pierced = state
+
     def advance(self, pieces: int, h: float, drive: float) -> None:
         """Advance by `pieces` of h seconds each, `drive` (N, gravity included) held."""
         if self.velocity == 0.0 and self._is_held(drive):

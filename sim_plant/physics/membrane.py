@@ -1,6 +1,6 @@
 """A cell's membrane in front of the pipette: point load on a clamped circular membrane at large deflection, F = K w^3.
 
-K and the depth of puncture are assumed values (PAPER.md, "Z and contact"), for the rig file to change. The membrane
+K and the depth of puncture are assumed values (docs/paper.md), for the rig file to change. The membrane
 pushes back until the tip reaches the puncture depth; from then on only drag acts while the tip is inside; once the tip
 has left, the next cell's membrane is whole again.
 """

@@ -1,120 +1,48 @@
-"""The stage's physics: independent axes with set-valued friction, advanced from one change of force to the next.
+"""The stage's physics: independent axes, advanced from one change of force to the next.
 
-Between two changes the force is constant. Each axis is integrated with the classical Runge-Kutta step on pieces of at
-most 1 ms on which sgn(v) does not change; the instants of stops, breakaways and punctures are found to rounding and the
-integration restarts there, so that nothing chatters at zero speed.
+Between two changes the drives' force is constant. An ideal axis, a mass under set-valued friction, is integrated with
+the classical Runge-Kutta step on pieces of at most 1 ms on which sgn(v) does not change; the instants of stops,
+breakaways and punctures are found to rounding and the integration restarts there, so that nothing chatters at zero
+speed. An axis with more to it (presliding, a mode, a lag, noise) is integrated by dynamics.py, and in pieces of 0.5 ms.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.config import PlantConfig
-from sim_plant.physics.axis import (
-    ACCURACY,
-    MAX_SUBSTEPS,
-    Axis,
-    State,
-    advance_piece,
-    effort,
-    make_axis,
-    net_force,
-    runge_kutta,
-    take,
-)
+from sim_plant.physics.axis import Axis, State, make_axis, take
 from sim_plant.physics.axis_floats import SingleAxis
-from sim_plant.physics.exact_trigonometry import sin_turns
-from sim_plant.physics.friction import Friction, breakaway
-from sim_plant.physics.membrane import Membrane, transition
+from sim_plant.physics.dynamics import Dynamics, Motion, Structure
+from sim_plant.physics.encoder import Encoder, Point
+from sim_plant.physics.events import take as take_structure
+from sim_plant.physics.events import take_many
+from sim_plant.physics.friction import Friction
+from sim_plant.physics.ideal_batch import advance_ideal, single
+from sim_plant.physics.membrane import Membrane
+from sim_plant.physics.real_axes import (
+    MAX_PIECE_NS,
+    NOISY,
+    Disturbance,
+    RealAxis,
+    RealPart,
+    is_dynamic,
+    is_ideal,
+    kinds_of,
+    rigid_motion,
+    structure_of,
+)
+from sim_plant.physics.truth import Truth, per_axis_array
+
+__all__ = ["Stage", "Truth", "per_axis_array"]
 
 Array = NDArray[np.float64]
 
-MAX_PIECE_NS = 1_000_000
-FEW = 16  # axes that are faster one by one than as an array
-CHUNK = 8192  # axes integrated together: their temporaries stay in a core's cache
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What the stage is really like; every array has shape (..., n_axes), scales already applied.
-
-    mass: kg. coulomb, gravity, modelling_error, ripple_amplitude: N. viscous: N s/m. quadratic: N s^2/m^2. stribeck: N,
-    extra friction at rest. stribeck_velocity: m/s. ripple_period, cell_surface, puncture_depth: m. cell_direction: +-1.
-    cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
-    """
-
-    mass: Array
-    coulomb: Array
-    viscous: Array
-    quadratic: Array
-    gravity: Array
-    modelling_error: Array
-    stribeck: Array
-    stribeck_velocity: Array
-    ripple_amplitude: Array
-    ripple_period: Array
-    cell_surface: Array
-    cell_direction: Array
-    cell_stiffness: Array
-    puncture_depth: Array
-    cell_drag: Array
-
-    @classmethod
-    def from_config(cls, plant: PlantConfig, n_axes: int, axis_names: Sequence[str] = ()) -> "Truth":
-        """Truth of one rig, arrays (n_axes,). axis_names are needed where [plant] has cells. Raises ValueError."""
-        per_axis = {
-            "mass": np.multiply(plant.mass, plant.mass_scale),
-            "coulomb": np.multiply(plant.coulomb, plant.friction_scale),
-            "viscous": np.multiply(plant.viscous, plant.friction_scale),
-            "quadratic": np.multiply(plant.quadratic, plant.friction_scale),
-            "gravity": plant.gravity or 0.0,
-            "modelling_error": plant.modelling_error,
-            "stribeck": np.multiply(np.multiply(plant.coulomb, plant.friction_scale), plant.stribeck_scale),
-            "stribeck_velocity": plant.stribeck_velocity,
-            "ripple_amplitude": plant.ripple_amplitude,
-            "ripple_period": plant.ripple_period,
-            "cell_surface": 0.0,
-            "cell_direction": 1.0,
-            "cell_stiffness": 0.0,
-            "puncture_depth": 1e100,
-            "cell_drag": 0.0,
-        }
-        arrays = {key: per_axis_array(f"plant.{key}", value, n_axes) for key, value in per_axis.items()}
-        for cell in plant.cells:
-            if cell.axis not in axis_names:
-                raise ValueError(
-                    f"plant.cells: no axis '{cell.axis}'; the axes are {', '.join(axis_names) or 'not named'}"
-                )
-            index = list(axis_names).index(cell.axis)
-            for key, value in {
-                "cell_surface": cell.surface,
-                "cell_direction": cell.direction,
-                "cell_stiffness": cell.stiffness,
-                "puncture_depth": cell.puncture_depth,
-                "cell_drag": cell.drag,
-            }.items():
-                arrays[key][index] = value
-        return cls(**arrays)
-
-    @classmethod
-    def stack(cls, truths: Sequence["Truth"]) -> "Truth":
-        """Batch of plants, arrays of shape (len(truths), ..., n_axes)."""
-        return cls(**{field.name: np.stack([getattr(truth, field.name) for truth in truths]) for field in fields(cls)})
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(..., n_axes)."""
-        return self.mass.shape
-
-
-def per_axis_array(name: str, value: ArrayLike, n_axes: int) -> Array:
-    """One number for all axes, or one per axis, as an array (n_axes,). Raises ValueError naming the key."""
-    array = np.asarray(value, dtype=np.float64)
-    if array.ndim and array.shape != (n_axes,):
-        raise ValueError(f"{name} has {array.size} values for {n_axes} axes")
-    return np.array(np.broadcast_to(array, (n_axes,)))
+IDEAL_PIECE_NS = 1_000_000
+CHUNK = 8192
 
 
 def _filled(value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -141,180 +69,326 @@ def _axes_of(truth: Truth, clamp: Array) -> Axis:
     return make_axis(flat["mass"], friction, flat["ripple_amplitude"], flat["ripple_period"], membrane)
 
 
-def _single(axis: Axis) -> Axis:
-    """One axis, told which of the optional terms it has itself."""
-    return axis._replace(
-        sine=sin_turns,
-        has_stribeck=axis.friction.stribeck != 0.0,
-        has_ripple=axis.ripple_amplitude != 0.0,
-        has_cell=axis.membrane.stiffness != 0.0 or axis.membrane.drag != 0.0,
-    )
-
-
-def _parts_of(axes: Axis) -> list[tuple[NDArray[np.int64], Axis]]:
-    """Indices and parameters of the axes that go together: those with the same terms, at most CHUNK."""
-    membrane = axes.membrane
-    stribeck, ripple = axes.friction.stribeck != 0.0, axes.ripple_amplitude != 0.0
-    cell = (membrane.stiffness != 0.0) | (membrane.drag != 0.0)
-    kinds = 1 * stribeck + 2 * ripple + 4 * cell
-    parts = []
+def _grouped(kinds: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+    """Kinds, and the indices of at most CHUNK axes of each: what is integrated together."""
+    groups = []
     for kind in np.unique(kinds).tolist():
         members = np.flatnonzero(kinds == kind)
-        for start in range(0, members.size, CHUNK):
-            index = members[start : start + CHUNK]
-            part = take(axes, index)
-            has_stribeck, has_ripple, has_cell = (bool(kind & bit) for bit in (1, 2, 4))
-            parts.append((index, part._replace(has_stribeck=has_stribeck, has_ripple=has_ripple, has_cell=has_cell)))
-    return parts
+        groups += [(kind, members[start : start + CHUNK]) for start in range(0, members.size, CHUNK)]
+    return groups
 
 
 class Stage:
     """One stage (n_axes,) or a batch of stages (..., n_axes) under forces that are constant during each `advance`.
 
-    position, velocity: truth after the last `advance`, m and m/s, (..., n_axes); read only, those of a batch reused by
-    the next one. pierced: 1.0 where an axis' cell is pierced.
+    position, velocity: of the tool, truth after the last `advance`, m and m/s, (..., n_axes); read only, those of a
+    batch reused by the next one. pierced: 1.0 where an axis' cell is pierced.
     """
 
     def __init__(self, truth: Truth, position: ArrayLike = 0.0, velocity: ArrayLike = 0.0) -> None:
         self.truth = truth
+        self._is_single = len(truth.shape) == 1
         self._clamp = np.zeros(truth.shape)
-        self._gravity: list[float] = truth.gravity.tolist() if truth.mass.ndim == 1 else []
-        self._axes: list[SingleAxis] = []  # of one stage
-        self._state = State(*(_filled(value, truth.shape) for value in (position, velocity, 0.0)))  # of a batch
+        self._axes: list[SingleAxis | RealAxis] = []  # of one stage
         self._parts: list[tuple[NDArray[np.int64], Axis]] = []  # of a batch: what is integrated together
-        self._configure(self._state)
+        self._real_parts: list[RealPart] = []
+        self._elapsed_ns = 0
+        self._count = 0  # pieces of MAX_PIECE_NS begun
+        self._reads = [0] * (truth.shape[-1] if self._is_single else 1)  # samples that the encoders have drawn
+        self._last_force: Sequence[float] | Array = [0.0] * truth.shape[-1]
+        self._stiffness = np.zeros(truth.mass.size)
+        q, v = _filled(position, truth.shape), _filled(velocity, truth.shape)
+        pierced, bristle, cable, force, walked = (np.zeros(truth.shape) for _ in range(5))
+        self._motion = Motion(q, v, pierced, q.copy(), v.copy(), bristle, cable, force, q.copy(), walked)
+        self._configure(self._motion)
 
-    def _configure(self, state: State) -> None:
+    # what it is made of ----------------------------------------------------------------------------------------------
+
+    def _configure(self, motion: Motion) -> None:
         """Take over the parameters, at this state (arrays)."""
-        axes = _axes_of(self.truth, self._clamp)
-        if len(self.truth.shape) == 1:
-            states = zip(*(array.tolist() for array in state), strict=True)
-            self._axes = [SingleAxis(_single(take(axes, i)), *values) for i, values in enumerate(states)]
+        truth = self.truth
+        constant = truth.gravity + truth.bias
+        self._constant = constant
+        ideal, structure = _axes_of(truth, self._clamp), structure_of(truth, self._clamp)
+        kinds = kinds_of(truth, structure)
+        streams = truth.seed.reshape(-1).astype(np.uint64), _axis_numbers(truth.shape)
+        noise = (truth.torque_noise.reshape(-1), truth.bias_walk.reshape(-1), *streams)
+        make = _Maker(ideal, structure, constant.reshape(-1), noise)
+        motion = self._carried(motion, structure)
+        self._deviates = not all(map(is_ideal, np.unique(kinds).tolist()))
+        self._drift = truth.drift if truth.drift.any() else None
+        self._drifts: list[float] = truth.drift.tolist() if self._is_single else []
+        if self._is_single:
+            self._constants: list[float] = constant.tolist()
+            self._axes = [make.one(i, kind, motion) for i, kind in enumerate(kinds.tolist())]
+            self._ideal_axes = [axis for axis in self._axes if isinstance(axis, SingleAxis)]
         else:
-            self._parts = _parts_of(axes)
+            self._motion = motion
+            groups = _grouped(kinds)
+            self._parts = [(index, make.ideal(index)) for kind, index in groups if is_ideal(kind)]
+            self._real_parts = [make.many(index, kind) for kind, index in groups if not is_ideal(kind)]
+        self._set_encoders(streams)
 
-    @property
-    def position(self) -> Array:
-        """m, (..., n_axes)."""
-        return np.array(self.positions) if self._axes else self._state.position
+    def _set_encoders(self, streams: tuple[NDArray[np.uint64], NDArray[np.uint64]]) -> None:
+        truth = self.truth
+        each = (truth.encoder_noise, truth.encoder_periodic_error, truth.encoder_period, truth.encoder_latency)
+        flat = [array.reshape(-1) for array in each]
+        if self._is_single:
+            keys = zip(*(stream.tolist() for stream in streams), strict=True)
+            rows = zip(*(array.tolist() for array in flat), strict=True)
+            self._encoders = [Encoder(row, key) for row, key in zip(rows, keys, strict=True)]
+        else:
+            self._encoders = [Encoder((flat[0], flat[1], flat[2], flat[3]), streams)]
+        for encoder, read in zip(self._encoders, self._reads, strict=True):
+            encoder.read = read
+        self._shows_truth = all(encoder.is_ideal for encoder in self._encoders)
 
-    @property
-    def velocity(self) -> Array:
-        """m/s, (..., n_axes)."""
-        return np.array([axis.velocity for axis in self._axes]) if self._axes else self._state.velocity
+    def _carried(self, motion: Motion, structure: Structure) -> Motion:
+        """This state under other parameters: bristles keep their force as far as they can hold it; new ones slide with
+        the motion."""
+        presliding = structure.presliding
+        has = presliding > 0.0
+        stiffness = np.where(has, structure.coulomb / np.where(has, presliding, 1.0), 0.0)
+        kept = motion.bristle.reshape(-1) * (self._stiffness / np.where(has, stiffness, 1.0))
+        begun = presliding * np.sign(motion.velocity.reshape(-1))
+        bristle = np.where(self._stiffness > 0.0, np.clip(kept, -presliding, presliding), begun) * has
+        self._stiffness = stiffness
+        return motion._replace(bristle=bristle.reshape(motion.bristle.shape))
 
-    @property
-    def pierced(self) -> Array:
-        """1.0 or 0.0, (..., n_axes)."""
-        return np.array([axis.pierced for axis in self._axes]) if self._axes else self._state.pierced
-
-    @property
-    def positions(self) -> list[float]:
-        """Positions of one stage (not a batch), m."""
-        return [axis.position for axis in self._axes]
-
-    @property
-    def velocities(self) -> list[float]:
-        """Velocities of one stage (not a batch), m/s."""
-        return [axis.velocity for axis in self._axes]
+    def _motions(self) -> Motion:
+        """State of every axis as arrays."""
+        if not self._is_single:
+            return self._motion
+        each = [
+            axis.motion if isinstance(axis, RealAxis) else rigid_motion(axis, force)
+            for axis, force in zip(self._axes, self._last_force, strict=True)
+        ]
+        return Motion(*(np.array(values) for values in zip(*each, strict=True)))
 
     def clamp(self, force: ArrayLike) -> None:
         """Hold axes with `force` (N, (..., n_axes)) of additional dry friction from now on: a brake, a jam. 0: free."""
         wanted = np.broadcast_to(np.asarray(force, dtype=np.float64), self._clamp.shape)
         if not np.array_equal(wanted, self._clamp):
             self._clamp[...] = wanted
-            self._configure(State(self.position, self.velocity, self.pierced))
+            self._configure(self._motions())
+
+    def change(self, truth: Truth) -> None:
+        """From now on the stage is this one, at the state it is in."""
+        self.truth = truth
+        self._configure(self._motions())
+
+    # what is true, and what the encoders show ------------------------------------------------------------------------
+
+    @property
+    def position(self) -> Array:
+        """m, (..., n_axes)."""
+        if self._is_single:
+            return np.array(self.positions)
+        tool: Array = self._motion.played if self._deviates else self._motion.position
+        return tool if self._drift is None else tool + self._drift * (self._elapsed_ns * 1e-9)
+
+    @property
+    def velocity(self) -> Array:
+        """m/s, (..., n_axes)."""
+        if self._is_single:
+            return np.array(self.velocities)
+        tool: Array = self._motion.load_velocity if self._deviates else self._motion.velocity
+        return tool if self._drift is None else tool + self._drift
+
+    @property
+    def pierced(self) -> Array:
+        """1.0 or 0.0, (..., n_axes)."""
+        return np.array([axis.pierced for axis in self._axes]) if self._is_single else self._motion.pierced
+
+    @property
+    def positions(self) -> list[float]:
+        """Positions of the tools of one stage (not a batch), m."""
+        if self._drift is None:
+            return [axis.position for axis in self._axes]
+        elapsed = self._elapsed_ns * 1e-9
+        return [axis.position + drift * elapsed for axis, drift in zip(self._axes, self._drifts, strict=True)]
+
+    @property
+    def velocities(self) -> list[float]:
+        """Velocities of one stage's tools, m/s."""
+        if self._drift is None:
+            return [axis.velocity for axis in self._axes]
+        return [axis.velocity + drift for axis, drift in zip(self._axes, self._drifts, strict=True)]
+
+    def readings(self) -> list[float]:
+        """What the encoders of one stage show, m; each call is a sample of its own."""
+        if self._shows_truth and not self._deviates:
+            return [axis.position for axis in self._axes]
+        return [self.reading(axis) for axis in range(len(self._axes))]
+
+    def reading(self, index: int) -> float:
+        """What the encoder of this axis of one stage shows, m; each call is a sample of its own."""
+        axis, encoder = self._axes[index], self._encoders[index]
+        q, v = axis.position, axis.velocity
+        past: Sequence[Point] = ()
+        if isinstance(axis, RealAxis):
+            q, v, past = axis.motion.position, axis.motion.velocity, axis.past
+        shown: float = encoder.show(past, (self._elapsed_ns * 1e-9, q, v))
+        self._reads[index] = encoder.read
+        return shown
+
+    def read(self) -> Array:
+        """What the encoders show, m, (..., n_axes); each call is a sample of its own."""
+        if self._is_single:
+            return np.array(self.readings())
+        motor: Array = self._motion.position
+        if self._shows_truth:
+            return motor
+        encoder, now = self._encoders[0], self._elapsed_ns * 1e-9
+        flat = motor.reshape(-1), self._motion.velocity.reshape(-1)
+        shown: Array = encoder.show(self._past(flat) if encoder.is_late else (), (now, *flat))
+        self._reads[0] = encoder.read
+        there: Array = shown.reshape(self.truth.shape)
+        return there
+
+    def _past(self, now: tuple[Array, Array]) -> list[Point]:
+        """Points of all axes of a batch; those without latency stand still there."""
+        depth = max((len(part.past) for part in self._real_parts), default=0)
+        points = []
+        for k in range(depth):
+            q, v = now[0].copy(), now[1].copy()
+            for part in self._real_parts:
+                time, q[part.index], v[part.index] = part.past[k]
+            points.append((time, q, v))
+        return points
+
+    # how time passes -------------------------------------------------------------------------------------------------
 
     def advance(self, duration_ns: int, force: Sequence[float] | Array) -> None:
         """Advance by duration_ns >= 0 with `force` (N, (..., n_axes)) held; all values finite."""
         if duration_ns <= 0:
             return
-        pieces = -(-duration_ns // MAX_PIECE_NS)
+        pieces = -(-duration_ns // IDEAL_PIECE_NS)
         h = duration_ns * 1e-9 / pieces
-        if self._axes:
-            single = force.tolist() if isinstance(force, np.ndarray) else force
-            for axis, drive, gravity in zip(self._axes, single, self._gravity, strict=True):
-                axis.advance(pieces, h, drive + gravity)
+        if self._is_single:
+            commands = force.tolist() if isinstance(force, np.ndarray) else force
+            self._last_force = commands
+            if self._deviates:
+                self._advance_axes(duration_ns, commands)
+            else:
+                for axis, command, constant in zip(self._ideal_axes, commands, self._constants, strict=True):
+                    axis.advance(pieces, h, command + constant)
         else:
-            self._advance_batch(pieces, h, np.asarray(force, dtype=np.float64))
+            commanded = np.asarray(force, dtype=np.float64)
+            self._advance_ideal(pieces, h, commanded)
+            if self._deviates:
+                self._advance_parts(duration_ns, commanded.reshape(-1))
+        self._elapsed_ns += duration_ns
+
+    def _pieces(self, duration_ns: int) -> tuple[list[float], float, int]:
+        """Times (s) at which an axis that deviates begins its pieces, their length (s), and how many were before."""
+        before, number = self._count, -(-duration_ns // MAX_PIECE_NS)
+        begin, h = self._elapsed_ns * 1e-9, duration_ns * 1e-9 / number
+        self._count += number
+        return [begin + index * h for index in range(number)], h, before
+
+    def _advance_axes(self, duration_ns: int, commands: Sequence[float]) -> None:
+        times, short, before = self._pieces(duration_ns)
+        pieces = -(-duration_ns // IDEAL_PIECE_NS)
+        h = duration_ns * 1e-9 / pieces
+        for axis, command, constant in zip(self._axes, commands, self._constants, strict=True):
+            if isinstance(axis, RealAxis):
+                axis.advance(times, short, command, before)
+            else:
+                axis.advance(pieces, h, command + constant)
+
+    def _advance_ideal(self, pieces: int, h: float, force: Array) -> None:
+        """Those axes of a batch that are ideal."""
+        if not self._parts:
+            return
+        drive = (force + self._constant).reshape(-1)
+        flat = [array.reshape(-1) for array in self._motion]
+        for index, axis in self._parts:
+            state, part = State(*(array[index] for array in flat[:3])), drive[index]
+            for _ in range(pieces):
+                state = advance_ideal(axis, state, part, h)
+            for array, values in zip(flat, state, strict=False):
+                array[index] = values
+            if self._deviates:
+                flat[3][index] = flat[8][index] = state.position
+                flat[4][index] = state.velocity
+
+    def _advance_parts(self, duration_ns: int, command: Array) -> None:
+        """Those axes of a batch that deviate."""
+        times, h, before = self._pieces(duration_ns)
+        flat = [array.reshape(-1) for array in self._motion]
+        for part in self._real_parts:
+            motion = Motion(*(array[part.index] for array in flat))
+            moved = part.advance(motion, times, h, command[part.index], before)
+            for array, values in zip(flat, moved, strict=True):
+                array[part.index] = values
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
         """Position, velocity, pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
-        batch, singles = self._state, [axis.state for axis in self._axes]
-        self._state = State(*(array.copy() for array in batch))
-        try:
+        with self._unchanged():
             self.advance(duration_ns, force)
             return self.position, self.velocity, self.pierced
+
+    def peek_reading(self, duration_ns: int, force: Sequence[float], index: int) -> float:
+        """What the encoder of this axis of one stage shows after `advance(duration_ns, force)`."""
+        with self._unchanged():
+            self.advance(duration_ns, force)
+            return self.reading(index)
+
+    @contextmanager
+    def _unchanged(self) -> Iterator[None]:
+        """Puts the state back as it is now."""
+        motion, elapsed, last = self._motion, (self._elapsed_ns, self._count), self._last_force
+        states = [(axis, axis.state) for axis in self._axes]
+        pasts = [part.past for part in self._real_parts]
+        if not self._is_single:
+            self._motion = Motion(*(array.copy() for array in motion))
+        try:
+            yield
         finally:
-            self._state = batch
-            for axis, state in zip(self._axes, singles, strict=True):
-                axis.position, axis.velocity, axis.pierced = state
-
-    def _advance_batch(self, pieces: int, h: float, force: Array) -> None:
-        drive = (force + self.truth.gravity).reshape(-1)
-        flat = [array.reshape(-1) for array in self._state]
-        for index, axis in self._parts:
-            state, part = State(*(array[index] for array in flat)), drive[index]
-            for _ in range(pieces):
-                state = _advance_many(axis, state, part, h)
-            for array, values in zip(flat, state, strict=True):
-                array[index] = values
+            self._motion, self._last_force = motion, last
+            self._elapsed_ns, self._count = elapsed
+            for axis, state in states:
+                axis.restore(state)  # type: ignore[arg-type]
+            for part, past in zip(self._real_parts, pasts, strict=True):
+                part.past = past
 
 
-def _advance_many(axis: Axis, state: State, drive: Array, h: float) -> State:
-    """As one piece of `SingleAxis.advance`, for an array: axes that need equally many substeps go together."""
-    work = effort(axis, state.velocity, drive, h)
-    count = np.ones(work.shape)
-    while np.any(short := (count * ACCURACY < work) & (count < MAX_SUBSTEPS)):
-        count[short] *= 2
-    levels = np.unique(count)
-    if levels.size == 1:
-        return _repeat(axis, state, drive, h / float(levels[0]), int(levels[0]))
-    result = State(*(array.copy() for array in state))
-    for level in levels.tolist():
-        index = np.flatnonzero(count == level)
-        if index.size <= FEW:
-            _advance_few(axis, result, drive, h, index.tolist())
-            continue
-        part = State(*(array[index] for array in state))
-        moved = _repeat(take(axis, index), part, drive[index], h / level, int(level))
-        for array, values in zip(result, moved, strict=True):
-            array[index] = values
-    return result
+class _Maker:
+    """Makes what integrates the axes at given places of the flat arrays."""
+
+    def __init__(self, ideal: Axis, structure: Structure, constant: Array, noise: tuple[Any, Any, Any, Any]) -> None:
+        self._ideal = ideal
+        self._structure = structure
+        self._constant = constant
+        self._noise = noise  # density, walk, seed, axis
+
+    def one(self, i: int, kind: int, motion: Motion) -> SingleAxis | RealAxis:
+        """The axis of floats at `i`, of this kind, at its state in these arrays."""
+        state = Motion(*(float(array[i]) for array in motion))
+        alone = single(take(self._ideal, i))
+        if is_ideal(kind):
+            return SingleAxis(alone, state.position, state.velocity, state.pierced)
+        density, walk, seed, number = self._noise
+        noise = Disturbance(float(density[i]), float(walk[i]), int(seed[i]), int(number[i])) if kind & NOISY else None
+        engine = Dynamics(take_structure(self._structure, i), kind) if is_dynamic(kind) else alone
+        return RealAxis(engine, state, float(self._constant[i]), noise)
+
+    def ideal(self, index: NDArray[np.int64]) -> Axis:
+        """The ideal axes at these places, which have the same terms."""
+        part = take(self._ideal, index)
+        return part._replace(
+            has_stribeck=bool(np.any(part.friction.stribeck)),
+            has_ripple=bool(np.any(part.ripple_amplitude)),
+            has_cell=bool(np.any(part.membrane.stiffness)) or bool(np.any(part.membrane.drag)),
+        )
+
+    def many(self, index: NDArray[np.int64], kind: int) -> RealPart:
+        """The axes of this kind at these places."""
+        engine = Dynamics(take_many(self._structure, index), kind) if is_dynamic(kind) else self.ideal(index)
+        noise = Disturbance(*(values[index] for values in self._noise)) if kind & NOISY else None
+        return RealPart(index, engine, self._constant[index], noise)
 
 
-def _advance_few(axis: Axis, state: State, drive: Array, h: float, indices: list[int]) -> None:
-    """Advance these of the axes, in place."""
-    for index in indices:
-        alone = SingleAxis(_single(take(axis, index)), *(float(array[index]) for array in state))
-        alone.advance(1, h, float(drive[index]))
-        state.position[index], state.velocity[index], state.pierced[index] = alone.state
-
-
-def _repeat(axis: Axis, state: State, drive: Array, h: float, count: int) -> State:
-    for _ in range(count):
-        state = _piece_many(axis, state, drive, h)
-    return state
-
-
-def _piece_many(axis: Axis, state: State, drive: Array, h: float) -> State:
-    """`advance_piece` for an array: smooth axes together, the few with an event one by one."""
-    sign = np.sign(state.velocity)
-    resting = sign == 0.0
-    if resting.any():
-        net = net_force(axis, *state, drive)
-        sign = np.where(resting & (np.abs(net) > breakaway(axis.friction)), np.sign(net), sign)
-    moving = sign != 0.0
-    position, velocity = runge_kutta(axis, state, drive, sign, h)
-    event = moving & (velocity * sign <= 0.0)
-    if axis.has_cell:
-        event |= moving & (transition(axis.membrane, position, state.pierced) >= 0.0)
-    result = State(
-        np.where(moving, position, state.position), np.where(moving, velocity, state.velocity), state.pierced.copy()
-    )
-    for index in np.flatnonzero(event).tolist():
-        alone = State(*(float(array[index]) for array in state))
-        outcome = advance_piece(_single(take(axis, index)), alone, float(drive[index]), h)
-        for array, value in zip(result, outcome, strict=True):
-            array[index] = value
-    return result
+def _axis_numbers(shape: tuple[int, ...]) -> NDArray[np.uint64]:
+    return np.broadcast_to(np.arange(shape[-1], dtype=np.uint64), shape).reshape(-1)

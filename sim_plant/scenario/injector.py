@@ -11,7 +11,15 @@ from drivers.protocols.base import DriveStatus, Sample
 from drivers.wire.faults import FOREVER_NS, Random
 from drivers.wire.wire import Wire
 from sim_plant.emulator import EmulatedStage
-from sim_plant.scenario.language import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario, wire_fault
+from sim_plant.scenario.language import (
+    KINDS,
+    PLANT_PREFIX,
+    FaultConfig,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    wire_fault,
+)
 
 __all__ = ["KINDS", "FaultConfig", "Injector", "Scenario", "ScenarioError", "load_scenario"]
 
@@ -259,6 +267,16 @@ def _push(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     return lambda: stage.push(axis, 0.0)
 
 
+def _change_plant(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
+    key = fault.kind.removeprefix(PLANT_PREFIX)
+    before = stage.change_plant(axis, key, fault.amount)
+
+    def undo() -> None:
+        stage.change_plant(axis, key, before)
+
+    return undo
+
+
 _BEGIN: dict[str, Callable[[EmulatedStage, int, FaultConfig], Undo | None]] = {
     "encoder_silent": _silent,
     "encoder_stuck": _stuck,
@@ -280,3 +298,4 @@ _BEGIN: dict[str, Callable[[EmulatedStage, int, FaultConfig], Undo | None]] = {
     "axis_jam": _jam,
     "push": _push,
 }
+_BEGIN |= {kind: _change_plant for kind in KINDS if kind.startswith(PLANT_PREFIX)}

@@ -7,9 +7,9 @@
     duration_ticks = 3        # how long: duration_s or duration_ticks; without: until the end of the run
     value = 5e-6              # how much, in the unit KINDS gives
 
-Kinds named wire_... go to drivers/wire/wire.py (FaultKind there explains them) and take its keys: node, receiver,
-can_id, count, delay_s, bit, period_s, length. Faults begin and end at their exact instants; everything random comes
-from `seed`.
+Kinds named plant_... step a key of [plant] to value, and back at their end. Kinds named wire_... go to
+drivers/wire/wire.py (FaultKind there explains them) and take its keys: node, receiver, can_id, count, delay_s, bit,
+period_s, length. Faults begin and end at their exact instants; everything random comes from `seed`.
 """
 
 from collections.abc import Sequence
@@ -56,6 +56,32 @@ KINDS: dict[str, Kind] = {
     "torque_constant": Kind("force is value times what was asked for", "ratio", None, -2.0, 10.0),
     "axis_jam": Kind("value of additional dry friction", "N or N m", 1e4, 0.0, 1e9),
     "push": Kind("an external force", "N or N m", None, -1e6, 1e6),
+}
+PLANT_PREFIX = "plant_"
+_TO = "from then on is value"
+KINDS |= {
+    PLANT_PREFIX + name: Kind(text, unit, None, low, high)
+    for name, text, unit, low, high in (
+        ("presliding", f"Coulomb friction over its stiffness at rest {_TO}", "m or rad", 0.0, 1e-2),
+        ("presliding_damping", f"the stuck axis' damping ratio {_TO}", "ratio", 0.0, 2.0),
+        ("torque_lag", f"the force's time constant {_TO}", "s", 0.0, 0.1),
+        ("torque_noise", f"the force's noise {_TO}", "N/sqrt(Hz)", 0.0, 1.0),
+        ("mode_frequency", f"the frequency of the axis' mode {_TO} (without one: of a new one)", "Hz", 10.0, 2000.0),
+        ("mode_damping", f"the damping ratio of its mode {_TO}", "ratio", 0.0, 1.0),
+        ("mode_load", f"the tool's part of the mass {_TO}", "ratio", 0.0, 0.9),
+        ("friction_variation", f"the fraction by which friction varies {_TO}", "ratio", 0.0, 0.95),
+        ("cogging", f"the amplitude of the axis' first cogging harmonic {_TO}", "N or N m", 0.0, 1e2),
+        ("cable_stiffness", f"the cables' stiffness {_TO}", "N/m", 0.0, 1e4),
+        ("cable_hysteresis", f"half the width of the cables' loop {_TO}", "N or N m", 0.0, 1e2),
+        ("bias", f"a constant force {_TO}", "N or N m", -1e2, 1e2),
+        ("bias_walk", f"the walk of that force {_TO}", "N/sqrt(s)", 0.0, 1e2),
+        ("vibration", f"the floor's acceleration on the axis {_TO}, at its first line's frequency", "m/s^2", 0.0, 1e2),
+        ("backlash", f"the lost motion of the tool {_TO}", "m or rad", 0.0, 1e-2),
+        ("drift", f"the thermal drift of the tool {_TO}, counted from the start", "m/s", -1e-3, 1e-3),
+        ("encoder_noise", f"the RMS noise of every sample {_TO}", "m or rad", 0.0, 1e-3),
+        ("encoder_periodic_error", f"the error within a signal period {_TO}", "m or rad", 0.0, 1e-3),
+        ("encoder_latency", f"the unknown age of a sample {_TO}", "s", 0.0, 1e-3),
+    )
 }
 KINDS |= {WIRE_PREFIX + kind.value: Kind(f"see FaultKind.{kind.name} in drivers/wire/faults.py") for kind in FaultKind}
 

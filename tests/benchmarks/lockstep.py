@@ -25,7 +25,8 @@ from hil.operate.bench.blocks import (
 )
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import LockstepRun, usable
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import usable
 
 WARM_UP_TICKS = 500
 

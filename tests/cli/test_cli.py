@@ -15,11 +15,13 @@ AT_A_TERMINAL = "import signal; signal.signal(signal.SIGINT, signal.default_int_
 BUILD = ROOT / "deploy" / "debian" / "build.sh"
 
 
-@pytest.mark.parametrize("module", ["typer", "numpy"])  # of the command line itself; of the command asked for
-def test_a_ctrl_c_during_the_imports_ends_quietly(tmp_path: Path, module: str) -> None:
+@pytest.mark.parametrize(  # of the command line itself; of the command asked for; of the one that has no use for either
+    ("module", "command"), [("typer", "check"), ("numpy", "check"), ("numpy", "run")]
+)
+def test_a_ctrl_c_during_the_imports_ends_quietly(tmp_path: Path, module: str, command: str) -> None:
     (tmp_path / f"{module}.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     result = subprocess.run(
-        [sys.executable, "-c", f"{AT_A_TERMINAL}; from hil.__main__ import main; main()", "run", "rig.toml"],
+        [sys.executable, "-c", f"{AT_A_TERMINAL}; from hil.__main__ import main; main()", command, "rig.toml"],
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,

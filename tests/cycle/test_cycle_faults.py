@@ -173,7 +173,7 @@ def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(error
 
 
 def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> None:
-    """Its torque is zero as it is told, but enabled it holds its brake open; only silence makes it let go."""
+    """Its torque is zero as it is told, but enabled it holds its brake open; only silence makes it close."""
 
     def mail(run: Posted, now: int) -> list[OperatorCommand]:
         said = {READY_BY: CommandKind.ACTIVATE, 100: CommandKind.STOP, 300: CommandKind.RESET}.get(run.index)

@@ -27,7 +27,7 @@ def make_gate() -> TorqueGate:
     return TorqueGate(host_protocol(BUS, 2, [LIMIT, LIMIT], ROOT), [LIMITS] * 2)
 
 
-def let_out(gate: TorqueGate, request: list[float], position: list[float], *, permitted: bool = True) -> Command:
+def applied(gate: TorqueGate, request: list[float], position: list[float], *, permitted: bool = True) -> Command:
     """The command as a drive would read it."""
     (frame,) = gate.release(request, position, permitted=permitted, sequence=7)
     command = DEVICE.decode_command(frame)
@@ -43,7 +43,7 @@ near = st.floats(-1.5, 1.5)
 def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(
     request: list[float], position: list[float], permitted: bool
 ) -> None:
-    command = let_out(make_gate(), request, position, permitted=permitted)
+    command = applied(make_gate(), request, position, permitted=permitted)
     for force in command.force:
         assert math.isfinite(force)
         assert abs(force) <= STEP  # one tick from zero: the rate limit is the tighter bound
@@ -59,7 +59,7 @@ def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_
     gate = make_gate()
     previous = 0.0
     for request, position in steps:
-        force = let_out(gate, [request, 0.0], [position, 0.0]).force[0]
+        force = applied(gate, [request, 0.0], [position, 0.0]).force[0]
         assert abs(force) <= LIMIT
         if position >= HIGH:
             assert force <= 0.0
@@ -88,7 +88,7 @@ def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_
     ],
 )
 def test_at_the_boundaries(request_: float, position: float, expected: float) -> None:
-    assert let_out(make_gate(), [request_, 0.0], [position, 0.0]).force[0] == expected
+    assert applied(make_gate(), [request_, 0.0], [position, 0.0]).force[0] == expected
 
 
 @given(st.lists(st.tuples(st.floats(-20, 20), st.floats(-5, 5), near), min_size=1, max_size=20))
@@ -100,7 +100,7 @@ def test_a_batch_of_plants_is_bounded_as_the_gate_bounds_one(cases: list[tuple[f
 
 def test_the_limit_is_reached_in_steps_and_not_passed() -> None:
     gate = make_gate()
-    forces = [let_out(gate, [100.0, -100.0], [0.0, 0.0]).force for _ in range(4)]
+    forces = [applied(gate, [100.0, -100.0], [0.0, 0.0]).force for _ in range(4)]
     assert [f[0] for f in forces] == [2.0, 4.0, 5.0, 5.0]
     assert [f[1] for f in forces] == [-2.0, -4.0, -5.0, -5.0]
     assert gate.saturations == [4, 4]
@@ -108,23 +108,23 @@ def test_the_limit_is_reached_in_steps_and_not_passed() -> None:
 
 def test_a_force_that_needs_no_change_is_not_counted_as_saturated() -> None:
     gate = make_gate()
-    let_out(gate, [1.0, -1.0], [0.0, 0.0])
+    applied(gate, [1.0, -1.0], [0.0, 0.0])
     assert gate.saturations == [0, 0]
 
 
 def test_without_permission_zero_comes_at_once_not_along_the_rate_limit() -> None:
     gate = make_gate()
     for _ in range(3):
-        let_out(gate, [5.0, 5.0], [0.0, 0.0])
-    command = let_out(gate, [5.0, 5.0], [0.0, 0.0], permitted=False)
+        applied(gate, [5.0, 5.0], [0.0, 0.0])
+    command = applied(gate, [5.0, 5.0], [0.0, 0.0], permitted=False)
     assert list(command.force) == [0.0, 0.0]
     assert command.enable == 0
     assert gate.force == [0.0, 0.0]
-    assert let_out(gate, [5.0, 5.0], [0.0, 0.0]).force[0] == STEP  # and it starts from zero again
+    assert applied(gate, [5.0, 5.0], [0.0, 0.0]).force[0] == STEP  # and it starts from zero again
 
 
 def test_enable_goes_with_permission_and_covers_every_axis() -> None:
-    assert let_out(make_gate(), [0.0, 0.0], [0.0, 0.0]).enable == 0b11
+    assert applied(make_gate(), [0.0, 0.0], [0.0, 0.0]).enable == 0b11
 
 
 def test_the_reset_bit_goes_out_only_with_zero_force() -> None:
@@ -133,7 +133,7 @@ def test_the_reset_bit_goes_out_only_with_zero_force() -> None:
     command = DEVICE.decode_command(frame)
     assert isinstance(command, Command)
     assert (command.reset, list(command.force), command.enable, command.sequence) == (True, [0.0, 0.0], 0, 3)
-    assert not let_out(gate, [1.0, 1.0], [0.0, 0.0]).reset
+    assert not applied(gate, [1.0, 1.0], [0.0, 0.0]).reset
 
 
 class Listener:

@@ -195,7 +195,7 @@ class Watched(StateMachine):
 @example({30: [OperatorCommand(CommandKind.HEARTBEAT, 2**64 - 1, 2**63 - 1)], 40: [OperatorCommand(9, 1, 2**63 - 1)]})  # type: ignore[arg-type]
 def test_any_mail_is_refused_or_leads_along_the_table(letters: dict[int, list[OperatorCommand]]) -> None:
     run = Correspondence(letters)
-    run.cycle.machine = machine = Watched()
+    run.cycle.supervisor.machine = machine = Watched()
     walked = machine.walked
     before = State.BOOT
     for _ in range(TICKS):

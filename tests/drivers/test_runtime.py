@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers import runtime
+from drivers import runtime_path
 from drivers.runtime import RuntimeDirectoryError, runtime_dir
 
 
@@ -13,7 +13,7 @@ from drivers.runtime import RuntimeDirectoryError, runtime_dir
 def bare_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("HIL_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(runtime, "_SERVICE_DIRECTORY", tmp_path / "service")
+    monkeypatch.setattr(runtime_path, "_SERVICE_DIRECTORY", str(tmp_path / "service"))
 
 
 def mode(path: Path) -> int:
@@ -37,10 +37,10 @@ def test_the_first_place_that_is_named_wins(monkeypatch: pytest.MonkeyPatch, tmp
 def test_without_any_named_place_it_is_in_memory_else_in_tmp_by_user(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(runtime, "_MEMORY", tmp_path)
-    assert runtime._choose() == tmp_path / f"hil-{os.geteuid()}"
-    monkeypatch.setattr(runtime, "_MEMORY", tmp_path / "missing")
-    assert runtime._choose() == Path(f"/tmp/hil-{os.geteuid()}")
+    monkeypatch.setattr(runtime_path, "_MEMORY", str(tmp_path))
+    assert runtime_path.runtime_path() == f"{tmp_path}/hil-{os.geteuid()}"
+    monkeypatch.setattr(runtime_path, "_MEMORY", str(tmp_path / "missing"))
+    assert runtime_path.runtime_path() == f"/tmp/hil-{os.geteuid()}"
 
 
 def test_a_directory_that_others_could_read_is_closed_to_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

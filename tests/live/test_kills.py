@@ -15,7 +15,7 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import MailboxError
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.operate.demo import STALL_FAULTS
 from tests.support.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 
@@ -36,7 +36,7 @@ class EagerOperator(threading.Thread):
 
     def run(self) -> None:
         while not self.ended.wait(0.05):
-            if places("paper").mailbox.exists():
+            if runtime_paths("paper").mailbox.exists():
                 try:
                     order(CommandKind.ACTIVATE)
                 except (OSError, ValueError, MailboxError):

@@ -12,7 +12,7 @@ from drivers.protocols import device_protocol
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader, previous_path
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.live.timing_record import read_timing
 from tests.support.live_rig import PAPER, PATIENCE_S, Control, emulated, every_record, order, rig_with
 
@@ -52,7 +52,7 @@ def test_asked_to_end_while_active_it_stops_sends_zero_torque_last_and_exits_wit
     states = every_record()["state"]
     assert states[-1] == State.SHUTDOWN
     assert State.STOPPING in states
-    with RingReader(places("paper").ring) as ring:
+    with RingReader(runtime_paths("paper").ring) as ring:
         assert ring.ended
 
 
@@ -63,7 +63,7 @@ def test_with_terminal_and_runtime_directory_gone_it_stops_in_the_same_order_and
         control.wait_for(State.ACTIVE, reader)
         control.process.stdout.close()
         control.process.stdout = None
-        shutil.rmtree(places("paper").directory)
+        shutil.rmtree(runtime_paths("paper").directory)
         control.process.send_signal(signal.SIGHUP)
         assert control.process.wait(PATIENCE_S) == 0
         _, last = decoded(emulator)[-1]
@@ -90,7 +90,7 @@ def test_a_run_of_n_ticks_leaves_n_records_and_a_timing_file():
     assert len(records) == 301  # the stop asked for after 300 is carried out in the one after
     assert (records["cpu_ns"][5:].sum(axis=1) > 0).all()
     assert (records["index"][1:] > records["index"][:-1]).all()
-    timing = read_timing(places("paper").timing)
+    timing = read_timing(runtime_paths("paper").timing)
     assert timing.counters["ticks"] == 301
     assert timing.counters["missed_own"] + timing.counters["missed_host"] == records["index"][-1] - 300
     assert timing.quantile("cpu", 0.5) > 0
@@ -132,10 +132,10 @@ def test_denied_real_time_is_refused_without_a_frame_unless_the_rig_allows_it():
         status, out, _ = control.finish()
     assert status == 0
     assert "real time degraded: core refused" in out
-    with RingReader(places("paper").ring) as ring:
+    with RingReader(runtime_paths("paper").ring) as ring:
         assert "core refused" in ring.metadata["realtime"]
         assert not any(ring.read().records["flags"] & REALTIME_OK)
-    timing = read_timing(places("paper").timing)
+    timing = read_timing(runtime_paths("paper").timing)
     assert not timing.realtime_ok
     assert "core refused" in timing.verdict
 
@@ -159,7 +159,7 @@ def test_an_exception_in_the_cycle_stops_sending_and_is_shown_never_hidden():
         assert 0 < len(decoded(emulator)) <= 50
     assert status == 70
     assert "ZeroDivisionError: a bug in the law" in err
-    with RingReader(places("paper").ring) as ring:
+    with RingReader(runtime_paths("paper").ring) as ring:
         assert not ring.ended  # so that the next start keeps it
         assert not ring.writer_alive
 
@@ -180,7 +180,7 @@ def test_after_a_kill_the_drives_are_at_zero_and_a_restart_leads_to_ready_never_
             assert second.finish()[0] == 0
     states = set(every_record()["state"].tolist())
     assert states <= {State.BOOT, State.CONNECTED, State.READY, State.FAULT, State.SHUTDOWN}
-    with RingReader(previous_path(places("paper").ring)) as black_box:
+    with RingReader(previous_path(runtime_paths("paper").ring)) as black_box:
         assert black_box.pid == first.process.pid
         assert State.ACTIVE in black_box.read(100_000).records["state"]
 

@@ -29,7 +29,7 @@ def note(record, lateness):
     for value in lateness:
         row = [100] * len(METRICS)
         row[LATENESS] = int(value)
-        record.note(*row)
+        record.note(row)
 
 
 @given(st.integers(1, 2**36 - 1))

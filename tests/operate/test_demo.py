@@ -24,6 +24,7 @@ from hil.operate.summary import RunData, load_run
 from hil.rig.file import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient
+from hil.telemetry.command_client import Verdict
 from tests.support.paths import ROOT
 
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
@@ -203,10 +204,9 @@ class Conversation:
     def status(self) -> pb.Status:
         return self.statuses.pop(0)
 
-    def command(self, kind: CommandKind, token: str) -> pb.CommandReply:
-        assert token == "secret"
+    def command(self, kind: CommandKind) -> Verdict:
         self.heard.append(kind)
-        return pb.CommandReply(accepted=True)
+        return Verdict(True, "", "-")
 
 
 def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
@@ -217,8 +217,6 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
     rig = load_rig(RIG)
     said = Console(record=True, width=120, file=io.StringIO())
     scene = Scene(rig, RIG, (), tmp_path, tmp_path)
-    scene.places.token.parent.mkdir(parents=True)
-    scene.places.token.write_text("secret")
     axes = list(rig.axes)
     healthy = [int(DriveStatus.HOMED)] * len(axes)
     tripped = [*healthy[:-1], int(DriveStatus.HOMED | DriveStatus.WATCHDOG)]
@@ -227,6 +225,7 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
     ready = pb.Status(state="READY", fault="NONE", axes=axes, drive_status=healthy, recording=True)
     conversation = Conversation(waits, held, held, waits, ready)
     client = cast(RigClient, conversation)
+    monkeypatch.setattr("hil.operate.demo.local_client", lambda _: contextlib.nullcontext(conversation))
     demo = Demo(scene, said, Signals())
     while conversation.statuses:
         demo._look(client)

@@ -133,3 +133,25 @@ def test_the_command_prints_json_and_fails_only_when_asked_to(monkeypatch):
     table = runner.invoke(app, ["doctor"])
     assert table.exit_code == 0
     assert "another core" in table.stdout
+
+
+@pytest.mark.parametrize(
+    ("watch", "commands", "level", "said"),
+    [
+        (["tcp/127.0.0.1:7447"], "", "ok", "nobody from elsewhere. Watch, no more: tcp/127.0.0.1:7447: every account"),
+        (["tls/0.0.0.0:7447"], "0.0.0.0:7448", "ok", "operators' certificates at 0.0.0.0:7448"),
+        (["tcp/0.0.0.0:7447"], "", "warn", "everybody who reaches this machine"),
+    ],
+)
+def test_it_says_who_can_connect_and_do_what(
+    tmp_path: Path, watch: list[str], commands: str, level: str, said: str
+) -> None:
+    (tmp_path / "access.json").write_text(json.dumps({"watch": watch, "commands": commands}))
+    finding = doctor.access_finding("rig", tmp_path)
+    assert finding.level == level
+    assert said in finding.detail
+    assert f"uid {os.getuid()} and root here" in finding.detail
+
+
+def test_of_a_sidecar_that_left_no_word_it_says_so(tmp_path: Path) -> None:
+    assert doctor.access_finding("rig", tmp_path).level == "note"

@@ -1,10 +1,12 @@
 """What people look at: terminal view, one-line form, browser page, picture."""
 
 import builtins
+import io
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,9 +16,10 @@ from typer import Exit
 from drivers.protocols.base import DriveStatus
 from hil.cli.pictures import tracking_picture
 from hil.operate import dashboard
-from hil.operate.monitor import line, view
+from hil.operate.monitor import Newest, line, silence, view
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.client import RigClient, printable
 
 
 def status(**changes: Any) -> pb.Status:
@@ -162,3 +165,49 @@ def test_a_single_peak_survives_the_thinning_of_a_long_line(microscope: RigConfi
     [drawn] = panel.lines
     assert np.max(drawn.get_ydata()) == 5.0
     assert len(np.asarray(drawn.get_ydata())) < 4000
+
+
+def test_a_control_process_that_hangs_is_said_to_and_how_old_what_is_shown_is() -> None:
+    hung = status(now_ns=10_000_000_000, tick_ns=6_800_000_000)
+    assert "THE CONTROL PROCESS HANGS: no tick for 3.2 s; what is shown is as old; it was ACTIVE" in line(hung)
+    assert "HANGS" in shown(hung)
+    assert "HANGS" in dashboard.headline(hung)
+    assert "HANGS" not in line(status(now_ns=10_000_000_000, tick_ns=9_600_000_000))
+
+
+def test_a_sidecar_that_falls_silent_is_said_to_within_a_second() -> None:
+    class Silent:
+        statuses = [status()]  # noqa: RUF012
+
+        def status(self) -> pb.Status | None:
+            return self.statuses.pop() if self.statuses else None
+
+    newest = Newest(cast(RigClient, Silent()))
+    assert newest.look()
+    began = time.monotonic()
+    while not silence(newest.status, newest.age_s):
+        assert not newest.look()
+        assert time.monotonic() - began < 1.0
+    assert newest.status
+    assert "NO WORD FROM THE SIDECAR for 0.5 s" in line(newest.status, newest.age_s)
+    assert "NO WORD" in dashboard.headline(newest.status, newest.age_s)
+
+
+def test_no_text_in_a_status_commands_the_terminal_or_the_browser() -> None:
+    evil = "\x1b[2J\x1b]0;x\x07<script>alert(1)</script>[bold red on white]"
+    fields = [field for field in pb.Status.DESCRIPTOR.fields if field.type == field.TYPE_STRING]
+    hostile = status()
+    for field in fields:
+        if isinstance(getattr(hostile, field.name), str):
+            setattr(hostile, field.name, evil)
+        else:
+            getattr(hostile, field.name)[:] = [evil] * 2
+    clean = printable(hostile)
+    console = Console(width=200, record=True, file=io.StringIO(), force_terminal=False)
+    console.print(view(clean))
+    console.print(line(clean), markup=False)
+    text = console.export_text()
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert "<script" not in dashboard.headline(clean)
+    assert "[bold red on white]" in text  # shown, not obeyed

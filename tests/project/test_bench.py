@@ -41,7 +41,7 @@ def test_cases_take_turns_and_every_second_round_runs_backwards():
     assert values_of(blocks, "a", "value") == [1.0, 6.0, 7.0]
 
 
-def test_ratios_are_formed_inside_a_block_so_that_shared_weather_cancels():
+def test_ratios_are_formed_inside_a_block_so_that_shared_disturbances_cancel():
     blocks = [Block("ours", 1, {"us": 30.0}), Block("theirs", 1, {"us": 10.0})]
     blocks += [Block("theirs", 0, {"us": 100.0}), Block("ours", 0, {"us": 300.0})]
     assert ratios(blocks, "ours", "theirs", "us") == [3.0, 3.0]

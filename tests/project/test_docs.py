@@ -25,7 +25,9 @@ def test_every_gain_of_every_law_is_in_the_table() -> None:
 
 def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:
     assert set(RULES) == set(Fault) - {Fault.NONE}
-    code = "".join((ROOT / "hil" / name).read_text() for name in ("cycle/fault_monitor.py", "cycle/step.py"))
+    code = "".join(
+        (ROOT / "hil" / name).read_text() for name in ("cycle/fault_monitor.py", "cycle/step.py", "cycle/supervisor.py")
+    )
     body = code[code.index("class FaultMonitor") :] + code[code.index("_STATUS_FAULTS = (") : code.index("_BAD_STATUS")]
     unseen = [fault.name for fault in RULES if not re.search(rf"Fault\.{fault.name}\b", body)]
     assert unseen == []

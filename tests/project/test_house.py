@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from tests.support.paths import ROOT
 
 FOLDERS = ("hil", "drivers", "sim_plant", "tests", "deploy", "docs", ".ci")
@@ -39,7 +40,9 @@ DOCUMENT = re.compile(r"[\w-]+\.md\b|\bFIELD_NOTES\b")
 NAMED_FILE = re.compile(
     r"(?<![\w.-])(?<!etc/)(?<!share/)(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
 )
+MODULE = re.compile(r"(?<![\w./@-])(?:hil|drivers|sim_plant)\.\w+")
 MADE_BY_THE_BUILD = "hil/floats/"
+NO_MODULES = {"hil.floats", "hil.laws", "hil.target"}  # of the build; an entry point group; a systemd unit
 HERE = Path(__file__).relative_to(ROOT).as_posix()
 
 
@@ -118,5 +121,18 @@ def test_every_file_that_is_named_is_where_it_is_said_to_be() -> None:
         entry
         for entry in found(NAMED_FILE)
         if not (ROOT / entry[2]).exists() and not entry[2].startswith(MADE_BY_THE_BUILD)
+    ]
+    assert not findings, listing(findings)
+
+
+def test_every_module_that_is_named_exists() -> None:
+    """Its first two parts, or what `hil` itself exports: in comments and documents, where no import would fail."""
+    findings = [
+        entry
+        for entry in found(MODULE)
+        if entry[2] not in NO_MODULES
+        and not hasattr(hil, entry[2].partition(".")[2])
+        and not (ROOT / entry[2].replace(".", "/")).is_dir()
+        and not (ROOT / entry[2].replace(".", "/")).with_suffix(".py").exists()
     ]
     assert not findings, listing(findings)

@@ -11,10 +11,11 @@ import tomlkit
 
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.former_keys import FormerKeyWarning
-from hil.rig.plant import plant_notes
+from hil.rig.plant_notes import plant_notes
 from hil.rig.provenance import describe_run, rig_of_run
 from hil.rig.schema import RigError
-from hil.virtual.lockstep import LockstepRun, simulate
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"

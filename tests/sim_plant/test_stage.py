@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from sim_plant.config import CellConfig, PlantConfig
 from sim_plant.physics.exact_trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
-from sim_plant.physics.stage import FEW, Stage, Truth
+from sim_plant.physics.ideal_batch import FEW
+from sim_plant.physics.stage import Stage, Truth
 
 MS = 1_000_000
 PAPER = {

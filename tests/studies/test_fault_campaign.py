@@ -19,7 +19,7 @@ from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import TABLE, Event, State
-from hil.cycle.step import ControlCycle
+from hil.cycle.supervisor import Supervisor
 from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -118,7 +118,7 @@ def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair
     assert began["stage_fd"] < 100 < began["cia402"]
 
 
-def test_a_rig_that_is_never_ready_is_told_so_and_not_sailed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_that_is_never_ready_is_told_so_and_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.studies.fault_campaign.checkpoints.PATIENCE", 50)
     with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
         bring_to(rig_of("microscope", "cia402"), RIGS, READY)
@@ -189,11 +189,11 @@ def accepted(*arguments: object) -> bool:
     return False
 
 
-def reset_unasked(self: ControlCycle, *, reset: bool) -> None:
+def reset_unasked(self: Supervisor, *, reset: bool) -> None:
     RECONNECT(self, reset=True)
 
 
-RECONNECT = ControlCycle._reconnect
+RECONNECT = Supervisor._reconnect
 NOT_SILENT = property(accepted, never)
 BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     (
@@ -282,14 +282,14 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
     ),
     (
         "R4 goes on sending",
-        lambda m: m.setattr(ControlCycle, "silent", NOT_SILENT, raising=False),
+        lambda m: m.setattr(Supervisor, "silent", NOT_SILENT, raising=False),
         "bus-off",
         ON_THE_WAY,
         "silence",
     ),
     (
         "a process that starts again resets the drives unasked",
-        lambda m: m.setattr(ControlCycle, "_reconnect", reset_unasked),
+        lambda m: m.setattr(Supervisor, "_reconnect", reset_unasked),
         "started again, the drives have tripped",
         ON_THE_WAY,
         "ended READY, expected CONNECTED",

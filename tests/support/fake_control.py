@@ -17,7 +17,7 @@ from hil.cycle.tick import PortCounters
 from hil.live.mailbox import Mailbox
 from hil.live.pacing import Pacer
 from hil.live.ring import RingWriter
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
 
@@ -26,7 +26,7 @@ SLOTS = 65536  # a minute: no reader is held up for longer than that, whatever e
 
 def main(rig_file: str, ticks: int) -> None:
     rig = load_rig(rig_file)
-    rig_places = places(rig.name)
+    paths = runtime_paths(rig.name)
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(1))
     state = State.READY
@@ -41,9 +41,9 @@ def main(rig_file: str, ticks: int) -> None:
     n = len(rig.axes)
     desk, builder, pacer = CommandDesk(), RecordBuilder(n), Pacer(rig.period_ns)
     with (
-        Mailbox.create(rig_places.mailbox) as mailbox,
+        Mailbox.create(paths.mailbox) as mailbox,
         RingWriter(
-            rig_places.ring,
+            paths.ring,
             SLOTS,
             period_ns=rig.period_ns,
             metadata=describe_run(rig, Path(rig_file).parent, realtime="none: a test"),

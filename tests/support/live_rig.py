@@ -19,7 +19,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.operate.demo import STALL_FAULTS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -137,7 +137,7 @@ class Control:
                 raise AssertionError(f"hil run ended with {self.finish()}")
             if reader is None:
                 with contextlib.suppress(Exception):
-                    reader = RingReader(places("paper").ring)
+                    reader = RingReader(runtime_paths("paper").ring)
                     if reader.pid != self.process.pid:
                         reader = None
             if reader is not None and len(batch := reader.read().records):
@@ -155,11 +155,11 @@ class Control:
 
 def order(kind: CommandKind) -> None:
     """Post an operator's command."""
-    with Mailbox(places("paper").mailbox) as mailbox:
+    with Mailbox(runtime_paths("paper").mailbox) as mailbox:
         mailbox.post(kind, time.monotonic_ns() + 1_000_000_000)
 
 
 def every_record() -> np.ndarray:
     """All records still in the ring."""
-    with RingReader(places("paper").ring) as reader:
+    with RingReader(runtime_paths("paper").ring) as reader:
         return reader.read(100_000).records

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import socket
-import stat
 import subprocess
 import sys
 import time
@@ -17,18 +16,17 @@ import zenoh
 
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
-from hil.live.runtime_paths import places
+from hil.operate.monitor import silence
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import NoSidecarError, RigClient
-from hil.telemetry.gateway import Gateway
+from hil.telemetry.command_client import NoGatewayError, Verdict, local_client
 from hil.telemetry.recorder import Recording
 from hil.telemetry.session import client_config
 from tests.support.paths import ROOT
 
 RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
-TOKEN = "secret"
 
 
 def free_endpoint() -> str:
@@ -66,8 +64,9 @@ class Bench:
         options = ["--out", str(out or self.out), "--listen", self.endpoint]
         return self.start("-m", "hil", "sidecar", str(RIG), *options, until="listening")
 
-    def token(self) -> str:
-        return (self.runtime / "microscope" / "token").read_text()
+    def command(self, kind: CommandKind) -> Verdict:
+        with local_client(self.runtime / "microscope") as client:
+            return client.command(kind)
 
     def close(self) -> None:
         for process in self.processes:
@@ -107,15 +106,15 @@ def eventually(client: RigClient, wanted: Callable[[pb.Status], bool], seconds: 
     return status
 
 
-def obeyed(client: RigClient, kind: CommandKind, token: str) -> pb.CommandReply:
+def obeyed(bench: Bench, kind: CommandKind) -> Verdict:
     """Ask, and ask again where the machine held the command up beyond its life of 0.3 s, as an operator would."""
-    reply = client.command(kind, token)
     for _ in range(20):
-        if not reply.reason.startswith("stale"):
-            break
-        reply = client.command(kind, token)
-    assert reply.accepted, reply.reason
-    return reply
+        with contextlib.suppress(NoGatewayError):
+            verdict = bench.command(kind)
+            if not verdict.reason.startswith(("stale", "the control process did not")):
+                break
+    assert verdict.accepted, verdict.reason
+    return verdict
 
 
 def recorded(path: Path) -> tuple[list[codec.RecordedTick], Recording]:
@@ -133,8 +132,8 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
         assert (status.rig, status.state, list(status.axes)) == ("microscope", "READY", ["x", "y", "z", "theta"])
         assert status.realtime == "none: a test"
         assert status.control_alive
-        assert obeyed(client, CommandKind.ACTIVATE, bench.token()).state == "ACTIVE"
-        reply = client.command(CommandKind.ACTIVATE, bench.token())
+        assert obeyed(bench, CommandKind.ACTIVATE).state == "ACTIVE"
+        reply = bench.command(CommandKind.ACTIVATE)
         assert (reply.accepted, reply.reason) == (False, "ACTIVATE is not possible in state ACTIVE")
         assert end(control) == 0
         status = eventually(client, lambda status: status.control_ended)
@@ -159,14 +158,14 @@ def test_a_killed_control_process_is_reported_and_its_last_tick_is_recorded(benc
         end(control, signal.SIGKILL)
         status = eventually(client, lambda status: not status.control_alive and not status.recording)
         assert not status.control_ended
-        reply = client.command(CommandKind.STOP, bench.token())
+        reply = bench.command(CommandKind.STOP)
         assert (reply.accepted, reply.reason) == (False, "no control process is running this rig")
         ticks, recording = recorded(bench.out / "run.mcap")
         assert not recording.truncated
         assert len(ticks) == status.produced
         bench.control()  # the next one gets a recording of its own, and is judged by its own sequence numbers
         eventually(client, lambda status: status.control_alive and status.recording)
-        obeyed(client, CommandKind.ACTIVATE, bench.token())
+        obeyed(bench, CommandKind.ACTIVATE)
     assert (bench.out / "run-2.mcap").exists()
     assert not (bench.runtime / "microscope" / "ring.previous").exists()
 
@@ -187,7 +186,7 @@ def test_a_sidecar_that_dies_leaves_a_readable_recording_and_its_successor_carri
         bench.sidecar(tmp_path / "second")
         status = eventually(client, lambda status: status.recording)
         assert status.dropped == 0  # the ring still held what the first one had not seen
-        obeyed(client, CommandKind.ACTIVATE, bench.token())
+        obeyed(bench, CommandKind.ACTIVATE)
 
 
 @pytest.mark.live
@@ -246,7 +245,7 @@ def test_a_full_disk_stops_the_recorders_sign_of_life_and_nothing_else(bench: Be
         assert not status.recording
         later = eventually(client, lambda now: now.sent > status.sent + 100)
         assert later.control_alive
-        obeyed(client, CommandKind.ACTIVATE, bench.token())
+        obeyed(bench, CommandKind.ACTIVATE)
 
 
 @pytest.mark.live
@@ -279,7 +278,6 @@ def test_of_a_stopped_sidecar_whose_kernel_still_accepts_an_operator_hears_soone
 def test_a_second_sidecar_of_a_rig_is_refused_and_the_first_ones_operators_are_still_obeyed(bench: Bench) -> None:
     bench.sidecar()
     bench.control()
-    token = bench.token()
     for options in (["--listen", bench.endpoint], ["--listen", free_endpoint()]):
         second = subprocess.run(
             [sys.executable, "-m", "hil", "sidecar", str(RIG), "--out", str(bench.out), *options],
@@ -291,9 +289,7 @@ def test_a_second_sidecar_of_a_rig_is_refused_and_the_first_ones_operators_are_s
         )
         assert second.returncode == 69
         assert "another sidecar serves this rig already" in second.stderr
-    assert bench.token() == token
-    with RigClient(bench.endpoint) as client:
-        obeyed(client, CommandKind.ACTIVATE, token)  # the stand-in for the control process knows no ESTOP
+    obeyed(bench, CommandKind.ACTIVATE)  # the stand-in for the control process knows no ESTOP
 
 
 def test_an_endpoint_in_use_is_reported_by_name_with_its_own_exit_status(bench: Bench) -> None:
@@ -317,50 +313,40 @@ def test_a_client_without_a_sidecar_says_what_to_start() -> None:
         client.wait_status(0.1)
 
 
-def test_the_token_is_readable_by_its_owner_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.live.runtime_paths import renew_token
-
-    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "runtime"))
-    path = places("rig").token
-    first, second = renew_token(path), renew_token(path)
-    assert first != second
-    assert path.read_text() == second
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-
-
-def _request(**changes: int | str) -> pb.CommandRequest:
-    values = {"token": TOKEN, "kind": CommandKind.STOP, "client": 7, "sequence": 1, "expires_ns": 1_100, **changes}
-    return pb.CommandRequest(**values)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({}, ""),
-        ({"token": ""}, "not authorised"),
-        ({"token": "Secret"}, "not authorised"),
-        ({"kind": 8}, "unknown command 8"),
-        ({"kind": 2**32 - 1}, "unknown command"),
-        ({"sequence": 0}, "replayed"),
-        ({"expires_ns": 1_000}, "stale"),
-        ({"expires_ns": -(2**62)}, "stale"),
-        ({"expires_ns": 1_501}, "expires too late"),
-        ({"expires_ns": 1_500}, ""),
-        ({"kind": 0, "expires_ns": 0, "sequence": 0}, ""),
-    ],
-)
-def test_the_gateway_refuses_with_the_reason(changes: dict[str, int | str], reason: str) -> None:
-    answer = Gateway("hil/x", TOKEN, 500e-9).judge(_request(**changes), 1_000)
-    assert answer.startswith(reason)
-    assert bool(answer) == bool(reason)
+@pytest.mark.live
+def test_a_new_sidecar_tells_no_state_before_it_has_caught_up(bench: Bench) -> None:
+    """The ring of a process that was stopped for a while holds what was, not what is."""
+    control = bench.control()
+    with RingReader(bench.runtime / "microscope" / "ring") as reader:
+        while reader.written < 5000:  # more than a sidecar reads in one round
+            assert control.poll() is None
+            time.sleep(0.05)
+        bench.sidecar()
+        with RigClient(bench.endpoint) as client:
+            first = eventually(client, lambda status: bool(status.state))
+            assert first.index > 5000
+            assert first.now_ns - first.tick_ns < 1_000_000_000
+            os.kill(control.pid, signal.SIGSTOP)
+            hung = eventually(client, lambda status: status.now_ns - status.tick_ns > 500_000_000)
+            assert hung.control_alive
+            assert "THE CONTROL PROCESS HANGS" in silence(hung, 0.0)
+            verdict = bench.command(CommandKind.STOP)
+            assert (verdict.accepted, verdict.reason) == (False, "the control process did not take it")
+            assert "s ago, nothing since" in verdict.state
+            os.kill(control.pid, signal.SIGCONT)
+            eventually(client, lambda status: status.now_ns - status.tick_ns < 100_000_000)
 
 
-def test_a_command_is_judged_once_per_client_and_a_refused_one_uses_no_number() -> None:
-    gateway = Gateway("hil/x", TOKEN, 500e-9)
-    assert gateway.judge(_request(expires_ns=900), 1_000).startswith("stale")
-    assert gateway.judge(_request(), 1_000) == ""
-    assert gateway.judge(_request(), 1_000).startswith("replayed")
-    assert gateway.judge(_request(client=8), 1_000) == ""
-    assert gateway.judge(_request(sequence=5), 1_000) == ""
-    assert gateway.judge(_request(sequence=4), 1_000).startswith("replayed")
+@pytest.mark.live
+def test_every_request_is_in_the_recording(bench: Bench) -> None:
+    sidecar = bench.sidecar()
+    control = bench.control()
+    with RigClient(bench.endpoint) as client:
+        eventually(client, lambda status: status.recording and status.produced > 100)
+    obeyed(bench, CommandKind.ACTIVATE)
+    assert not bench.command(CommandKind.HOME).accepted
+    assert (end(control), end(sidecar)) == (0, 0)
+    entries = [pb.CommandEntry.FromString(m.data) for m in Recording(bench.out / "run.mcap") if m.topic == "commands"]
+    assert [(entry.kind, entry.accepted) for entry in entries][-2:] == [(1, True), (5, False)]
+    assert all(entry.who.startswith(f"uid {os.getuid()} (pid ") for entry in entries)
+    assert entries[-1].reason == "HOME is not possible in state ACTIVE"

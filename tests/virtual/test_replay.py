@@ -81,6 +81,14 @@ def test_a_changed_sample_changes_the_torque(recording: Path, tmp_path: Path) ->
     assert replay_run(rewritten(recording, tmp_path / "x.mcap", shift)).different > 0
 
 
+def test_a_replay_that_compared_nothing_says_so_and_fails(recording: Path, tmp_path: Path) -> None:
+    empty = rewritten(recording, tmp_path / "empty.mcap", lambda message, number: None)
+    done = subprocess.run([sys.executable, "-m", "hil", "replay", str(empty)], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 1
+    assert "nothing was compared" in done.stdout
+    assert "every torque frame is the same" not in done.stdout
+
+
 def test_a_gap_ends_the_replay_and_is_named(recording: Path, tmp_path: Path) -> None:
     report = replay_run(rewritten(recording, tmp_path / "x.mcap", lambda message, n: None if n == 4 else message))
     assert (report.ticks, report.different, report.gap_at) == (200, 0, 200)

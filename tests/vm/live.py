@@ -20,7 +20,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingError, RingReader
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.operate.demo import STALL_FAULTS
 from hil.rig.file import load_rig
 from tests.vm import links
@@ -77,7 +77,7 @@ class LiveRig:
         assert self.emulator.is_alive(), f"hil emulate ended with {self.emulator.exitcode}"
         if self._reader is None:
             try:
-                self._reader = RingReader(places(self.name).ring)
+                self._reader = RingReader(runtime_paths(self.name).ring)
             except (RingError, OSError):
                 return None
         batch = self._reader.read(100_000).records
@@ -120,7 +120,7 @@ class LiveRig:
 
     def order(self, kind: CommandKind) -> None:
         """Post an operator's command."""
-        with Mailbox(places(self.name).mailbox) as mailbox:
+        with Mailbox(runtime_paths(self.name).mailbox) as mailbox:
             mailbox.post(kind, time.monotonic_ns() + EXPIRY_NS)
 
     def to_ready(self) -> None:
@@ -158,7 +158,7 @@ class LiveRig:
 
     def stage(self) -> dict[str, Any]:
         """What the emulated drives say of themselves, as of now (they write it twice a second)."""
-        path = places(self.name).emulator
+        path = runtime_paths(self.name).emulator
         asked = time.monotonic_ns()
         found: dict[str, Any] = {}
 

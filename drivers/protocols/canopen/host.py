@@ -23,14 +23,13 @@ from struct import Struct
 
 from drivers.config import BusConfig, Cia402Config
 from drivers.frame import ECHO, FD, Frame
-from drivers.protocols.base import Command, DriveStatus, Message, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState
 from drivers.protocols.canopen.eds import Eds, EdsError, read_eds
 from drivers.protocols.canopen.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
 from drivers.protocols.canopen.node import NodeMaster
 from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, FULL_SCALE, MASTER_ID, Axis, DrivePlan, plan_drives
-from drivers.protocols.dbc_codec import LayoutError
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import MAX_AXES, check_force, reject_id
 

@@ -9,12 +9,11 @@ from struct import Struct
 
 from drivers.config import BusConfig
 from drivers.frame import FD, Frame
-from drivers.protocols.base import Command, DriveStatus, Reject, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Reject, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState
 from drivers.protocols.canopen.host import node_ids, plan_rig
 from drivers.protocols.canopen.master import SERVICE_TICKS
-from drivers.protocols.dbc_codec import LayoutError
 from drivers.protocols.stage_common import reject_id
 
 _WRAP, _HALF = 1 << 32, 1 << 31

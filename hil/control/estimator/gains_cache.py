@@ -19,7 +19,8 @@ from typing import Any
 from drivers.runtime import write_private
 
 MAX_ENTRIES = 200
-_CACHE_ERRORS = (OSError, ValueError, ImportError)  # ImportError: a package without its metadata
+# ImportError: a package without its metadata. LookupError, TypeError: cached by another version, in another form.
+_CACHE_ERRORS = (OSError, ValueError, ImportError, LookupError, TypeError)
 
 
 def load(parameters: str) -> Any | None:

@@ -3,21 +3,23 @@
 Their names are in hil/control/law_registry.py, which also finds the laws that users bring.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from drivers.toml_file import shown
 from hil.control.gain import Gain, declared
-from hil.control.law_registry import PACKAGE, is_built_in, law_class
+from hil.control.law_registry import PACKAGE, is_built_in, law_class, where
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.control.laws.coupled import Coupled, interpreted_axis_laws
 from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.control.laws.per_axis import PerAxis
+from hil.control.laws.users import PerElement, UserAxes
 from hil.control.number import Number
 from hil.rig.schema import LawConfig
 
-__all__ = ["make_axis_laws", "make_law"]
+__all__ = ["law_on_arrays", "make_axis_laws", "make_law"]
 
 
 def _word(key: str, value: Any, gain: Gain) -> str:
@@ -58,7 +60,8 @@ def make_law(
     repeat: (period, first start) of a repeated task in ns of task time, needed where law.iterative_learning is set; see
     hil.control.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
-    return _construct(law, _known_gains(law, model.mass.shape[-1]), model, period, force_limit, repeat)
+    gains = _known_gains(law, model.mass.shape[-1])
+    return _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
 
 
 def make_axis_laws(
@@ -67,18 +70,39 @@ def make_axis_laws(
     """As make_law, from a Model of arrays (n_axes,), for one rig on plain floats; the same bits at a fraction of the
     cost.
     """
-    if not is_built_in(law) and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
+    ours = is_built_in(law)
+    if not ours and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
         return interpreted_axis_laws(law, model, period, force_limit, repeat)
-    gains = _known_gains(law, model.mass.size)
-    axes = [
-        _construct(law, _axis_gains(gains, axis), axis_model(model, axis), period, float(force_limit[axis]), repeat)
-        for axis in range(model.mass.size)
-    ]
+    made, n = law_class(law, __name__), model.mass.size
+    gains = _known_gains(law, n)
+    if not ours and made.coupled:
+        return UserAxes([_construct(law, made, gains, model, period, force_limit, repeat)], law.name, n)
+    axes = []
+    for axis in range(n):
+        own, limit = _axis_gains(gains, axis), float(force_limit[axis])
+        axes.append(_construct(law, made, own, axis_model(model, axis), period, limit, repeat))
+    if not ours:
+        return UserAxes(axes, law.name, n)
     return Coupled(law, model, period, force_limit, repeat) if axes[0].coupled else PerAxis(axes)
 
 
+def law_on_arrays(law: LawConfig) -> Callable[..., Law]:
+    """What makes the law on arrays from (model, period, force_limit, **gains)."""
+    made = law_class(law, __name__)
+    if is_built_in(law) or made.elementwise:
+        return made  # type: ignore[no-any-return]
+
+    def make(model: Model, period: float, force_limit: Array, **gains: Any) -> Law:
+        return PerElement(made, model, period, force_limit, gains)
+
+    return make
+
+
 def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
-    return _checked_gains(law, {**declared(law_class(law, __name__).GAINS), **LEARNING_GAINS}, n_axes)
+    made = law_class(law, __name__)
+    if not issubclass(made, Law):
+        raise ValueError(f"law.name = {shown(law.name)}: {made.__name__} does not inherit from hil.Law")
+    return _checked_gains(law, {**declared(made.GAINS), **LEARNING_GAINS}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
@@ -87,6 +111,7 @@ def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
 
 def _construct(
     law: LawConfig,
+    make: Callable[..., Law],
     gains: dict[str, Any],
     model: Model,
     period: float,
@@ -95,7 +120,12 @@ def _construct(
 ) -> Law:
     learning = {key: gains[key] for key in LEARNING_GAINS if key in gains}
     own = {key: value for key, value in gains.items() if key not in learning}
-    inner: Law = law_class(law, __name__)(model, period, force_limit, **own)
+    try:
+        inner = make(model, period, force_limit, **own)
+    except Exception as error:
+        if is_built_in(law):
+            raise
+        raise ValueError(f"law {law.name}: it cannot be made: {where(error)}") from error
     if not law.iterative_learning:
         return inner
     learning = {f"learning_{key}": own[key] for key in ("kp", "kd") if key in own} | learning

@@ -1,7 +1,7 @@
 """The one signature of all control laws.
 
-Timing (DESIGN.md, The tick): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1} (the
-expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
+Timing (docs/architecture.md): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1}
+(the expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
 """
 
 from abc import ABC, abstractmethod
@@ -67,8 +67,9 @@ class LawInputs:
     mean_velocity, mean_acceleration, mean_sign: reference averaged over that interval (mean_sign: of sgn(velocity)).
     force_last: force the gate applied in the previous tick; acts between the sample and `start` (N).
     force_before: force applied the tick before that; it acted in the interval ending at the sample (N).
-    task_ns: task time at which the interval starts (ns since the trajectory's origin, first axis; below 0: no task
-    runs); laws that learn over repeats need it.
+    preview: of a law that looks ahead (Law.preview): references at `start` and at the ends of the next periods,
+    preview[k] being that of k periods after `start`; else None. task_ns: task time at which the interval starts (ns
+    since the trajectory's origin, first axis; below 0: no task runs); laws that learn over repeats need it.
     """
 
     position: Number
@@ -88,6 +89,7 @@ class LawInputs:
     force_before: Number
     answered: Number = 1.0
     task_ns: int = 0
+    preview: Any = None  # list[Reference]
 
 
 def axis_inputs() -> LawInputs:
@@ -107,13 +109,18 @@ class Law(ABC):
     IEEE operations (+ - * / sqrt, minimum, maximum, where, abs), no BLAS, no transcendental function, no reduction
     whose order depends on memory layout.
 
-    coupled: it looks at all axes at once, and its `force` takes arrays alone. told_of_learning: a force learnt beside
-    it (hil/control/laws/iterative_learning.py) counts in the forces that acted; its feedback is then that of
-    `stiffness` (N/m) and `damping` (N s/m). denominator_floors: how often a denominator was held at its floor.
+    elementwise: `force` works on arrays of any number of axes and plants as on floats, element by element; where it
+    is False, there is one object for every axis of every plant. Our own laws all are. preview: how many periods ahead
+    `inputs.preview` is to reach. coupled: it looks at all axes at once, and its `force` takes arrays alone.
+    told_of_learning: a force learnt beside it (hil/control/laws/iterative_learning.py) counts in the forces that acted;
+    its feedback is then that of `stiffness` (N/m) and `damping` (N s/m). denominator_floors: how often a denominator
+    was held at its floor.
     """
 
     GAINS: ClassVar[dict[str, Any]] = {}
+    elementwise: ClassVar[bool] = False
     coupled: bool = False
+    preview: int = 0
     told_of_learning: ClassVar[bool] = False
     stiffness: Number = 0.0
     damping: Number = 0.0
@@ -132,7 +139,13 @@ class Law(ABC):
 
 
 class AxisLaws(Protocol):
-    """A rig's law on plain floats, for all its axes. denominator_floors: of all laws together."""
+    """A rig's law on plain floats, for all its axes. denominator_floors: of all laws together. failure: why a law that
+    a user brought no longer counts, with file and line; empty where all is well.
+    """
+
+    @property
+    def failure(self) -> str:
+        """Why the law asks for NaN."""
 
     @property
     def denominator_floors(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from hil.control.laws.base import Array, AxisLaws, LawInputs, Model, Reference
 from hil.rig.schema import LawConfig
 
-_PLAIN = (
+PLAIN = (
     "position", "fresh", "sample_interval", "ahead", "position_estimate", "velocity_estimate", "disturbance_estimate",
     "mean_velocity", "mean_acceleration", "mean_sign", "force_last", "force_before", "answered",
 )  # fmt: skip
@@ -23,17 +23,23 @@ def gather(axes: Sequence[LawInputs]) -> LawInputs:
         return np.array([getattr(x, name) for x in axes])
 
     def reference(name: str) -> Reference:
-        each: list[Reference] = [getattr(x, name) for x in axes]
-        return Reference(
-            np.array([r.position for r in each]),
-            np.array([r.velocity for r in each]),
-            np.array([r.acceleration for r in each]),
-        )
+        return _stacked([getattr(x, name) for x in axes])
 
+    ahead = [x.preview for x in axes] if axes[0].preview else []
+    preview = [_stacked(column) for column in zip(*ahead, strict=True)]
     return LawInputs(
         sample=reference("sample"), start=reference("start"), end=reference("end"), task_ns=axes[0].task_ns,
-        **{name: column(name) for name in _PLAIN},
+        preview=preview, **{name: column(name) for name in PLAIN},
     )  # fmt: skip
+
+
+def _stacked(each: Sequence[Reference]) -> Reference:
+    """References of every axis (floats) as one of arrays (n_axes,)."""
+    return Reference(
+        np.array([r.position for r in each]),
+        np.array([r.velocity for r in each]),
+        np.array([r.acceleration for r in each]),
+    )
 
 
 def interpreted_axis_laws(
@@ -54,6 +60,7 @@ class Coupled:
         from hil.control.laws import make_law  # which imports this module
 
         self._law = make_law(law, model, period, force_limit, repeat)
+        self.failure = ""
 
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""

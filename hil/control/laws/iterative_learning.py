@@ -80,6 +80,7 @@ class IterativeLearning(Law):
         stiffness = (inner.stiffness if told else learning_kp) * 0.5
         self._weights = (inertia, stiffness - damping - inertia, stiffness + damping - inertia, inertia)
         self.coupled = inner.coupled
+        self.preview = inner.preview
         self.reset(model.mass - model.mass, model.mass - model.mass)
 
     def reset(self, position: Number, force: Number) -> None:

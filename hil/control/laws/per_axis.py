@@ -10,6 +10,7 @@ class PerAxis:
 
     def __init__(self, laws: Sequence[Law]) -> None:
         self.laws = list(laws)
+        self.failure = ""
 
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""

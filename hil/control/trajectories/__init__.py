@@ -1,5 +1,8 @@
-"""Reference trajectories: circle, Lissajous, point to point, hold, and the injection plan; see `plan_task`."""
+"""Reference trajectories: circle, Lissajous, point to point, hold, the injection plan, and paths through samples,
+waypoints or a spiral; see `plan_task`.
+"""
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -7,6 +10,7 @@ from hil.control.laws.base import Array
 from hil.control.trajectories.base import Plan, Trajectory
 from hil.control.trajectories.figures import Figure, circle_oscillations, lissajous_oscillations
 from hil.control.trajectories.injection import injection
+from hil.control.trajectories.paths import Path, spiral_samples, spline, waypoints
 from hil.control.trajectories.segments import Segments, move, rest
 from hil.rig.schema import TaskConfig
 
@@ -33,11 +37,30 @@ def plan_task(task: TaskConfig, axis_names: Sequence[str], period_ns: int) -> Pl
     if task.kind == "injection":
         assert task.injection is not None  # TaskConfig has seen to it
         return injection(task.injection, ns, settle_ns)
+    if task.kind in ("path", "waypoints", "spiral"):
+        columns = [task.axes.index(name) if name in task.axes else -1 for name in axis_names]
+        body = _path_body(task, period_ns)
+        return lambda start: Path(body, columns, start, ns(task.approach_s), settle_ns)
     if task.kind == "point_to_point" and task.target:
         target = {list(axis_names).index(name): value for name, value in zip(task.axes, task.target, strict=True)}
         dwell_ns = round(task.dwell_s * 1e9 / period_ns) * period_ns
         return partial(_point_to_point, target, ns(task.move_s), dwell_ns, settle_ns)
     return partial(_hold, ns(1.0), settle_ns)
+
+
+def _path_body(task: TaskConfig, period_ns: int) -> Segments:
+    """What a path's task does once it is there: made before the drives are live, however many points it has."""
+
+    def up(seconds: float) -> int:
+        return math.ceil(max(seconds * 1e9 / period_ns - 1e-9, 1.0)) * period_ns
+
+    if task.kind == "waypoints":
+        dwell_ns = round(task.dwell_s * 1e9 / period_ns) * period_ns
+        limits = (task.speed, task.acceleration, task.jerk)
+        return waypoints(task.waypoints, limits, up, dwell_ns, repeat=task.repeat)
+    if task.kind == "spiral":
+        return spline(spiral_samples(task.radius, task.turns, task.move_s), repeat=False)
+    return spline(task.samples, repeat=task.repeat)
 
 
 def make_trajectory(

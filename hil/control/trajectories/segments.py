@@ -53,6 +53,16 @@ def _row(c0: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> Ro
     return c0, c1, c2, c3, c4, c5, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5
 
 
+def cubic(duration_ns: int, ends: Sequence[tuple[float, float, float, float]]) -> Segment:
+    """The cubic that meets (position, velocity) at the beginning and at the end; by axis, m and m/s."""
+    rows = []
+    h = duration_ns * NS
+    for p0, v0, p1, v1 in ends:
+        slope = (p1 - p0) / h
+        rows.append(_row(p0, v0, (3.0 * slope - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * slope) / (h * h), 0.0, 0.0))
+    return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], 0)
+
+
 def rest(duration_ns: int, position: Values, phase: int = 0) -> Segment:
     """Stand still."""
     rows = [_row(value, 0.0, 0.0, 0.0, 0.0, 0.0) for value in position]

@@ -1,1 +1,1 @@
-"""What a person at a rig measures (`hil bench`), and the means all benchmarks share: blocks in turns, live runs."""
+"""What a person at a rig measures (`hil bench`), and what all benchmarks share: interleaved blocks, live runs."""

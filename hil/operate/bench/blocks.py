@@ -2,7 +2,7 @@
 
 A figure means little on a machine that stalls now and then, and nothing on somebody else's. So every benchmark runs its
 subject and its reference in turns (A B, B A, A B, ...), reports min, median and max over the blocks, and prints what it
-ran on. Ratios are formed inside a block pair before the median is taken: both halves saw the same weather.
+ran on. Ratios are formed inside a block pair before the median is taken: both were disturbed alike.
 """
 
 from collections.abc import Callable, Mapping, Sequence

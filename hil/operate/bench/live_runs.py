@@ -19,7 +19,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingError, RingReader
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.live.timing_record import TimingSnapshot, read_timing
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -225,7 +225,7 @@ def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
         command = _ANSWERS.get(state)
         if command is not None and time.monotonic() > asked + 0.3:
             asked = time.monotonic()
-            with Mailbox(places(rig.name).mailbox) as mailbox:
+            with Mailbox(runtime_paths(rig.name).mailbox) as mailbox:
                 mailbox.post(command, time.monotonic_ns() + 1_000_000_000)
     reader.close()
     raise DisturbedError(f"hil run stayed in {state.name}, fault {fault}: {_end(process)}")
@@ -234,7 +234,7 @@ def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
 def _open_ring(process: subprocess.Popen[str], rig: RigConfig, limit: float) -> RingReader:
     while time.monotonic() < limit and process.poll() is None:
         with contextlib.suppress(RingError):
-            reader = RingReader(places(rig.name).ring)
+            reader = RingReader(runtime_paths(rig.name).ring)
             if reader.pid == process.pid:
                 return reader
             reader.close()
@@ -279,7 +279,7 @@ def _collect(
 
 
 def _timing(rig: RigConfig) -> TimingSnapshot:
-    return read_timing(places(rig.name).timing)
+    return read_timing(runtime_paths(rig.name).timing)
 
 
 def _resident(pid: int) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.cli.processes import worker_pool
-from hil.control.law_registry import LAWS
+from hil.control.law_registry import registered
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.sim import usable
@@ -40,8 +40,8 @@ class Case(NamedTuple):
 def law_overrides(law: str) -> list[str]:
     """--set values that choose a law; with LEARNING at its end, inside iterative learning."""
     name = law.removesuffix(LEARNING)
-    if name not in LAWS:
-        raise RigError([f"--laws {law}: the laws are {', '.join(LAWS)}, each also with {LEARNING}"])
+    if ":" not in name and name not in registered():
+        raise RigError([f"--laws {law}: the laws are {', '.join(registered())}, each also with {LEARNING}"])
     return [f"law.name={name}"] + (["law.iterative_learning=true"] if law.endswith(LEARNING) else [])
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import RigFile
+from hil.cli.options import Overrides, RigFile
 from hil.cli.output import drawable, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
@@ -40,7 +40,7 @@ def compare(
     rates: Annotated[str, typer.Option(help="further rates, Hz, comma-separated; gains scale with them")] = "",
     velocity: Annotated[bool, typer.Option("--velocity", help="velocity estimators instead of laws")] = False,
     seconds: Annotated[float, typer.Option(min=1.0, max=1e6, help="virtual time of each run")] = 20.0,
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    overrides: Overrides = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="where to draw it [default: runs/RIG-compare.png]")

@@ -4,11 +4,11 @@ One lockstep run gives the data; every estimator then sees the same samples and 
 run to their steady state; Simon, Optimal State Estimation (2006), chapter 5. The last one is the structured filter of
 hil/control/laws/structured_kalman.py with the rig's gains for it, watching.
 
-PAPER.md has 112 um/s for model, input and disturbance state. On paper.toml with Delta = 0.3 ours has 124 / 133: 103 /
-102 between reversals, the rest (a third of the squared error) within ten ticks of one, where Delta flips by 0.6 N at
-once and a random walk has to find it again. Stamps are not the cause (121 / 134 on a wire whose commands arrive to the
-nanosecond), nor is the noise assumed (121 / 133 at the best). Without Delta it is 104 / 104. What helps is to know that
-friction flips where the reference does: the structured filter.
+An independent study (docs/paper.md) has 112 um/s for model, input and disturbance state. On paper.toml with Delta = 0.3
+ours has 124 / 133: 103 / 102 between reversals, the rest (a third of the squared error) within ten ticks of one, where
+Delta flips by 0.6 N at once and a random walk has to find it again. Stamps are not the cause (121 / 134 on a wire whose
+commands arrive to the nanosecond), nor is the noise assumed (121 / 133 at the best). Without Delta it is 104 / 104.
+What helps is to know that friction flips where the reference does: the structured filter.
 """
 
 from collections.abc import Callable

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.protocols.base import UNHEALTHY
 from hil.control.estimator.gains import per_axis
 from hil.control.trajectories import make_trajectory
 from hil.cycle.state_machine import State
-from hil.cycle.step import UNWELL
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.invariants import Invariants
@@ -104,7 +104,7 @@ class CampaignRun(LockstepRun):
     def restart(self) -> None:
         """See LockstepRun; the invariants are those of one process."""
         super().restart()
-        self.latched = any(drive.status & UNWELL for drive in self.stage.drives)
+        self.latched = any(drive.status & UNHEALTHY for drive in self.stage.drives)
         self._observer = Invariants(self.rig, self.base_dir).observe
 
     def _say(self) -> tuple[CommandKind, ...]:

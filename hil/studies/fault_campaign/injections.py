@@ -83,6 +83,11 @@ class _Falsified:
         return asked
 
     @property
+    def failure(self) -> str:
+        """See AxisLaws."""
+        return self._honest.failure
+
+    @property
     def denominator_floors(self) -> int:
         """See AxisLaws."""
         return self._honest.denominator_floors
@@ -204,3 +209,8 @@ def withdrawn(name: str) -> Step:
 def stop_signal(run: LockstepRun, axis: int) -> None:
     """SIGTERM."""
     run.stop = True
+
+
+def stop_pressed(run: LockstepRun, axis: int) -> None:
+    """Somebody presses stop (hil estop)."""
+    run.estop = True

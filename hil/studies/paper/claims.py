@@ -1,4 +1,4 @@
-"""The paper's claims by id: setting, reading, what the paper prints, and what an independent study found (PAPER.md)."""
+"""The paper's claims by id: setting, reading, what the paper prints, and what is found (docs/paper.md)."""
 
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,4 +1,4 @@
-"""The paper's plant, task, gains and laws in continuous time; the laws themselves are those of hil/laws."""
+"""The paper's plant, task, gains and laws in continuous time; the laws themselves are those of hil/control/laws."""
 
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ def paper_model() -> Model:
 
 
 def paper_law(name: str, gains: dict[str, Any] | None = None) -> Law:
-    """A law of hil/laws with the paper's gains; force limits are far above anything asked for."""
+    """A law of hil/control/laws with the paper's gains; force limits are far above anything asked for."""
     config = LawConfig(name=name, gains={"kp": KP, "kd": KD, **(gains or {})})
     return make_law(config, paper_model(), 1e-9, np.full(2, np.inf))
 

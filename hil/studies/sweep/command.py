@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import RigFile
+from hil.cli.options import Overrides, RigFile
 from hil.cli.output import metres, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
@@ -40,7 +40,7 @@ def sweep(
     hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    overrides: Overrides = None,
     worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
     output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
     json_target: Annotated[

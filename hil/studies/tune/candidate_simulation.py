@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.control.estimator.gains import design_gains, per_axis
 from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.law_registry import law_class
+from hil.control.laws import law_on_arrays
 from hil.control.laws.base import Array, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs, rig_model
 from hil.control.setpoints import nominal_net_force
@@ -91,25 +91,29 @@ class _Table:
 
     def __init__(self, trajectories: Sequence[Trajectory], times: Times, axis: int, n_axes: int) -> None:
         shape = (len(times), 1, len(trajectories), 1)
-        self.position, self.velocity = np.empty(shape), np.empty(shape)
+        self.position, self.velocity, self.acceleration = np.empty(shape), np.empty(shape), np.empty(shape)
         for index, trajectory in enumerate(trajectories):
             column = np.repeat(times[:, index, None], n_axes, axis=1)
             reference = trajectory.sample(column)
             self.position[:, 0, index, 0] = reference.position[:, axis]
             self.velocity[:, 0, index, 0] = reference.velocity[:, axis]
+            self.acceleration[:, 0, index, 0] = reference.acceleration[:, axis]
 
     def fill(self, reference: Reference, tick: int) -> None:
         reference.position, reference.velocity = self.position[tick], self.velocity[tick]
+        reference.acceleration = self.acceleration[tick]
 
 
 class CandidateSimulation:
     """One axis of a rig on a set of trials, from activation on; figures of its ticks `first` <= tick < `last`, which
-    None takes from every trial's own task: from where its statistics begin until it ends.
+    None takes from every trial's own task: from where its statistics begin until it ends. preview: periods that
+    laws may look ahead.
     """
 
     def __init__(
-        self, rig: RigConfig, axis: int, trials: Sequence[Trial], first: int | None, last: int | None, seed: int
-    ) -> None:
+        self, rig: RigConfig, axis: int, trials: Sequence[Trial], first: int | None, last: int | None, seed: int,
+        *, preview: int = 0,
+    ) -> None:  # fmt: skip
         n = len(rig.axes)
         self._rig, self._axis = rig, axis
         self._period = rig.period_ns * 1e-9
@@ -137,7 +141,7 @@ class CandidateSimulation:
         # Instants of the samples, and the regular grid on which forces are expected to begin, from one tick before the
         # first; the task's clock starts in tick 1, where commands are expected at the latency.
         starts = schedule.latency + rig.period_ns
-        grid = np.arange(-1, ticks + 1)[:, None] * rig.period_ns + schedule.latency - starts
+        grid = np.arange(-1, ticks + 1 + preview)[:, None] * rig.period_ns + schedule.latency - starts
         self._grid = _Table(paths, grid, axis, n)
         self._samples = self._grid if schedule.regular else _Table(paths, self._instants() - starts, axis, n)
 
@@ -167,7 +171,7 @@ class CandidateSimulation:
         candidates = next(iter(gains.values())).size
         shape = (candidates, len(self._truths), 1)
         columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
-        each = law_class(law)(self.model, self._period, self.limit, **columns, **(fixed or {}))
+        each = law_on_arrays(law)(self.model, self._period, self.limit, **columns, **(fixed or {}))
         return _Run(self, each, _Plants(self, candidates), shape).figures()
 
 
@@ -182,14 +186,15 @@ class _Plants:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
             self._stages.append(Stage(truth, np.full(truth.shape, of._initial)))
         self._arrival = of.schedule.arrival
-        self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)
+        self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true
+        self.shown: Array = self.position.copy()  # by the encoders
 
     def advance(self, tick: int, force: Array) -> None:
         """From the arrival of command tick - 1 to that of command tick, under `force` (N)."""
         for group, stage in zip(self._groups, self._stages, strict=True):
             duration = int(self._arrival[tick, group[0]] - self._arrival[tick - 1, group[0]])
             stage.advance(duration, force[:, group])
-            self.position[:, group] = stage.position
+            self.position[:, group], self.shown[:, group] = stage.position, stage.read()
 
 
 class _Run:
@@ -200,6 +205,8 @@ class _Run:
         self._filter = MotionFilter(simulation._gains, simulation.model.mass)
         self._bounds = Bounds(simulation._limits)
         self._inputs: LawInputs = blank_inputs((1, 1, 1))
+        if law.preview:
+            self._inputs.preview = [blank_inputs((1, 1, 1)).start for _ in range(law.preview + 1)]
         zero = np.zeros(shape)
         self._net = [zero, zero]  # last, before
         self._force, self._force_before, self._applied = zero, zero, zero
@@ -260,7 +267,7 @@ class _Run:
 
     def _estimate(self) -> None:
         of, motion, inputs = self._of, self._filter, self._inputs
-        measured = np.rint(self._stage.position / of._resolution) * of._nominal_resolution
+        measured = np.rint(self._stage.shown / of._resolution) * of._nominal_resolution
         motion.correct(self._net[1], inputs.sample_interval, measured, inputs.fresh)
         self._measured = np.where(inputs.fresh != 0.0, measured, motion.position)
         motion.look_ahead(self._net[0], inputs.ahead)
@@ -270,6 +277,8 @@ class _Run:
         of._samples.fill(inputs.sample, tick)
         of._grid.fill(inputs.start, tick + 1)
         of._grid.fill(inputs.end, tick + 2)
+        for ahead, reference in enumerate(inputs.preview or ()):
+            of._grid.fill(reference, tick + 1 + ahead)
         period, start, end = of._period, inputs.start, inputs.end
         inputs.mean_velocity = (end.position - start.position) / period
         inputs.mean_acceleration = (end.velocity - start.velocity) / period

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import RigFile
+from hil.cli.options import Overrides, RigFile
 from hil.cli.output import metres, print_plant_notes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -22,7 +22,7 @@ def tune(
     rig_file: RigFile,
     *,
     law: Annotated[str, typer.Option(help="law to tune; default: the rig's own")] = "",
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    overrides: Overrides = None,
     population: Annotated[int, typer.Option(min=5, max=1000, help="candidates per generation")] = 40,
     generations: Annotated[int, typer.Option(min=1, max=1000, help="generations per axis")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="of the search")] = 1,

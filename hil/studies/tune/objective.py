@@ -33,7 +33,7 @@ DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: eac
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
     """The rig's own task, variations of it in size and speed, light and heavy plants, for figures other kinds of task
-    and commands lost as well: gains found on one task alone do not generalise (PAPER.md).
+    and commands lost as well: gains found on one task alone do not generalise (docs/paper.md).
 
     repeats: of every figure, each SMALLER than the one before. Raises RigError where the task is none.
     """
@@ -169,7 +169,8 @@ class Bench:
         if rig.task.kind != "injection":
             first, last = (round(seconds * rig.rate_hz) for seconds in (SETTLE_S, SETTLE_S + WINDOW_S))
         self._law = law_of(rig, law)
-        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1)
+        ahead = law_class(self._law).preview
+        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1, preview=ahead)
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [

@@ -24,7 +24,7 @@ MS = 1_000_000
 
 
 def tick(commands: list[tuple[str, int, int]], feedback: tuple[int, int], fd: bool = False) -> list[Message]:
-    """DESIGN.md's table: commands of (name, id, bytes), then four feedback frames of (first id, bytes)."""
+    """As in docs/schedulability.md: commands of (name, id, bytes), then four feedback frames of (first id, bytes)."""
     burst = [Message(name, can_id, length, fd, MS, MS, 0, "host") for name, can_id, length in commands]
     return burst + [
         Message(f"feedback{axis}", feedback[0] + axis, feedback[1], fd, MS, MS, 0, f"drive{axis}", burst[-1].name)

@@ -58,10 +58,10 @@ def test_a_rig_with_mounted_drives_does_its_task_as_a_straight_one(layout: str) 
         error, moved, start = 0.0, 0.0, run.true_position.copy()
         for _ in range(3000):
             result = run.tick()
-            if run.cycle.machine.state is State.ACTIVE:
+            if run.cycle.state is State.ACTIVE:
                 error = max(error, float(abs(result.record["following_error"]).max()))
             moved = max(moved, float(abs(run.true_position - start).max()))
-        assert run.cycle.machine.state is State.ACTIVE
+        assert run.cycle.state is State.ACTIVE
         return error, moved
 
     straight, mounted = worst(), worst(*MOUNTED)

@@ -1,0 +1,211 @@
+"""Laws that users bring: ordinary Python classes, run interpreted in every build, and trusted with nothing.
+
+A law that raises, returns no number, a number that is not finite or an array of another shape, or does not return, asks
+for NaN from then on. The cycle answers that as any request that is not finite: zero torque, and a fault. `failure` says
+which line of which file it was. The next `reset` (the operator's, before another start) gives the law another chance.
+"""
+
+import math
+import signal
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
+from hil.control.laws.coupled import PLAIN, gather
+
+CALL_LIMIT_S = 5.0  # a law that has not returned by then never will; drives have gone to zero by themselves long before
+
+
+class _TooLongError(BaseException):
+    """Raised in the midst of a law's call; no Exception, so that the law does not catch it by accident."""
+
+
+_within_call = False
+
+
+def _give_up(number: int, frame: FrameType | None) -> None:
+    if _within_call:
+        raise _TooLongError(f"no answer within {CALL_LIMIT_S:g} s")
+
+
+def _can_interrupt() -> bool:
+    """Whether a call can be ended: signals reach the main thread alone, and the timer may be somebody else's."""
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    handler = signal.getsignal(signal.SIGALRM)
+    if handler in (signal.SIG_DFL, None):
+        signal.signal(signal.SIGALRM, _give_up)
+        return True
+    return handler is _give_up
+
+
+class UserAxes:
+    """AxisLaws (laws/base.py) of laws that users bring: one for each axis, or a single one of all axes.
+
+    failure: why the law no longer counts, with file and line; empty where all is well.
+    """
+
+    def __init__(self, laws: Sequence[Law], name: str, n_axes: int) -> None:
+        self._laws = list(laws)
+        self._name, self._n = name, n_axes
+        self._coupled = self._laws[0].coupled
+        self._preview = max(law.preview for law in self._laws)
+        self._interruptible = _can_interrupt()
+        self.failure = ""
+
+    def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
+        """See AxisLaws."""
+        self.failure = ""
+        self._guarded(self._reset, position, force)
+
+    def force(self, axes: Sequence[Any]) -> list[float]:
+        """See AxisLaws; NaN for all axes where the law has failed."""
+        if self._preview:
+            for x in axes:
+                if not x.preview:  # the first tick after the axes were engaged: they rest
+                    x.preview = [_copy(x.start) for _ in range(self._preview + 1)]
+        asked = None if self.failure else self._guarded(self._force, axes)
+        return [math.nan] * self._n if asked is None else asked
+
+    @property
+    def denominator_floors(self) -> int:
+        """See AxisLaws."""
+        return sum(law.denominator_floors for law in self._laws)
+
+    def _reset(self, position: Sequence[float], force: Sequence[float]) -> list[float]:
+        if self._coupled:
+            self._laws[0].reset(np.array(position), np.array(force))
+        else:
+            for law, q, tau in zip(self._laws, position, force, strict=True):
+                law.reset(q, tau)
+        return []
+
+    def _force(self, axes: Sequence[Any]) -> list[float]:
+        if self._coupled:
+            return self._checked(self._laws[0].force(gather(axes)))
+        asked = []
+        for law, x in zip(self._laws, axes, strict=True):
+            value = law.force(x)
+            if type(value) is not float:
+                value = _number(value)
+            asked.append(value)
+        return self._finite(asked)
+
+    def _checked(self, value: Any) -> list[float]:
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape != (self._n,):
+            raise TypeError(f"force returned an array of shape {array.shape}, expected ({self._n},)")
+        found: list[float] = array.tolist()
+        return self._finite(found)
+
+    def _finite(self, asked: list[float]) -> list[float]:
+        for axis, value in enumerate(asked):
+            if not math.isfinite(value):
+                raise ValueError(f"force returned {value} for axis {axis}")
+        return asked
+
+    def _guarded(self, call: Any, *arguments: Any) -> list[float] | None:
+        """The call's result; None, and `failure`, where there is none."""
+        global _within_call
+        try:
+            if not self._interruptible:
+                return call(*arguments)  # type: ignore[no-any-return]
+            _within_call = True
+            signal.setitimer(signal.ITIMER_REAL, CALL_LIMIT_S)
+            try:
+                return call(*arguments)  # type: ignore[no-any-return]
+            finally:
+                _within_call = False
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+        except (Exception, SystemExit, _TooLongError) as error:
+            self.failure = f"law {self._name}: {_place(error, self._laws[0])}{type(error).__name__.strip('_')}: {error}"
+            return None
+
+
+def _place(error: BaseException, law: Any) -> str:
+    """'file:line: ' of the last line of the law's own file that the exception came through, or of its `force`."""
+    law = getattr(law, "_inner", law)  # inside iterative learning
+    own = getattr(sys.modules.get(type(law).__module__), "__file__", None)
+    code = getattr(type(law).force, "__code__", None)
+    line, trace = getattr(code, "co_firstlineno", 0), error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == own:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f"{own}:{line}: "
+
+
+def _number(value: Any) -> float:
+    """A law's answer as a float. Raises TypeError where it is no number."""
+    if value is None or isinstance(value, bool | str | bytes) or np.ndim(value):
+        raise TypeError(f"force returned {value!r:.60}, expected a number")
+    return float(value)
+
+
+def _copy(reference: Any) -> Reference:
+    return Reference(reference.position, reference.velocity, reference.acceleration)
+
+
+class PerElement(Law):
+    """A law on arrays (..., n_axes) made of one object for every axis of every plant, each on floats; or of one for
+    every plant, on arrays (n_axes,), where the law is coupled. For laws that are not `elementwise`.
+    """
+
+    def __init__(
+        self, law: type[Law], model: Model, period: float, force_limit: Array, gains: Mapping[str, Any]
+    ) -> None:
+        self._class, self._model, self._period, self._limit, self._gains = law, model, period, force_limit, gains
+        self.coupled = bool(law.coupled)
+        self.preview = law.preview
+        self._shape: tuple[int, ...] = ()
+        self._laws: list[Law] = []
+
+    def reset(self, position: Array, force: Array) -> None:
+        """See Law."""
+        words = {key: value for key, value in self._gains.items() if isinstance(value, str)}
+        numbers = {key: value for key, value in self._gains.items() if key not in words}
+        shapes = [np.shape(value) for value in (position, self._model.mass, *numbers.values())]
+        self._shape = np.broadcast_shapes(*shapes)
+        model = [self._cells(getattr(self._model, name)) for name in Model.__dataclass_fields__]
+        limits = self._cells(self._limit)
+        columns = [self._cells(value) for value in numbers.values()]
+        self._laws = []
+        for index, limit in enumerate(limits):
+            own = dict(zip(numbers, (column[index] for column in columns), strict=True))
+            each = Model(*(column[index] for column in model))
+            self._laws.append(self._class(each, self._period, limit, **own, **words))
+        for law, q, tau in zip(self._laws, self._cells(position), self._cells(force), strict=True):
+            law.reset(q, tau)
+
+    def force(self, inputs: LawInputs) -> Array:
+        """See Law."""
+        plain = {name: self._cells(getattr(inputs, name)) for name in PLAIN}
+        references = {name: self._references(getattr(inputs, name)) for name in ("sample", "start", "end")}
+        preview = [self._references(reference) for reference in inputs.preview or ()]
+        asked = []
+        for index, law in enumerate(self._laws):
+            one = LawInputs(
+                task_ns=inputs.task_ns,
+                preview=[column[index] for column in preview],
+                **{name: column[index] for name, column in plain.items()},
+                **{name: column[index] for name, column in references.items()},
+            )
+            asked.append(law.force(one))
+        return np.array(asked, dtype=np.float64).reshape(self._shape)
+
+    def _cells(self, value: Any) -> list[Any]:
+        """A value of all as a list of what each law object gets: floats, or arrays (n_axes,)."""
+        whole = np.broadcast_to(np.asarray(value, dtype=np.float64), self._shape)
+        if self.coupled:
+            return list(whole.reshape(-1, self._shape[-1]).copy())
+        found: list[Any] = whole.reshape(-1).tolist()
+        return found
+
+    def _references(self, reference: Reference) -> list[Reference]:
+        columns = (self._cells(getattr(reference, name)) for name in Reference.__dataclass_fields__)
+        return [Reference(*values) for values in zip(*columns, strict=True)]

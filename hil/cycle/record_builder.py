@@ -1,0 +1,232 @@
+"""Writing a tick's record, field by field, into the layout of record.py.
+
+This is the one place where numbers are packed by hand. The parts are kept in arrays of machine words and of doubles
+(librt.vecs), and copied into the record at the end. Compiled, a number written there takes a few instructions, where
+struct.pack_into or a numpy field takes some hundred; the record has about a hundred numbers, so that this is worth a
+large part of a tick (docs/what-costs-what.md). Interpreted, both cost about the same.
+
+Rules: one record, written over and over; its parts in any order, and `traffic` last, which puts it together. What is
+too large for its field is cut: no number, however absurd, may raise in the control process.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from librt.strings import read_i64_le
+from librt.vecs import vec
+from mypy_extensions import i64
+
+from drivers.frame import Frame
+from hil.control.estimator.motion_filter import MotionFilter
+from hil.control.laws.base import LawInputs
+from hil.cycle.record import (
+    COMMAND,
+    FRAME,
+    MAX_RECEIVED,
+    MAX_SENT,
+    MOTION_FIELDS,
+    RECORD,
+    RECORD_SIZE,
+    REJECT_REASONS,
+)
+from hil.cycle.tick import OperatorCommand, Tick
+from hil.rig.schema import MAX_AXES
+
+_LAYOUT: dict[str, Any] = dict(RECORD.fields or {})
+
+
+def _word(field: str) -> int:
+    """Which of the record's 8-byte words a field begins in."""
+    return int(_LAYOUT[field][1]) // 8
+
+
+_MOTION: Final = _word(MOTION_FIELDS[0])
+_STAMP: Final = _word("stamp_ns")  # where the motion fields end
+_AGE: Final = _word("age_ticks")
+_STATUS: Final = _word("drive_status")
+_PORT: Final = _word("port")
+_REJECTS: Final = _word("rejects")
+_LOST: Final = _word("samples_lost")
+_MISSED: Final = _word("missed_own")
+_ILLEGAL: Final = _word("illegal_events")
+_SATURATIONS: Final = _word("saturations")
+_SPENT: Final = _word("cpu_ns")
+_COUNTS: Final = _word("n_commands")
+_COMMANDS: Final = _word("commands")
+_SENT: Final = _word("sent")
+_RECEIVED: Final = _word("received")
+_COMMAND_WORDS: Final = COMMAND.itemsize // 8
+_FRAME_WORDS: Final = FRAME.itemsize // 8
+_PADDING: Final = bytes(7)
+
+_MAX_U32: Final = 0xFFFFFFFF
+_HALF_U32: Final = 0x80000000
+_MAX_U64: Final = 2**64 - 1
+_HALF_U64: Final = 2**63
+
+
+def _pair(low: int, high: int) -> int:
+    """The i64 that holds two u32, `low` in its lower half; of a larger number its lower 32 bits."""
+    return (((high + _HALF_U32) & _MAX_U32) - _HALF_U32) << 32 | low & _MAX_U32
+
+
+def _bits(value: int) -> int:
+    """The i64 with the bits of a u64; of a larger number its lower 64 bits."""
+    return ((value + _HALF_U64) & _MAX_U64) - _HALF_U64
+
+
+def _at_most_u32(value: int) -> int:
+    return value if value < _MAX_U32 else _MAX_U32
+
+
+class RecordBuilder:
+    """The record of the present tick; the same object every time."""
+
+    def __init__(self, n_axes: int) -> None:
+        self._words: vec[i64] = vec[i64]([0] * (RECORD_SIZE // 8))  # all but the motion fields
+        self._motion: vec[float] = vec[float]([0.0] * (_STAMP - _MOTION))
+        self._flags = 0
+        # What the words hold already: it seldom changes.
+        self._age_ticks = self._status = [0] * n_axes
+        self._rejects = [0] * REJECT_REASONS
+        self._lengths = [0] * (MAX_SENT + MAX_RECEIVED)  # of the data in each frame's place
+        buffer = bytearray(RECORD_SIZE)
+        self.record: np.void = np.frombuffer(buffer, dtype=RECORD)[0]
+        record, words = memoryview(buffer), memoryview(self._words).cast("B")
+        begin, end = 8 * _MOTION, 8 * _STAMP
+        # The record's parts, each with what it is a copy of; the last one by the number of frames received.
+        self._to_head, self._head = record[:begin], words[:begin]
+        self._to_motion, self._from_motion = record[begin:end], memoryview(self._motion).cast("B")
+        used = [8 * (_RECEIVED + _FRAME_WORDS * received) for received in range(MAX_RECEIVED + 1)]
+        self._to_rest, self._rest = [record[end:last] for last in used], [words[end:last] for last in used]
+
+    def tick(self, tick: Tick, state: int, fault: int, faults_active: int, *, sending: bool) -> None:
+        """The tick, the state it ended in, and its faults."""
+        words = self._words
+        words[0] = tick.index
+        words[1] = tick.scheduled_ns
+        words[2] = tick.now_ns
+        words[3] = state | fault << 32
+        words[4] = faults_active
+        self._flags = tick.stop | tick.recorder_ok << 1 | tick.realtime_ok << 2 | tick.rig_ok << 3 | sending << 4
+        self._flags |= tick.estop << 5
+
+    def progress(self, sequence: int, task_ns: int) -> None:
+        """Sequence number of the newest command, and time on the task's clock; after `tick`."""
+        self._words[5] = _pair(self._flags, sequence)
+        self._words[6] = task_ns
+
+    def axis(self, axis: i64, inputs: LawInputs, motion: MotionFilter) -> None:
+        """One axis' motion, its following error with it. axis: 0-based."""
+        fields, reference = self._motion, inputs.sample
+        position: float = inputs.position
+        setpoint: float = reference.position
+        fields[axis] = position
+        fields[axis + MAX_AXES] = motion.position
+        fields[axis + 2 * MAX_AXES] = motion.velocity
+        fields[axis + 3 * MAX_AXES] = motion.disturbance
+        fields[axis + 4 * MAX_AXES] = motion.innovation
+        fields[axis + 5 * MAX_AXES] = setpoint
+        fields[axis + 6 * MAX_AXES] = reference.velocity
+        fields[axis + 7 * MAX_AXES] = position - setpoint
+
+    def force(self, axis: i64, requested: float, applied: float, saturations: int) -> None:
+        """Force of one axis, N, and how often the gate has changed it."""
+        self._motion[axis + 8 * MAX_AXES] = requested
+        self._motion[axis + 9 * MAX_AXES] = applied
+        self._words[_SATURATIONS + axis] = saturations
+
+    def instant(self, axis: i64, stamp_ns: int) -> None:
+        """Instant that one axis' motion belongs to."""
+        self._words[_STAMP + axis] = stamp_ns
+
+    def drives(self, age_ticks: list[int], status: list[int]) -> None:
+        """Ticks since the last accepted sample, and the drive's status; one each an axis."""
+        if age_ticks != self._age_ticks:
+            self._age_ticks = age_ticks[:]
+            self._put_pairs(_AGE, age_ticks)
+        if status != self._status:
+            self._status = status[:]
+            self._put_pairs(_STATUS, status)
+
+    def _put_pairs(self, place: int, values: list[int]) -> None:
+        for axis, value in enumerate(values):
+            word = place + axis // 2
+            self._words[word] = _pair(self._words[word], value) if axis & 1 else _pair(value, 0)
+
+    def counters(self, port: Sequence[int], rejects: list[int], lost: int, illegal: int, refused: int) -> None:
+        """Cumulative counters, but for the law's and the shell's. port: PortCounters."""
+        words = self._words
+        for place, count in enumerate(port):
+            words[_PORT + place] = count
+        if rejects != self._rejects:
+            self._rejects = rejects[:]
+            for place, count in enumerate(rejects):
+                words[_REJECTS + place] = count
+        words[_LOST] = lost
+        words[_ILLEGAL] = illegal
+        words[_ILLEGAL + 1] = refused
+
+    def law_floors(self, floors: int) -> None:
+        """How often the law has held a denominator at its floor."""
+        self._words[_ILLEGAL + 2] = floors
+
+    def spent(self, read: int, estimate: int, control: int, gate: int, send: int) -> None:
+        """The shell's: ns that this tick's stages took, to be told in the next record."""
+        words = self._words
+        words[_SPENT] = _pair(_at_most_u32(read), _at_most_u32(estimate))
+        words[_SPENT + 1] = _pair(_at_most_u32(control), _at_most_u32(gate))
+        words[_SPENT + 2] = _at_most_u32(send)  # and no run delay
+
+    def missed(self, own: int, host: int, longest: int, run_delay_ns: int) -> None:
+        """The shell's: slots lost so far, and the run delay of the tick before that lost some."""
+        words = self._words
+        words[_MISSED] = own
+        words[_MISSED + 1] = host
+        words[_MISSED + 2] = longest
+        words[_SPENT + 2] = _pair(words[_SPENT + 2], _at_most_u32(run_delay_ns))
+
+    def traffic(
+        self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
+    ) -> np.void:
+        """All that went in and out of the tick; the record, which is the same object every time."""
+        n_received = len(received)
+        self._words[_COUNTS] = len(commands) | n_received << 16 | len(sent) << 32
+        if commands:
+            self._commands(commands)
+        self._frames(0, sent)
+        self._frames(MAX_SENT, received)
+        self._to_head[:] = self._head
+        self._to_motion[:] = self._from_motion
+        self._to_rest[n_received][:] = self._rest[n_received]
+        return self.record
+
+    def _commands(self, commands: Sequence[tuple[OperatorCommand, bool]]) -> None:
+        words, place = self._words, _COMMANDS
+        for command, accepted in commands:
+            words[place] = _pair(command.kind, accepted)
+            words[place + 1] = _bits(command.sequence)
+            words[place + 2] = min(max(command.expires_ns, -_HALF_U64), _HALF_U64 - 1)
+            place += _COMMAND_WORDS
+
+    def _frames(self, first: int, frames: Sequence[Frame]) -> None:
+        """first: of the frames' places; those of `received` are behind those of `sent`."""
+        words, place, index = self._words, _SENT + _FRAME_WORDS * first, first
+        for can_id, data, flags, stamp_ns in frames:
+            length = len(data)
+            words[place] = stamp_ns
+            words[place + 1] = can_id | length << 32 | flags << 40
+            if length & 7:
+                data += _PADDING[(length & 7) - 1 :]
+            word = place + 2
+            for at in range(0, length, 8):
+                words[word] = read_i64_le(data, at)
+                word += 1
+            place += _FRAME_WORDS
+            if length != self._lengths[index]:
+                while word < place:
+                    words[word] = 0  # of an earlier, longer frame
+                    word += 1
+                self._lengths[index] = length
+            index += 1

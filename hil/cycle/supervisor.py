@@ -1,0 +1,211 @@
+"""The supervisor: which state the control process is in, why, and what entering a state does.
+
+Rules:
+- In one tick, in this order: faults, the process's own end (SIGTERM), the operator's commands, and last what the state
+  itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
+- The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
+  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, RESET while its cause is still there.
+  A refused event is counted and has no other effect.
+- The first fault whose reaction is STOP or more latches; later ones do not replace it. A latched fault is left by an
+  operator's RESET alone.
+- A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
+  applies torque.
+
+Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`,
+which asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions.
+What the rest of the cycle needs to know of all this is `state`, `silent`, `sends` and `take_reset`.
+"""
+
+from typing import Final
+
+from drivers.bus.counters import BusState
+from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.control.trajectories import plan_task
+from hil.control.trajectories.homing import plan_homing
+from hil.cycle.axes import Axes
+from hil.cycle.command_desk import CommandDesk
+from hil.cycle.damped_stop import DampedStop
+from hil.cycle.fault_monitor import FaultMonitor
+from hil.cycle.fault_table import Fault, Reaction
+from hil.cycle.inbox import Inbox
+from hil.cycle.record import MAX_COMMANDS
+from hil.cycle.sampling import Sampling
+from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
+from hil.cycle.tick import Tick
+from hil.rig.schema import RigConfig
+
+RESET_TICKS: Final = 3  # with the reset bit clear, then set: drives see its edge even if two frames of each are lost
+
+
+class Supervisor:
+    """States, faults and commands of one control cycle. Raises ValueError naming a task that this rig cannot have.
+
+    fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
+    torque, and none has taken it back.
+    """
+
+    def __init__(self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes) -> None:
+        self.machine = StateMachine()
+        self.commands = CommandDesk()
+        self.fault = Fault.NONE
+        self.silent = False
+        self.enabled = False
+        speed = [axis.limits.speed for axis in rig.axes.values()]
+        self.damped_stop = DampedStop(axes.models, speed, rig.period_ns * 1e-9, rig.safety.stop_s)
+        self._rig, self._monitor, self._inbox, self._sampling, self._axes = rig, monitor, inbox, sampling, axes
+        # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
+        self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
+        self._reset_ticks = 0
+        self._ready_ticks = 0
+        self._waited_for_enable = 0
+        self._stopping_since_ns = 0
+
+    @property
+    def state(self) -> State:
+        """Where the state machine is."""
+        return self.machine.state
+
+    def advance(self, tick: Tick) -> None:
+        """Faults first, then the stop line, exit, the operator, and at last what the state itself has reached."""
+        if self.machine.state is State.BOOT:
+            self._handle(Event.BUS_UP, tick)
+        if self._monitor.active:
+            fault, reaction = self._monitor.worst_fault(self.machine.state)
+            if reaction >= Reaction.STOP:
+                self.latch(fault, reaction, tick)
+        if tick.estop:
+            self._handle(Event.ESTOP, tick)
+        if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
+            self._handle(Event.EXIT, tick)
+        if tick.commands:
+            self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
+        else:
+            self.commands.handled = []
+        self._progress(tick)
+
+    def latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:
+        """React to a fault, and remember the first one."""
+        if self.fault is Fault.NONE:
+            self.fault = fault
+        self.silent = self.silent or reaction is Reaction.SILENT
+        self._handle(Event.FAULT_ZERO if reaction >= Reaction.ZERO else Event.FAULT_STOP, tick)
+
+    def sends(self, before: State) -> bool:
+        """Whether this tick sends anything, having begun in state `before`: the way into SHUTDOWN ends with a zero."""
+        return not (self.silent or (self.machine.state in SILENT_STATES and before in SILENT_STATES))
+
+    def take_reset(self) -> bool:
+        """The drives' reset bit of the tick being sent."""
+        reset = 0 < self._reset_ticks <= RESET_TICKS
+        self._reset_ticks = max(0, self._reset_ticks - 1)
+        return reset
+
+    # guards -----------------------------------------------------------------------------------------------------------
+
+    def _operate(self, event: Event, tick: Tick) -> bool:
+        """An operator's event, after the guards the table cannot express."""
+        if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
+            return False
+        if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
+            return False
+        return self._handle(event, tick)
+
+    def _may_activate(self, tick: Tick) -> bool:
+        rig = self._rig
+        if not tick.rig_ok or (rig.telemetry.recording_required and not tick.recorder_ok):
+            return False
+        if not tick.realtime_ok and not rig.timing.allow_degraded:
+            return False
+        heartbeat_ns = self.commands.heartbeat_ns
+        alive = heartbeat_ns is not None and tick.now_ns - heartbeat_ns <= rig.safety.heartbeat_s * 1e9
+        return not rig.safety.heartbeat_s or alive
+
+    # entering a state -------------------------------------------------------------------------------------------------
+
+    def _handle(self, event: Event, tick: Tick) -> bool:
+        before = self.machine.state
+        taken = self.machine.handle(event)
+        if taken and (self.machine.state is not before or event is Event.RESET):
+            self._enter(self.machine.state, event, tick)
+        return taken
+
+    def _enter(self, state: State, event: Event, tick: Tick) -> None:
+        if state is State.CONNECTED:
+            self._reconnect(reset=event is Event.RESET)  # what drives have latched, only the operator unlatches
+        elif state is State.READY:
+            self.fault = Fault.NONE
+        elif state in (State.ACTIVE, State.HOMING):
+            self._engage()
+        elif state is State.STOPPING:
+            self._stopping_since_ns = tick.now_ns
+        if state not in TORQUE_STATES:
+            self.enabled = False
+
+    def _reconnect(self, *, reset: bool) -> None:
+        self.silent = False
+        self._sampling.restart()
+        self._ready_ticks = 0
+        if not reset:
+            self._reset_ticks = 0
+        elif not self._reset_ticks:  # one on its way ends first: an impatient operator must not hold it up
+            self._reset_ticks = 2 * RESET_TICKS
+        self.fault = Fault.NONE
+        self._inbox.forget()
+        self._monitor.restart()
+
+    def _engage(self) -> None:
+        self._monitor.restart()
+        self._axes.rest()
+        self._waited_for_enable = 0
+        self.enabled = False
+
+    # what a state waits for -------------------------------------------------------------------------------------------
+
+    def _progress(self, tick: Tick) -> None:
+        state = self.machine.state
+        if state is State.CONNECTED:
+            self._await_axes(tick)
+        elif state is State.ACTIVE or state is State.HOMING:
+            if not self.enabled:
+                self._await_enable(tick)
+            elif state is State.HOMING and self._at_home():
+                self._handle(Event.HOMED, tick)
+        elif state is State.STOPPING:
+            elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
+            if self.damped_stop.over(self._axes.ahead_velocity(), elapsed):
+                self._handle(self._after_stop(tick), tick)
+
+    def _await_axes(self, tick: Tick) -> None:
+        samples = self._inbox.samples
+        healthy = all(self._inbox.fresh) and not any(s is None or s.status & UNHEALTHY for s in samples)
+        self._ready_ticks = self._ready_ticks + 1 if healthy and tick.port.state <= BusState.ERROR_PASSIVE else 0
+        if self._ready_ticks >= self._rig.safety.ready_ticks:
+            self._handle(Event.AXES_READY, tick)
+
+    def _await_enable(self, tick: Tick) -> None:
+        """The task's clock starts when every drive applies its torque."""
+        self._waited_for_enable += 1
+        if all(s is not None and s.status & DriveStatus.ENABLED for s in self._inbox.samples):
+            self.enabled = True
+            self._begin(tick)
+        elif self._waited_for_enable >= self._rig.safety.enable_timeout_ticks:
+            self.latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
+
+    def _begin(self, tick: Tick) -> None:
+        """The task, or the way home, from where the axes are held."""
+        sampling, setpoints = self._sampling, self._axes.setpoints
+        begin = self._plan_homing if self.machine.state is State.HOMING else self._plan
+        trajectory = begin([x.sample.position for x in self._axes.inputs])
+        setpoints.follow(trajectory, [tick.now_ns + clock.latency for clock in sampling.clocks])
+        setpoints.update(sampling.instants, sampling.starts)
+
+    def _at_home(self) -> bool:
+        setpoints = self._axes.setpoints
+        trajectory = setpoints.trajectory
+        duration = None if trajectory is None else trajectory.duration_ns
+        return duration is not None and setpoints.task_ns >= duration
+
+    def _after_stop(self, tick: Tick) -> Event:
+        if tick.stop:
+            return Event.STOPPED_FOR_EXIT
+        return Event.STOPPED_IN_FAULT if self.fault is not Fault.NONE else Event.STOPPED

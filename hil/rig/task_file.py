@@ -1,0 +1,113 @@
+"""Files of a task's samples: CSV or NPZ, with the time and the position of every axis that moves.
+
+A CSV file has a header line, `time_s` and the axes' names, and numbers below; an NPZ file has arrays of those names.
+Times are in s, positions in m (rad).
+"""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+TIME = "time_s"
+MOST_ROWS = 20_000
+LARGEST = 2**24  # bytes
+Rows = list[list[float]]
+
+
+class TaskFileError(ValueError):
+    """A file that holds no task; the text names file, row and column."""
+
+
+def read_task_file(path: Path) -> tuple[list[str], Rows]:
+    """The axes a file names, and its rows: time, then positions in their order. Raises TaskFileError."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except OSError as error:
+        raise TaskFileError(f"{path}: {error.strerror or error}") from None
+    if len(data) > LARGEST:
+        raise TaskFileError(f"{path}: longer than {LARGEST} bytes")
+    axes, rows = (_from_npz if path.suffix.lower() == ".npz" else _from_csv)(path, data)
+    problems = sample_problems(axes, rows)
+    if problems:
+        raise TaskFileError("\n".join(f"{path}: {problem}" for problem in problems))
+    return axes, rows
+
+
+def sample_problems(axes: Sequence[str], rows: Sequence[Sequence[float]]) -> list[str]:
+    """What keeps rows of time and positions from being a task; rows are counted from 1, without a header."""
+    if not axes:
+        return ["no axis: expected a column of positions beside the time"]
+    if not 2 <= len(rows) <= MOST_ROWS:
+        return [f"{len(rows)} rows: expected from 2 to {MOST_ROWS}"]
+    names = [TIME, *axes]
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            return [f"row {number}: {len(row)} values, expected {len(names)} ({', '.join(names)})"]
+        for name, value in zip(names, row, strict=True):
+            if not math.isfinite(value) or abs(value) > 1e6:
+                return [f"row {number}, column {name}: {value}: expected a finite number within 1e6"]
+    for number, (before, after) in enumerate(pairwise(rows), 2):
+        if after[0] - before[0] < 1e-6:
+            return [f"row {number}, column {TIME}: {after[0]} s is not after {before[0]} s of the row before"]
+    return []
+
+
+def _from_csv(path: Path, data: bytes) -> tuple[list[str], Rows]:
+    try:
+        lines = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), skipinitialspace=True)
+        header = [name.strip() for name in next(lines, [])]
+        axes = _columns(path, header)
+        rows: Rows = []
+        for line in lines:
+            if not any(cell.strip() for cell in line):
+                continue
+            if len(rows) == MOST_ROWS:
+                raise TaskFileError(f"{path}: more than {MOST_ROWS} rows")
+            rows.append(_numbers(path, len(rows) + 1, header, line))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TaskFileError(f"{path}: no CSV file: {error}") from None
+    order = [header.index(name) for name in (TIME, *axes)]
+    return axes, [[row[index] for index in order] for row in rows]
+
+
+def _numbers(path: Path, number: int, header: Sequence[str], line: Sequence[str]) -> list[float]:
+    if len(line) != len(header):
+        raise TaskFileError(f"{path}: row {number}: {len(line)} values, expected {len(header)} ({', '.join(header)})")
+    found = []
+    for name, cell in zip(header, line, strict=True):
+        try:
+            found.append(float(cell))
+        except ValueError:
+            raise TaskFileError(f"{path}: row {number}, column {name}: {cell[:40]!r} is no number") from None
+    return found
+
+
+def _from_npz(path: Path, data: bytes) -> tuple[list[str], Rows]:
+    import numpy as np
+
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name], dtype=np.float64) for name in archive.files}
+    except Exception as error:  # of many kinds, for bytes of any kind
+        raise TaskFileError(f"{path}: no NPZ file of numbers: {error}") from None
+    axes = _columns(path, list(arrays))
+    for name, array in arrays.items():
+        if array.shape != arrays[TIME].shape or array.ndim != 1:
+            raise TaskFileError(f"{path}: {name} has the shape {array.shape}, {TIME} {arrays[TIME].shape}")
+    if arrays[TIME].size > MOST_ROWS:
+        raise TaskFileError(f"{path}: more than {MOST_ROWS} rows")
+    found: Any = np.stack([arrays[name] for name in (TIME, *axes)], axis=1).tolist()
+    return axes, found
+
+
+def _columns(path: Path, header: Sequence[str]) -> list[str]:
+    if TIME not in header:
+        raise TaskFileError(f"{path}: no column {TIME}; there are {', '.join(header) or 'none'}")
+    if len(set(header)) != len(header):
+        raise TaskFileError(f"{path}: a column twice: {', '.join(header)}")
+    return [name for name in header if name != TIME]

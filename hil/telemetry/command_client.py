@@ -1,0 +1,188 @@
+"""Commands to a rig and what became of them: on this machine through its Unix socket, from elsewhere over TLS.
+
+On this machine the verdict is read from the control process' own record in the ring: a sidecar, or whatever has taken
+its place, that says anything else is caught. From elsewhere the reply carries the MAC of whoever holds the secret.
+"""
+
+import os
+import socket
+import time
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from google.protobuf.message import DecodeError
+
+from drivers.runtime import make_private
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mapped_file import Closing
+from hil.live.ring import RingError, RingReader
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.command_wire import LIMIT, REPLY, REQUEST, WireError, frame, opened, peer, seal, unframe
+from hil.telemetry.credentials import SIDECAR, Credentials, identity
+
+COMMAND_LIFE_NS = 300_000_000
+_RETRY_S = 0.01
+REPLY_S = 0.9  # the gateway waits half a second for the control process
+_M = TypeVar("_M", pb.Challenge, pb.CommandReply)
+
+
+class NoGatewayError(Exception):
+    """Nobody took the command, or nobody who can be believed answered; the text says what is known."""
+
+
+class Verdict(NamedTuple):
+    """What the control process made of a command. state: after it; "-": not known."""
+
+    accepted: bool
+    reason: str
+    state: str
+
+
+class CommandClient(Closing):
+    """One connection to a gateway. Raises NoGatewayError."""
+
+    def __init__(self, connection: socket.socket, secret: bytes, ring: Path | None) -> None:
+        self._socket = connection
+        self._secret = secret
+        self._ring = ring
+        self._buffer = bytearray()
+        self._sequence = 0
+        connection.settimeout(REPLY_S)
+        self._challenge = self._parse(pb.Challenge, self._receive())
+        self._challenged_ns = time.monotonic_ns()
+
+    def command(self, kind: CommandKind) -> Verdict:
+        """Ask, and wait for the verdict. Raises NoGatewayError."""
+        self._sequence += 1
+        now_ns = self._challenge.now_ns + time.monotonic_ns() - self._challenged_ns  # on the rig's clock
+        request = pb.CommandRequest(kind=kind, sequence=self._sequence, expires_ns=now_ns + COMMAND_LIFE_NS)
+        nonce = self._challenge.nonce
+        try:
+            self._socket.sendall(frame(seal(request.SerializeToString(), REQUEST, nonce, self._secret)))
+        except OSError as error:
+            raise NoGatewayError(f"the gateway closed the connection: {error}") from None
+        body = self._open(self._receive(), nonce)
+        reply = self._parse(pb.CommandReply, body)
+        if reply.sequence != self._sequence and reply.accepted:
+            raise NoGatewayError("the reply belongs to another request")
+        self._challenge, self._challenged_ns = reply.challenge, time.monotonic_ns()
+        return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
+
+    def _verified(self, kind: CommandKind, reply: pb.CommandReply) -> Verdict:
+        """The same from the control process' own record."""
+        assert self._ring is not None
+        try:
+            with RingReader(self._ring) as reader:
+                reader.next = reply.tick - 1
+                records = reader.read(1, ("state", "flags", "n_commands", "commands")).records
+        except RingError as error:
+            raise NoGatewayError(f"the control process' record cannot be read: {error}") from None
+        if not len(records):
+            raise NoGatewayError("the gateway names a tick that is not in the control process' record")
+        record = records[0]
+        state = State(int(record["state"])).name
+        if kind is CommandKind.ESTOP:
+            return Verdict(state == "ESTOP", "" if state == "ESTOP" else "the record says otherwise", state)
+        for command in record["commands"][: record["n_commands"]]:
+            if (int(command["sequence"]), int(command["kind"])) == (reply.posted, kind):
+                accepted = bool(command["accepted"])
+                return Verdict(accepted, "" if accepted else reply.reason or "refused", state)
+        raise NoGatewayError("the gateway names a tick whose record does not hold the command")
+
+    def _receive(self) -> bytes:
+        until = time.monotonic() + REPLY_S
+        try:
+            while (message := unframe(self._buffer)) is None:
+                received = self._socket.recv(LIMIT)
+                if not received:
+                    raise NoGatewayError("the gateway closed the connection without an answer")
+                if time.monotonic() > until:
+                    raise TimeoutError
+                self._buffer += received
+        except TimeoutError:
+            raise NoGatewayError(f"the gateway has not answered within {REPLY_S:g} s: the sidecar hangs") from None
+        except (OSError, WireError) as error:
+            raise NoGatewayError(f"the gateway refused the connection: {error}") from None
+        return message
+
+    def _open(self, message: bytes, nonce: bytes) -> bytes:
+        try:
+            body = opened(message, REPLY, nonce, self._secret)
+        except DecodeError:
+            body = None
+        if body is None:
+            raise NoGatewayError("the reply is not authentic: its MAC is wrong")
+        return body
+
+    @staticmethod
+    def _parse(kind: type[_M], data: bytes) -> _M:
+        try:
+            return kind.FromString(data)
+        except DecodeError:
+            raise NoGatewayError("the gateway's answer makes no sense") from None
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+
+
+def _told(reply: pb.CommandReply) -> Verdict:
+    return Verdict(reply.accepted, reply.reason, reply.state or "-")
+
+
+def local_client(directory: Path) -> CommandClient:
+    """To the sidecar of the rig whose runtime directory this is. Raises NoGatewayError, RuntimeDirectoryError."""
+    make_private(directory)  # nobody else can have put a socket there
+    path, ring = directory / "commands", directory / "ring"
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connection.settimeout(REPLY_S)
+    handle = os.open(directory, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)  # paths of sockets must be short
+    try:
+        _connect(connection, f"/proc/self/fd/{handle}/{path.name}")
+        _, uid = peer(connection)
+        if uid not in (os.stat(directory).st_uid, 0):
+            raise NoGatewayError(f"{path}: user {uid} listens there, who does not own it")
+        return CommandClient(connection, b"", ring)
+    except OSError as error:
+        connection.close()
+        raise NoGatewayError(f"{path}: {error.strerror or error}: is the sidecar running, as this user?") from None
+    except NoGatewayError:
+        connection.close()
+        raise
+    finally:
+        os.close(handle)
+
+
+def _connect(connection: socket.socket, address: str) -> None:
+    """Where more wait than the kernel keeps, a Unix socket refuses at once instead of waiting: ask again."""
+    until = time.monotonic() + REPLY_S
+    while True:
+        try:
+            connection.connect(address)
+        except BlockingIOError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(_RETRY_S)
+        else:
+            return
+
+
+def remote_client(where: str, credentials: Credentials) -> CommandClient:
+    """To a sidecar elsewhere. where: "host:port". Raises NoGatewayError, CredentialsError."""
+    host, _, port = where.rpartition(":")
+    context, secret = credentials.context(server=False), credentials.secret
+    try:
+        plain = socket.create_connection((host.strip("[]"), int(port)), timeout=REPLY_S)
+        connection = context.wrap_socket(plain)
+    except (OSError, ValueError) as error:
+        raise NoGatewayError(f"{where}: {error}") from None
+    found = identity(connection.getpeercert())
+    if found.role != SIDECAR:
+        connection.close()
+        raise NoGatewayError(f"{where}: {found.name!a} answers, whose role is {found.role!a}, not '{SIDECAR}'")
+    try:
+        return CommandClient(connection, secret, None)
+    except NoGatewayError:
+        connection.close()
+        raise

@@ -1,0 +1,395 @@
+"""Equation of motion of an axis that is more than a rigid mass under set-valued friction, and one step of it.
+
+    motor side   m1 q'' = f + e + sum A sin(q) - cable(q) - friction(q, q', z) + k (y - q) + c (y' - q') - m1 g(t)
+    tool side    m2 y'' = k (q - y) + c (q' - y') - membrane(y, y') - m2 g(t)
+
+f: the drive's force behind a first-order lag. e: gravity, bias, noise. g: the floor's acceleration. Without a mode
+m2 = 0 and y = q.
+
+Friction with presliding is the LuGre model (Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995):
+
+    friction = s0 z + s1 z' + viscous q' + quadratic q' |q'|,   z' = q' - |q'| z / limit(q'),
+    limit = presliding (1 + (stribeck / coulomb) / (1 + (q' / v_s)^2)),   s0 = coulomb / presliding
+
+Between two reversals z depends on the distance alone: z = s limit + (z0 - s limit) exp(-|q - q0| / limit). It is worked
+out so at every stage of a Runge-Kutta step, which leaves nothing stiff: a step may be long against limit / |q'| once
+the axis slides. Without presliding friction is set-valued, and a step is one smooth branch of it (events.py).
+
+One source for floats and arrays (number.py).
+"""
+
+from typing import NamedTuple
+
+from sim_plant.physics.exact_trigonometry import TURN
+from sim_plant.physics.number import Number, anywhere, decay, greater, root, select, sincos
+
+MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
+BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
+TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
+LINE_STEP = 0.4  # rad of a sinusoid
+SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
+LINES = 4  # sinusoids of one kind an axis can have
+
+
+class Structure(NamedTuple):
+    """Parameters of one axis (floats; lines: tuples) or of many (arrays (n,); lines: (LINES, n)), SI; absent: zero.
+
+    mass: kg, of both sides. coulomb, stribeck: N. slowness: s/m, 1 / v_s. viscous: N s/m. quadratic: N s^2/m^2.
+    presliding: m. bristle_damping: N s/m, s1. lag: s. load: kg, m2. mode_stiffness: N/m. mode_damping: N s/m.
+    variation: fraction of the dry friction, a sinusoid of position. cable_stiffness: N/m. cable_hysteresis: N.
+    cable_reach: m. backlash: m. line_...: sinusoids of position, N. floor_...: of time, m/s^2. The membrane's: as in
+    membrane.py.
+    """
+
+    mass: Number
+    coulomb: Number
+    stribeck: Number
+    slowness: Number
+    viscous: Number
+    quadratic: Number
+    presliding: Number
+    bristle_damping: Number
+    lag: Number
+    load: Number
+    mode_stiffness: Number
+    mode_damping: Number
+    variation: Number
+    variation_wavenumber: Number
+    variation_phase: Number
+    cable_stiffness: Number
+    cable_hysteresis: Number
+    cable_reach: Number
+    backlash: Number
+    line_amplitude: Number
+    line_wavenumber: Number
+    line_phase: Number
+    floor_amplitude: Number
+    floor_frequency: Number
+    floor_phase: Number
+    surface: Number
+    direction: Number
+    membrane: Number
+    puncture_depth: Number
+    drag: Number
+
+
+class Motion(NamedTuple):
+    """State of an axis: the motor's position and velocity, m and m/s; pierced: 1.0 or 0.0; the load's position and
+    velocity; bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
+    position behind the backlash; walked: N, of the bias.
+    """
+
+    position: Number
+    velocity: Number
+    pierced: Number
+    load_position: Number
+    load_velocity: Number
+    bristle: Number
+    cable: Number
+    force: Number
+    played: Number
+    walked: Number
+
+
+Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
+
+
+def _sinusoids(lines: list[Triple], middle: Number, span: Number) -> Triple:
+    """Their sum along a step over `span` (m or s) about `middle`: to third order of the angle, from one sine each."""
+    first = inner = last = 0.0 * span
+    for amplitude, wavenumber, phase in lines:
+        sine, cosine = sincos(middle * wavenumber + phase)
+        angle = 0.5 * TURN * (span * wavenumber)
+        bent = amplitude * (sine * (1.0 - 0.5 * (angle * angle)))
+        tilt = amplitude * (cosine * angle)
+        first = first + (bent - tilt)
+        inner = inner + amplitude * sine
+        last = last + (bent + tilt)
+    return first, inner, last
+
+
+class Dynamics:
+    """One axis (floats) or many that have the same terms (arrays)."""
+
+    def __init__(self, structure: Structure, kind: int) -> None:
+        """kind: bits of what the axes have, as `kind_bits` says."""
+        s = structure
+        self.has_bristle = bool(kind & 1)
+        self.has_mode = bool(kind & 2)
+        self.has_lag = bool(kind & 4)
+        self.has_stribeck = bool(kind & 8)
+        self.has_variation = bool(kind & 16)
+        self.has_cable = bool(kind & 32)
+        self.has_backlash = bool(kind & 64)
+        self.has_cell = bool(kind & 128)
+        self.structure = structure
+        self.kind = kind
+        motor = s.mass - s.load
+        self.inverse_mass: Number = 1.0 / motor
+        self.inverse_load: Number = 1.0 / s.load if self.has_mode else 0.0 * motor
+        self.stiffness: Number = s.coulomb / s.presliding if self.has_bristle else 0.0 * motor
+        self.peak: Number = s.presliding * s.stribeck / s.coulomb if self.has_bristle else 0.0 * motor
+        self.inverse_limit: Number = 1.0 / s.presliding if self.has_bristle else 0.0 * motor
+        self.inverse_lag: Number = 1.0 / s.lag if self.has_lag else 0.0 * motor
+        count = kind >> 8 & 7
+        self.lines: list[Triple] = [(s.line_amplitude[i], s.line_wavenumber[i], s.line_phase[i]) for i in range(count)]
+        self.floor: list[Triple] = [
+            (s.floor_amplitude[i], s.floor_frequency[i], s.floor_phase[i]) for i in range(kind >> 11 & 7)
+        ]
+        self._varying: list[Triple] = [(s.variation, s.variation_wavenumber, s.variation_phase)]
+        self._lag_h = -1.0
+        self._lag_weights: Triple = (motor, motor, motor)
+        self._set_rates(motor)
+
+    def _set_rates(self, motor: Number) -> None:
+        s = self.structure
+        steepest = 3.0 * s.membrane * s.puncture_depth * s.puncture_depth
+        rate = (abs(s.viscous) + s.drag) * self.inverse_mass + root(steepest * self.inverse_mass)
+        rate = (rate + root(s.cable_stiffness * self.inverse_mass)) * (1.0 / SLOPE_STEP)
+        self._ring_rate: Number = 0.0 * motor
+        if self.has_mode:
+            self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
+        per_speed = 0.0 * motor
+        for amplitude, wavenumber, _ in self.lines:
+            per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
+            rate = rate + root(abs(amplitude) * wavenumber * TURN * self.inverse_mass) * (1.0 / SLOPE_STEP)
+        if self.has_variation:
+            per_speed = per_speed + (TURN / LINE_STEP) * s.variation_wavenumber * (s.variation != 0.0)
+        for amplitude, frequency, _ in self.floor:
+            rate = rate + (TURN / LINE_STEP) * frequency * (amplitude != 0.0)
+        self._rate: Number = rate
+        self._speed_rate: Number = per_speed + 2.0 * abs(s.quadratic) * self.inverse_mass * (1.0 / SLOPE_STEP)
+        self._stuck_rate: Number = 4.0 * self.stiffness * self.inverse_mass
+
+    def effort(self, at: Motion, drive: Number, h: float) -> Number:
+        """Steps that h seconds should be divided into, not rounded; drive: N, what acts but friction."""
+        s = self.structure
+        speed = abs(at.velocity)
+        dry = s.coulomb + s.stribeck
+        reach = h * (abs(drive) + dry + s.mode_stiffness * abs(at.load_position - at.position)) * self.inverse_mass
+        fastest = speed + reach
+        work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
+        if self.has_stribeck:
+            nearest = speed - reach
+            nearest = 0.5 * (nearest + abs(nearest))
+            slowness = s.slowness * (s.stribeck > 0.0)
+            work = greater(work, (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness)))
+        if self.has_bristle:
+            towards = select(at.velocity < 0.0, -1.0, 1.0)
+            openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
+            openness = select(speed <= reach, 2.0, openness)
+            rushing = fastest * self.inverse_limit
+            turning = select(speed <= reach, reach * h * (1.0 / TURN_STEP), 0.0)
+            turns = root(turning)
+            work = greater(work, select(turns > MOST_TURN_STEPS, MOST_TURN_STEPS, turns))
+            work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))
+        return work
+
+    def _prepare_lag(self, h: float) -> Triple:
+        """Of the force still to come, f(0) - command: parts at a step's beginning and end of the straight line with its
+        impulse and first moment, so that a free mass gets exactly what the exponential gives it; and what is left."""
+        if h != self._lag_h:
+            x = h * self.inverse_lag
+            left = decay(0.25 * x)
+            left = left * left
+            left = left * left
+            mean = (1.0 - left) / x
+            moment = (1.0 - mean) / x
+            self._lag_weights = 6.0 * moment - 2.0 * mean, 6.0 * mean - 12.0 * moment, left
+            self._lag_h = h
+        return self._lag_weights
+
+    def limit_at(self, velocity: Number) -> Number:
+        """Deflection (m) at which the bristle slides at this speed."""
+        if not self.has_stribeck:
+            return self.structure.presliding
+        ratio = velocity * self.structure.slowness
+        return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
+
+    def bend(self, at: Motion, velocity: Number, moved: Number, span: float) -> Number:
+        """The bristle `span` seconds and `moved` metres later, at this velocity; at most one reversal in between."""
+        z, v0 = at.bristle, at.velocity
+        limit = before = self.structure.presliding
+        if self.has_stribeck:
+            limit, before = self.limit_at(velocity), self.limit_at(v0)
+        towards = select(velocity < 0.0, -1.0, 1.0)
+        turned = velocity * v0 < 0.0
+        if anywhere(turned):  # at a third of the way, say: a uniform deceleration to there, which is short against z
+            there = v0 * v0 * span / (2.0 * select(turned, v0 - velocity, 1.0))
+            a = abs(there) / before
+            z = select(turned, (z + towards * before) * (1.0 - a * (1.0 - 0.5 * a)) - towards * before, z)
+            moved = select(turned, moved - there, moved)
+        if not self.has_stribeck:
+            return towards * limit + (z - towards * limit) * decay(towards * moved * self.inverse_limit)
+        # the limit as a ramp over the distance
+        a = towards * moved * (0.5 / before + 0.5 / limit)
+        left = decay(a)
+        near = abs(a) < 1e-4
+        mean = select(near, 1.0 - 0.5 * a, (1.0 - left) / select(near, 1.0, a))
+        return towards * (limit - (limit - before) * mean) + (z - towards * before) * left
+
+    def friction(self, velocity: Number, bristle: Number, sign: Number, scale: Number) -> Number:
+        """Force (N) against the motion. sign: of the branch, where friction is set-valued."""
+        s = self.structure
+        if self.has_bristle:
+            rate = velocity - abs(velocity) * bristle / self.limit_at(velocity)
+            dry = self.stiffness * bristle + s.bristle_damping * rate
+        else:
+            dry = sign * s.coulomb
+            if self.has_stribeck:
+                ratio = velocity * s.slowness
+                dry = sign * (s.coulomb + s.stribeck / (1.0 + ratio * ratio))
+        if self.has_variation:
+            dry = scale * dry
+        return dry + (s.viscous + s.quadratic * abs(velocity)) * velocity
+
+    def membrane_force(self, position: Number, velocity: Number, pierced: Number) -> Number:
+        """Force (N) the cell takes, as membrane.resistance."""
+        s = self.structure
+        inside = (position - s.surface) * s.direction
+        indentation = 0.5 * (inside + abs(inside))
+        elastic = s.membrane * indentation * indentation * indentation
+        return (1.0 - pierced) * s.direction * elastic + pierced * s.drag * velocity
+
+    def transition(self, at: Motion) -> Number:
+        """Positive once the membrane's state changes, as membrane.transition."""
+        s = self.structure
+        inside = (at.load_position - s.surface) * s.direction
+        return inside - s.puncture_depth - at.pierced * (2.0 * inside - s.puncture_depth)
+
+    def load_on_motor(self, at: Motion, time: float, forces: tuple[Number, Number]) -> tuple[Number, Number]:
+        """Where friction is set-valued and the motor at rest: what acts on it but friction, and the most friction (N).
+
+        In the frame of the floor, whose acceleration acts on the motor as well.
+        """
+        s = self.structure
+        still = 0.0 * at.position
+        net = forces[0] + (at.force if self.has_lag else forces[1])
+        if self.lines:
+            net = net + _sinusoids(self.lines, at.position, still)[1]
+        if self.has_cable:
+            net = net - s.cable_hysteresis * at.cable - s.cable_stiffness * at.position
+        if self.has_mode:
+            net = net + s.mode_stiffness * (at.load_position - at.position) + s.mode_damping * at.load_velocity
+        elif self.has_cell:
+            net = net - self.membrane_force(at.position, still, at.pierced)
+        if self.floor:
+            net = net - (s.mass - s.load) * _sinusoids(self.floor, time + still, still)[1]
+        hold = s.coulomb + s.stribeck
+        if self.has_variation:
+            hold = hold * (1.0 + _sinusoids(self._varying, at.position, still)[1])
+        return net, hold
+
+    def _along(self, at: Motion, time: float, forces: tuple[Number, Number], h: float) -> tuple[Triple, Triple, Triple]:
+        """At a step's beginning, middle and end: what pulls on the motor whatever it does (N), the scale of its dry
+        friction, and the floor's acceleration (m/s^2).
+        """
+        s = self.structure
+        v0 = at.velocity
+        external, command = forces
+        middle = at.position + 0.5 * h * v0
+        pull1 = pull2 = pull4 = external + command
+        if self.has_lag:
+            begin, slope, _ = self._prepare_lag(h)
+            rest = at.force - command
+            pull1 = pull1 + rest * begin
+            pull2 = pull2 + rest * (begin + 0.5 * slope)
+            pull4 = pull4 + rest * (begin + slope)
+        if self.lines:
+            first, inner, last = _sinusoids(self.lines, middle, h * v0)
+            pull1, pull2, pull4 = pull1 + first, pull2 + inner, pull4 + last
+        if self.has_cable:
+            hysteresis = s.cable_hysteresis * self._strained(at, 0.5 * h * v0)
+            pull1, pull2, pull4 = pull1 - hysteresis, pull2 - hysteresis, pull4 - hysteresis
+        still = 0.0 * v0
+        scales: Triple = (1.0 + still, 1.0 + still, 1.0 + still)
+        if self.has_variation:
+            first, inner, last = _sinusoids(self._varying, middle, h * v0)
+            scales = 1.0 + first, 1.0 + inner, 1.0 + last
+        floors: Triple = (still, still, still)
+        if self.floor:
+            floors = _sinusoids(self.floor, time + 0.5 * h + still, h + still)
+        return (pull1, pull2, pull4), scales, floors
+
+    def _strained(self, at: Motion, moved: Number) -> Number:
+        """The cable's state (-1 to 1) `moved` metres later."""
+        onward = select(moved < 0.0, -1.0, 1.0)
+        return onward + (at.cable - onward) * decay(abs(moved) / self.structure.cable_reach)
+
+    def step(self, at: Motion, time: float, forces: tuple[Number, Number], sign: Number, h: float) -> Motion:
+        """The state h seconds later: one classical Runge-Kutta step. time: s, of its beginning. forces: N, external and
+        commanded. sign: of the velocity where friction is set-valued (0.0: held).
+        """
+        pulls, scales, floors = self._along(at, time, forces, h)
+        q0, v0, y0, u0 = at.position, at.velocity, at.load_position, at.load_velocity
+        q, v, y, u, z = q0, v0, y0, u0, at.bristle
+        speeds = accelerations = load_speeds = load_accelerations = 0.0 * v0
+        for stage in range(4):
+            moment = (stage + 1) // 2
+            weight = 2.0 if moment == 1 else 1.0
+            a, b = self._accelerations(at.pierced, (q, v, y, u, z), sign, (pulls[moment], scales[moment]))
+            a, b = a - floors[moment], b - floors[moment]
+            if not self.has_bristle:
+                a = select(sign == 0.0, 0.0, a)
+            speeds = speeds + weight * v
+            accelerations = accelerations + weight * a
+            if self.has_mode:
+                load_speeds = load_speeds + weight * u
+                load_accelerations = load_accelerations + weight * b
+            if stage == 3:
+                break
+            ahead = h if stage == 2 else 0.5 * h
+            q, v, y, u = q0 + ahead * v, v0 + ahead * a, y0 + ahead * u, u0 + ahead * b
+            if self.has_bristle:
+                z = self.bend(at, v, q - q0, ahead)
+        sixth = h * (1.0 / 6.0)
+        q, v = q0 + sixth * speeds, v0 + sixth * accelerations
+        y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
+        return self._arrived(at, (q, v, y, u), forces[1], h)
+
+    def _accelerations(
+        self,
+        pierced: Number,
+        state: tuple[Number, Number, Number, Number, Number],
+        sign: Number,
+        pull: tuple[Number, Number],
+    ) -> tuple[Number, Number]:
+        """Of motor and load (m/s^2), on a floor at rest, in a state (q, q', y, y', z). pull: `_along`'s, and scale."""
+        s = self.structure
+        q, v, y, u, z = state
+        net = pull[0] - self.friction(v, z, sign, pull[1])
+        if self.has_cable:
+            net = net - s.cable_stiffness * q
+        if self.has_mode:
+            coupling = s.mode_stiffness * (y - q) + s.mode_damping * (u - v)
+            taken = self.membrane_force(y, u, pierced) if self.has_cell else 0.0 * y
+            return (net + coupling) * self.inverse_mass, -(coupling + taken) * self.inverse_load
+        if self.has_cell:
+            net = net - self.membrane_force(q, v, pierced)
+        return net * self.inverse_mass, 0.0 * v
+
+    def _arrived(self, at: Motion, state: tuple[Number, Number, Number, Number], command: Number, h: float) -> Motion:
+        """The whole state after a step that ends at (q, q', y, y')."""
+        q, v, y, u = state
+        moved = q - at.position
+        bristle = self.bend(at, v, moved, h) if self.has_bristle else at.bristle
+        cable = self._strained(at, moved) if self.has_cable else at.cable
+        force = command + (at.force - command) * self._prepare_lag(h)[2] if self.has_lag else command
+        played = self._play(at, y, u, h) if self.has_backlash else y
+        return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked)
+
+    def _play(self, at: Motion, y: Number, u: Number, h: float) -> Number:
+        """The load's position behind the backlash: it follows the load at half of it, by way of its turning point."""
+        half, played, u0 = 0.5 * self.structure.backlash, at.played, at.load_velocity
+        turned = u0 * u < 0.0
+        if anywhere(turned):
+            there = at.load_position + u0 * u0 * h / (2.0 * select(turned, u0 - u, 1.0))
+            there = select(turned, there, y)
+            played = _followed(played, there, half)
+        return _followed(played, y, half)
+
+
+def _followed(played: Number, y: Number, half: Number) -> Number:
+    low, high = y - half, y + half
+    return select(played < low, low, select(played > high, high, played))

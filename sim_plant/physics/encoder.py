@@ -1,0 +1,64 @@
+"""What an encoder shows of the motor's position: late, with an error within the signal period, and with noise.
+
+    shown(t) = q + E sin(2 pi q / P) + noise,   q = position(t - latency)
+
+One source for floats and arrays (number.py). The sinusoid is the subdivisional error of interpolated sine and cosine
+signals (Heydemann, Applied Optics 20(19), 1981) in its first harmonic.
+"""
+
+from collections.abc import Sequence
+
+from sim_plant.physics.noise import ENCODER, Key, key_of, normal
+from sim_plant.physics.number import Number, anywhere, select, sincos
+
+Point = tuple[float, Number, Number]  # time, s; position, m; velocity, m/s
+
+KEPT = 8  # points of the past: more than the longest latency takes
+
+
+class Encoder:
+    """Of one axis (floats) or of many (arrays). read: samples drawn so far."""
+
+    def __init__(self, values: tuple[Number, Number, Number, Number], key: tuple[Key, Key]) -> None:
+        """values: noise, m RMS; amplitude and period of the periodic error, m; latency, s. key: seed and axis."""
+        noise, error, period, latency = values
+        self._noise = noise
+        self._error = error
+        self._wavenumber: Number = 1.0 / period
+        self._latency = latency
+        self._key = key_of(key[0], key[1], ENCODER)
+        self._is_noisy = anywhere(noise != 0.0)
+        self._is_periodic = anywhere(error != 0.0)
+        self.is_late = anywhere(latency != 0.0)
+        self.read = 0
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it shows the position as it is."""
+        return not (self._is_noisy or self._is_periodic or self.is_late)
+
+    def show(self, past: Sequence[Point], now: Point) -> Number:
+        """The next sample, m. past: earlier points, oldest first."""
+        shown = _delayed([*past, now], self._latency) if self.is_late else now[1]
+        if self._is_periodic:
+            shown = shown + self._error * sincos(shown * self._wavenumber)[0]
+        if self._is_noisy:
+            shown = shown + self._noise * normal(self._key, self.read)
+        self.read += 1
+        return shown
+
+
+def _delayed(points: Sequence[Point], latency: Number) -> Number:
+    """Position `latency` before the last point: cubic Hermite interpolation; before the first point, that one's."""
+    now, shown = points[-1][0], points[-1][1]
+    for (t0, q0, v0), (t1, q1, v1) in zip(points[-2::-1], points[:0:-1], strict=True):
+        inside = latency > now - t1
+        if not anywhere(inside):
+            break
+        h = t1 - t0
+        s = (now - latency - t0) / h
+        s = select(s < 0.0, 0.0, s)
+        r = 1.0 - s
+        earlier = r * r * (q0 * (1.0 + 2.0 * s) + h * s * v0) + s * s * (q1 * (1.0 + 2.0 * r) - h * r * v1)
+        shown = select(inside, earlier, shown)
+    return shown

@@ -1,0 +1,236 @@
+"""Axes that deviate from the ideal one, single or many: their structure, what disturbs them, and how time passes."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_plant.physics.axis import Axis, State
+from sim_plant.physics.axis_floats import SingleAxis
+from sim_plant.physics.dynamics import LINES, Dynamics, Motion, Structure
+from sim_plant.physics.encoder import KEPT, Point
+from sim_plant.physics.events import advance_many, advance_single
+from sim_plant.physics.exact_trigonometry import TURN
+from sim_plant.physics.ideal_batch import advance_ideal
+from sim_plant.physics.noise import TORQUE, WALK, Key, key_of, normal
+from sim_plant.physics.number import Number, root
+from sim_plant.physics.truth import Truth
+
+Array = NDArray[np.float64]
+
+MAX_PIECE_NS = 500_000  # of constant noise; the steps are chosen anew for each
+CLAMP_RING = 2.0 * TURN * 150.0  # rad/s: a brake or a jam grips through a structure that rings at 300 Hz at most
+
+BRISTLE, MODE, LAG, STRIBECK, VARIATION, CABLE, BACKLASH, CELL = (1 << bit for bit in range(8))
+LINE_COUNT, FLOOR_COUNT = 1 << 8, 1 << 11  # times the number of sinusoids
+NOISY, LATE = 1 << 14, 1 << 15
+DYNAMIC = BRISTLE | MODE | LAG | VARIATION | CABLE | BACKLASH | 7 * FLOOR_COUNT
+
+
+def structure_of(truth: Truth, clamp: Array) -> Structure:
+    """The axes of a truth, flat, with `clamp` (N) of dry friction more."""
+    flat = {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
+    held = clamp.reshape(-1)
+    mass = flat["mass"]
+    free = flat["coulomb"] + flat["modelling_error"]
+    coulomb = free + held
+    presliding = flat["presliding"] * (free > 0.0)
+    bristle = presliding > 0.0
+    reach = np.where(bristle, presliding, 1.0)
+    stiffness = free / reach
+    grip = np.maximum(stiffness, np.minimum(coulomb / reach, mass * CLAMP_RING**2))
+    stiffness = np.where(held > 0.0, grip, stiffness)
+    load = flat["mode_load"] * mass * (flat["mode_frequency"] > 0.0)
+    ring = TURN * flat["mode_frequency"]
+    cogging, floor = flat["cogging"], flat["vibration"]
+
+    def lines(key: str, ripple: Array) -> Array:
+        return np.concatenate([ripple[None], cogging[key].T[: LINES - 1]])
+
+    return Structure(
+        mass=mass,
+        coulomb=coulomb,
+        stribeck=flat["stribeck"],
+        slowness=1.0 / flat["stribeck_velocity"],
+        viscous=flat["viscous"],
+        quadratic=flat["quadratic"],
+        presliding=np.where(bristle & (held > 0.0), coulomb / np.where(bristle, stiffness, 1.0), presliding),
+        bristle_damping=2.0 * flat["presliding_damping"] * np.sqrt(stiffness * mass) * bristle,
+        lag=flat["torque_lag"],
+        load=load,
+        mode_stiffness=load * ring * ring,
+        mode_damping=2.0 * flat["mode_damping"] * ring * load,
+        variation=flat["friction_variation"],
+        variation_wavenumber=1.0 / flat["friction_period"],
+        variation_phase=flat["friction_phase"] * (1.0 / TURN),
+        cable_stiffness=flat["cable_stiffness"],
+        cable_hysteresis=flat["cable_hysteresis"],
+        cable_reach=flat["cable_reach"],
+        backlash=flat["backlash"],
+        line_amplitude=lines("amplitude", flat["ripple_amplitude"]),
+        line_wavenumber=lines("wavenumber", 1.0 / flat["ripple_period"]),
+        line_phase=lines("phase", 0.0 * mass),
+        floor_amplitude=floor["amplitude"].T,
+        floor_frequency=floor["wavenumber"].T,
+        floor_phase=floor["phase"].T,
+        surface=flat["cell_surface"],
+        direction=flat["cell_direction"],
+        membrane=flat["cell_stiffness"],
+        puncture_depth=np.where(
+            (flat["cell_stiffness"] != 0.0) | (flat["cell_drag"] != 0.0), flat["puncture_depth"], 0.0
+        ),
+        drag=flat["cell_drag"],
+    )
+
+
+def kinds_of(truth: Truth, s: Structure) -> NDArray[np.int64]:
+    """Bits of what each axis has, flat; those that have DYNAMIC bits or cogging need `Dynamics`."""
+    kinds = np.zeros(s.mass.shape, dtype=np.int64)
+    for bit, present in (
+        (BRISTLE, s.presliding > 0.0),
+        (MODE, s.load > 0.0),
+        (LAG, s.lag > 0.0),
+        (STRIBECK, s.stribeck != 0.0),
+        (VARIATION, s.variation != 0.0),
+        (CABLE, (s.cable_stiffness != 0.0) | (s.cable_hysteresis != 0.0)),
+        (BACKLASH, s.backlash != 0.0),
+        (CELL, (s.membrane != 0.0) | (s.drag != 0.0)),
+        (NOISY, ((truth.torque_noise != 0.0) | (truth.bias_walk != 0.0)).reshape(-1)),
+        (LATE, (truth.encoder_latency != 0.0).reshape(-1)),
+    ):
+        kinds |= np.where(present, bit, 0)
+    used = np.arange(1, LINES + 1)[:, None]
+    kinds += LINE_COUNT * np.max(used * (s.line_amplitude != 0.0), axis=0)
+    kinds += FLOOR_COUNT * np.max(used * (s.floor_amplitude != 0.0), axis=0)
+    return kinds
+
+
+def is_ideal(kind: int) -> bool:
+    """Whether these axes are a mass under set-valued friction, one ripple and a membrane, and nothing happens else."""
+    return not (is_dynamic(kind) or kind & (NOISY | LATE))
+
+
+def is_dynamic(kind: int) -> bool:
+    """Whether these axes need `Dynamics`."""
+    return bool(kind & DYNAMIC) or kind // LINE_COUNT % 8 > 1
+
+
+class Disturbance:
+    """Forces that no drive makes, besides gravity: white noise and a random walk, of one axis or of many."""
+
+    def __init__(self, density: Number, walk: Number, seed: Key, axis: Key) -> None:
+        """density: N/sqrt(Hz), one-sided. walk: N/sqrt(s)."""
+        self._density = density
+        self._walk = walk
+        self._torque = key_of(seed, axis, TORQUE)
+        self._steps = key_of(seed, axis, WALK)
+
+    def draw(self, walked: Number, count: int, h: float) -> tuple[Number, Number]:
+        """Force during piece `count`, which is h seconds long, and how far the walk is then (N)."""
+        span: Number = root(h)
+        walked = walked + self._walk * span * normal(self._steps, count)
+        return walked + self._density / root(2.0 * h) * normal(self._torque, count), walked
+
+
+class RealAxis:
+    """One axis that deviates. motion: its state. position, velocity: the tool's."""
+
+    def __init__(
+        self, engine: Dynamics | Axis, motion: Motion, constant: float, disturbance: Disturbance | None
+    ) -> None:
+        """constant: N, gravity and bias."""
+        self.motion = motion
+        self.past: tuple[Point, ...] = ()  # where its pieces began, oldest first
+        self._engine = engine
+        self._constant = constant
+        self._disturbance = disturbance
+
+    @property
+    def state(self) -> tuple[Motion, tuple[Point, ...]]:
+        """What `restore` takes."""
+        return self.motion, self.past
+
+    def restore(self, state: tuple[Motion, tuple[Point, ...]]) -> None:
+        """Back to a state it had."""
+        self.motion, self.past = state
+
+    @property
+    def position(self) -> float:
+        """m."""
+        position: float = self.motion.played
+        return position
+
+    @property
+    def velocity(self) -> float:
+        """m/s, of the load."""
+        velocity: float = self.motion.load_velocity
+        return velocity
+
+    @property
+    def pierced(self) -> float:
+        """1.0 or 0.0."""
+        pierced: float = self.motion.pierced
+        return pierced
+
+    def advance(self, times: Sequence[float], h: float, command: float, count: int) -> None:
+        """Advance by pieces of h seconds that begin at these times (s); `count`: pieces before."""
+        for index, time in enumerate(times):
+            external, motion = self._constant, self.motion
+            self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
+            if self._disturbance:
+                force, walked = self._disturbance.draw(motion.walked, count + index, h)
+                external, motion = external + force, motion._replace(walked=walked)
+            if isinstance(self._engine, Dynamics):
+                self.motion = advance_single(self._engine, motion, time, (external, command), h)
+            else:
+                alone = SingleAxis(self._engine, motion.position, motion.velocity, motion.pierced)
+                alone.advance(1, h, command + external)
+                self.motion = rigid(alone.state, motion)
+
+
+def rigid(state: State, motion: Motion) -> Motion:
+    """The motion of an axis without structure: its load is its motor."""
+    position, velocity, pierced = state
+    return motion._replace(
+        position=position,
+        velocity=velocity,
+        pierced=pierced,
+        load_position=position,
+        load_velocity=velocity,
+        played=position,
+    )
+
+
+def rigid_motion(axis: SingleAxis, force: float) -> Motion:
+    """The motion of an ideal axis under this command (N)."""
+    q, v = axis.position, axis.velocity
+    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0)
+
+
+class RealPart:
+    """Those axes of a batch that deviate in the same terms. index: where they are in the flat batch."""
+
+    def __init__(
+        self, index: NDArray[np.int64], engine: Dynamics | Axis, constant: Array, disturbance: Disturbance | None
+    ) -> None:
+        self.index = index
+        self.past: tuple[Point, ...] = ()
+        self._engine = engine
+        self._constant = constant
+        self._disturbance = disturbance
+
+    def advance(self, motion: Motion, times: Sequence[float], h: float, command: Array, count: int) -> Motion:
+        """As RealAxis.advance, of this state."""
+        for index, time in enumerate(times):
+            external = self._constant
+            self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
+            if self._disturbance:
+                force, walked = self._disturbance.draw(motion.walked, count + index, h)
+                external, motion = external + force, motion._replace(walked=walked)
+            if isinstance(self._engine, Dynamics):
+                motion = advance_many(self._engine, motion, time, (external, command), h)
+            else:
+                state = State(motion.position, motion.velocity, motion.pierced)
+                motion = rigid(advance_ideal(self._engine, state, command + external, h), motion)
+        return motion

@@ -1,0 +1,185 @@
+"""What a stage is really like: [plant] as arrays, one value per axis, for one stage or for a batch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_plant.config import PlantConfig
+from sim_plant.physics.dynamics import LINES
+from sim_plant.physics.exact_trigonometry import TURN
+from sim_plant.stages import staged
+
+Array = NDArray[np.float64]
+
+SINUSOIDS = np.dtype([("amplitude", "f8", (LINES,)), ("wavenumber", "f8", (LINES,)), ("phase", "f8", (LINES,))])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the stage is really like; every array has shape (..., n_axes), scales already applied, SI.
+
+    mass: kg. coulomb, gravity, modelling_error, ripple_amplitude: N. viscous: N s/m. quadratic: N s^2/m^2. stribeck: N,
+    extra friction at rest. stribeck_velocity: m/s. ripple_period, cell_surface, puncture_depth: m. cell_direction: +-1.
+    cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
+
+    The others as in PlantConfig; mode_frequency in Hz (0: no mode). cogging and vibration: structured arrays of
+    SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
+    """
+
+    mass: Array
+    coulomb: Array
+    viscous: Array
+    quadratic: Array
+    gravity: Array
+    modelling_error: Array
+    stribeck: Array
+    stribeck_velocity: Array
+    ripple_amplitude: Array
+    ripple_period: Array
+    cell_surface: Array
+    cell_direction: Array
+    cell_stiffness: Array
+    puncture_depth: Array
+    cell_drag: Array
+    presliding: Array
+    presliding_damping: Array
+    torque_lag: Array
+    torque_noise: Array
+    mode_frequency: Array
+    mode_damping: Array
+    mode_load: Array
+    friction_variation: Array
+    friction_period: Array
+    friction_phase: Array
+    cogging: NDArray[np.void]
+    cable_stiffness: Array
+    cable_hysteresis: Array
+    cable_reach: Array
+    bias: Array
+    bias_walk: Array
+    vibration: NDArray[np.void]
+    backlash: Array
+    drift: Array
+    encoder_noise: Array
+    encoder_periodic_error: Array
+    encoder_period: Array
+    encoder_latency: Array
+    seed: Array
+
+    @classmethod
+    def from_config(cls, plant: PlantConfig, n_axes: int, axis_names: Sequence[str] = ()) -> "Truth":
+        """Truth of one rig, arrays (n_axes,). axis_names are needed where [plant] names axes. Raises ValueError."""
+        plant = staged(plant)
+        per_axis: dict[str, ArrayLike] = {
+            "mass": np.multiply(plant.mass, plant.mass_scale),
+            "coulomb": np.multiply(plant.coulomb, plant.friction_scale),
+            "viscous": np.multiply(plant.viscous, plant.friction_scale),
+            "quadratic": np.multiply(plant.quadratic, plant.friction_scale),
+            "gravity": plant.gravity or 0.0,
+            "stribeck": np.multiply(np.multiply(plant.coulomb, plant.friction_scale), plant.stribeck_scale),
+            "cell_surface": 0.0,
+            "cell_direction": 1.0,
+            "cell_stiffness": 0.0,
+            "puncture_depth": 1e100,
+            "cell_drag": 0.0,
+            "mode_frequency": 0.0,
+            "mode_damping": 0.0,
+            "mode_load": 0.0,
+        }
+        lines = ("cogging", "vibration")
+        straight = [field.name for field in fields(cls) if field.name not in (*per_axis, *lines)]
+        per_axis |= {key: getattr(plant, key) for key in straight}
+        arrays: dict[str, NDArray[Any]] = {
+            key: per_axis_array(f"plant.{key}", value, n_axes) for key, value in per_axis.items()
+        }
+        for key in lines:
+            arrays[key] = np.zeros(n_axes, SINUSOIDS)
+        _Entries(arrays, n_axes, axis_names).take(plant)
+        return cls(**arrays)
+
+    @classmethod
+    def stack(cls, truths: Sequence["Truth"]) -> "Truth":
+        """Batch of plants, arrays of shape (len(truths), ..., n_axes)."""
+        return cls(**{field.name: np.stack([getattr(truth, field.name) for truth in truths]) for field in fields(cls)})
+
+    def changed(self, axis: int, key: str, value: float) -> tuple["Truth", float]:
+        """One stage's truth with another value of a key on an axis, and the value before.
+
+        key: a field; cogging and vibration: the amplitude of the axis' first line. What the axis has none of yet gets
+        what the rest of [plant] has by default: a mode 30 % of the mass and damping 0.02, a cogging line the ripple's
+        period, the floor 25 Hz.
+        """
+        arrays = {field.name: getattr(self, field.name).copy() for field in fields(self)}
+        if key in ("cogging", "vibration"):
+            lines = arrays[key]
+            if lines["wavenumber"][axis, 0] == 0.0:
+                lines["wavenumber"][axis, 0] = 1.0 / self.ripple_period[axis] if key == "cogging" else 25.0
+            target: NDArray[Any] = lines["amplitude"][axis]
+            place = 0
+        else:
+            if key == "mode_frequency" and self.mode_load[axis] == 0.0:
+                arrays["mode_load"][axis], arrays["mode_damping"][axis] = 0.3, 0.02
+            target, place = arrays[key], axis
+        before = float(target[place])
+        target[place] = value
+        return Truth(**arrays), before
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(..., n_axes)."""
+        return self.mass.shape
+
+
+class _Entries:
+    """Writes the entries of [plant]'s lists, which name their axes, into the arrays."""
+
+    def __init__(self, arrays: dict[str, NDArray[Any]], n_axes: int, axis_names: Sequence[str]) -> None:
+        self._arrays = arrays
+        self._n_axes = n_axes
+        self._names = list(axis_names)
+
+    def take(self, plant: PlantConfig) -> None:
+        """All of them. Raises ValueError for an axis there is not, or too many entries."""
+        for cell in plant.cells:
+            for axis in self._axes("cells", cell.axis):
+                for key in ("surface", "direction", "stiffness", "drag"):
+                    self._arrays[f"cell_{key}"][axis] = getattr(cell, key)
+                self._arrays["puncture_depth"][axis] = cell.puncture_depth
+        for mode in sorted(plant.modes, key=lambda mode: mode.axis is not None):
+            for axis in self._axes("modes", mode.axis):
+                self._arrays["mode_frequency"][axis] = mode.frequency_hz
+                self._arrays["mode_damping"][axis] = mode.damping
+                self._arrays["mode_load"][axis] = mode.load
+        for cogging in plant.cogging:
+            for axis in self._axes("cogging", cogging.axis):
+                self._add("cogging", axis, cogging.amplitude, 1.0 / cogging.period, cogging.phase)
+        for line in plant.vibration:
+            for axis in self._axes("vibration", line.axis):
+                self._add("vibration", axis, line.acceleration, line.frequency_hz, line.phase)
+
+    def _axes(self, key: str, axis: str | None) -> Sequence[int]:
+        if axis is None:
+            return range(self._n_axes)
+        if axis not in self._names:
+            raise ValueError(f"plant.{key}: no axis '{axis}'; the axes are {', '.join(self._names) or 'not named'}")
+        return (self._names.index(axis),)
+
+    def _add(self, key: str, axis: int, amplitude: float, wavenumber: float, phase: float) -> None:
+        lines = self._arrays[key]
+        most = LINES - (key == "cogging")  # the ripple of the ideal stage is one of them
+        used = int(np.count_nonzero(lines["wavenumber"][axis]))
+        if used == most:
+            raise ValueError(f"plant.{key}: more than {most} on one axis")
+        for name, value in (("amplitude", amplitude), ("wavenumber", wavenumber), ("phase", phase / TURN)):
+            lines[name][axis, used] = value
+
+
+def per_axis_array(name: str, value: ArrayLike, n_axes: int) -> Array:
+    """One number for all axes, or one per axis, as an array (n_axes,). Raises ValueError naming the key."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim and array.shape != (n_axes,):
+        raise ValueError(f"{name} has {array.size} values for {n_axes} axes")
+    return np.array(np.broadcast_to(array, (n_axes,)))

@@ -1,0 +1,70 @@
+"""How an attack is written down, tried and reported."""
+
+import traceback
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from tests.attacks.target import Target
+
+Attack = Callable[[Target], Iterator[str]]
+
+
+class Listed(NamedTuple):
+    """name, expected: for people. body: yields what was seen while the attack goes on; raises where it succeeded."""
+
+    name: str
+    expected: str
+    body: Attack
+    moving: bool
+
+
+class Result(NamedTuple):
+    """What came of one."""
+
+    attack: str
+    expected: str
+    seen: str
+    held: bool
+
+
+ATTACKS: list[Listed] = []
+
+
+def attack(name: str, expected: str, *, moving: bool = False) -> Callable[[Attack], Attack]:
+    """List an attack. moving: stop is pressed on the moving rig while the attack goes on, which counts as another."""
+
+    def add(body: Attack) -> Attack:
+        ATTACKS.append(Listed(name, expected, body, moving))
+        return body
+
+    return add
+
+
+def tried(listed: Listed, target: Target) -> list[Result]:
+    """The attack, and the press of stop during it."""
+    results = []
+    if listed.moving:
+        target.active()
+    else:
+        target.ready()
+    course = listed.body(target)
+    try:
+        results.append(Result(listed.name, listed.expected, next(course), held=True))
+        if listed.moving:
+            results.append(_pressed(listed, target))
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        seen = f"{type(error).__name__}: {error} ({last.name}, line {last.lineno})"
+        results.append(Result(listed.name, listed.expected, seen, held=False))
+    finally:
+        for _ in course:  # the attack is over
+            pass
+    return results
+
+
+def _pressed(listed: Listed, target: Target) -> Result:
+    name, expected = f"stop pressed during: {listed.name}", "ESTOP latched by the loop at once"
+    try:
+        return Result(name, expected, target.press(), held=True)
+    except AssertionError as error:
+        return Result(name, expected, str(error), held=False)

@@ -1,0 +1,228 @@
+"""Tasks from files, waypoints and spirals: what is followed, and what is refused with its row and column."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.control.trajectories import make_trajectory
+from hil.control.trajectories.base import Trajectory
+from hil.control.trajectories.paths import spline
+from hil.rig.file import build_rig, load_rig, rig_hash
+from hil.rig.schema import RigConfig, RigError
+from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
+from hil.telemetry.recorder import LockstepRecorder
+from hil.virtual.batch import BatchRun
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.replay import replay_run
+from hil.virtual.sim import simulate
+from sim_plant.physics.stage import Truth
+from tests.support.paths import RIGS
+
+PAPER = RIGS / "paper.toml"
+STRUCTURED = "law.name=structured-kalman"
+EARLY = ["task.approach_s=0.2", "task.settle_s=0.0"]
+
+
+def wave(path: Path, rows: int = 200) -> Path:
+    """A CSV of one second: y goes to and fro, x follows a quarter as far."""
+    t = np.linspace(0.0, 1.0, rows)
+    y = 0.01 * np.sin(np.pi * t) ** 2
+    text = "time_s, y, x\n" + "\n".join(f"{a!r},{b!r},{b / 4!r}" for a, b in zip(t.tolist(), y.tolist(), strict=True))
+    path.write_text(text + "\n")
+    return path
+
+
+def trajectory(rig: RigConfig, start: tuple[float, float] = (0.0, 0.0)) -> Trajectory:
+    return make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
+
+
+def path_rig(path: Path, *more: str) -> RigConfig:
+    return load_rig(PAPER, ["task.kind=path", f"task.file={path}", *EARLY, *more])
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_a_file_is_followed_through_its_points(kind: str, tmp_path: Path) -> None:
+    path = wave(tmp_path / "wave.csv")
+    axes, rows = read_task_file(path)
+    assert axes == ["y", "x"]
+    if kind == "npz":
+        table = np.array(rows)
+        path = tmp_path / "wave.npz"
+        np.savez(path, time_s=table[:, 0], y=table[:, 1], x=table[:, 2])
+    rig = path_rig(path)
+    run = trajectory(rig, (0.3, -0.1))
+    assert run.duration_ns == 1_200_000_000
+    for time, y, x in rows:
+        at = 200_000_000 + round(time * 1e9)
+        assert run.at(0, at)[0] == pytest.approx(x, abs=1e-15)
+        assert run.at(1, at)[0] == pytest.approx(y, abs=1e-15)
+    assert run.at(0, 0) == (0.3, 0.0, 0.0)
+    assert run.at(1, 1 << 50) == (rows[-1][1], 0.0, 0.0)
+
+
+@given(
+    st.lists(st.tuples(st.floats(1e-3, 0.5), st.floats(-1.0, 1.0)), min_size=1, max_size=30),
+    st.booleans(),
+)
+@settings(max_examples=50, deadline=None)
+def test_a_spline_is_smooth_up_to_its_acceleration(steps: list[tuple[float, float]], repeat: bool) -> None:
+    rows, time = [[0.0, 0.0]], 0.0
+    for step, position in steps:
+        time += step
+        rows.append([time, position])
+    if repeat:
+        rows.append([time + 0.1, 0.0])
+    path = spline(rows, repeat=repeat)
+    largest = max(abs(path.at(0, round(row[0] * 1e9))[2]) for row in rows[:-1])
+    for row in rows[1:-1]:
+        at = round(row[0] * 1e9)
+        (q0, v0, a0), (q1, v1, a1) = path.at(0, at - 1), path.at(0, at)
+        assert q0 == pytest.approx(q1, abs=1e-9 + 2e-9 * abs(v1))
+        assert v0 == pytest.approx(v1, abs=1e-6 * (1.0 + largest))
+        assert a0 == pytest.approx(a1, abs=1e-4 * (1.0 + largest))
+        assert q1 == pytest.approx(row[1], abs=1e-9)
+    times = np.array([round(row[0] * 1e9) for row in rows[:-1]] * 20, dtype=np.int64)[:, None]
+    many, few = path.sample(times), [path.at(0, t) for t in times[:, 0].tolist()]
+    assert [
+        tuple(row) for row in zip(many.position[:, 0], many.velocity[:, 0], many.acceleration[:, 0], strict=True)
+    ] == few
+
+
+def test_waypoints_are_reached_within_the_limits() -> None:
+    points = [[0.0, 0.0], [0.02, 0.01], [0.02, 0.01], [-0.01, 0.03]]
+    rig = load_rig(
+        PAPER,
+        ["task.kind=waypoints", "task.axes=['x', 'y']", f"task.waypoints={points}", "task.speed=0.05",
+         "task.acceleration=0.5", "task.jerk=50.0", "task.dwell_s=0.1", *EARLY],
+    )  # fmt: skip
+    run = trajectory(rig)
+    assert run.duration_ns is not None
+    times = np.arange(200_000_000, run.duration_ns + 1, 500_000, dtype=np.int64)
+    sampled = run.sample(np.repeat(times[:, None], 2, axis=1))
+    assert np.abs(sampled.velocity).max() <= 0.05 * (1 + 1e-9)
+    assert np.abs(sampled.acceleration).max() <= 0.5 * (1 + 1e-9)
+    assert np.abs(np.diff(sampled.acceleration, axis=0) / 5e-4).max() <= 50.0 * (1 + 1e-3)
+    assert max(np.abs(sampled.velocity).max() / 0.05, np.abs(sampled.acceleration).max() / 0.5) > 0.9
+    for point in points:
+        assert np.abs(sampled.position - point).sum(axis=1).min() < 1e-12
+    assert (sampled.position[-1] == points[-1]).all()
+
+
+def test_a_spiral_turns_outwards_and_rests_at_both_ends() -> None:
+    rig = load_rig(
+        PAPER,
+        ["task.kind=spiral", "task.axes=['y', 'x']", "task.radius=0.01", "task.turns=4", "task.move_s=2.0", *EARLY],
+    )
+    run = trajectory(rig)
+    times = 200_000_000 + np.arange(0, 2_000_000_001, 1_000_000, dtype=np.int64)
+    sampled = run.sample(np.repeat(times[:, None], 2, axis=1))
+    radius = np.hypot(sampled.position[:, 0], sampled.position[:, 1])
+    assert radius[0] == pytest.approx(0.0, abs=1e-12)
+    assert radius[-1] == pytest.approx(0.01)
+    assert (np.diff(radius) > -1e-9).all()
+    assert sampled.velocity[[0, -1]] == pytest.approx(np.zeros((2, 2)), abs=1e-12)
+    angle = np.unwrap(np.arctan2(sampled.position[100:, 0], sampled.position[100:, 1]))
+    assert 3.0 < (angle[-1] - angle[0]) / (2 * np.pi) < 4.01
+
+
+@pytest.mark.parametrize("kind", ["path", "waypoints", "spiral"])
+def test_a_path_is_followed_to_a_micrometre_and_a_batch_is_the_same(kind: str, tmp_path: Path) -> None:
+    own = {
+        "path": [f"task.file={wave(tmp_path / 'w.csv')}"],
+        "waypoints": ["task.axes=['x']", "task.waypoints=[[0.0], [0.01]]", "task.repeat=true"],
+        "spiral": ["task.axes=['x', 'y']", "task.radius=0.005"],
+    }[kind]
+    rig = load_rig(PAPER, [f"task.kind={kind}", *own, *EARLY, STRUCTURED, "wire.stuffing=worst"])
+    report, _ = simulate(rig, RIGS, 1.0)
+    assert (report.state, report.faults) == ("ACTIVE", {})
+    assert max(axis["max_error"] for axis in report.axes.values()) < 2e-6
+    single = LockstepRun(rig, RIGS)
+    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
+    batch = BatchRun(rig, Truth.stack([truth]))
+    while single.activated_at < 0:
+        single.tick()
+    batch.tick()
+    for _ in range(300):
+        single.tick()
+        batch.tick()
+        assert batch.force.tolist() == [single.cycle.gate.force]
+
+
+def test_a_recording_has_the_samples_and_needs_no_file(tmp_path: Path) -> None:
+    path = wave(tmp_path / "wave.csv")
+    rig = path_rig(path)
+    recorder = LockstepRecorder(tmp_path / "run.mcap", rig, PAPER)
+    simulate(rig, RIGS, 0.6, observer=recorder.observe)
+    recorder.close()
+    before = rig_hash(rig)
+    path.unlink()
+    report = replay_run(tmp_path / "run.mcap")
+    assert (report.ticks, report.different) == (600, 0)
+    assert rig_hash(build_rig(rig.model_dump(mode="json"))) == before
+    assert rig_hash(path_rig(wave(path, 100))) != before
+
+
+BAD = {
+    "": "no column time_s; there are none",
+    "time_s\n0\n1\n": "no axis",
+    "t,x\n0,0\n": "no column time_s; there are t, x",
+    "time_s,x,x\n0,0,0\n": "a column twice",
+    "time_s,x\n": "0 rows: expected from 2",
+    "time_s,x\n0,0\n": "1 rows: expected from 2",
+    "time_s,x\n0,0\n1,a\n": "row 2, column x: 'a' is no number",
+    "time_s,x\n0,0\n1,nan\n": "row 2, column x: nan: expected a finite number",
+    "time_s,x\n0,0\n1,inf\n": "row 2, column x: inf: expected a finite number",
+    "time_s,x\n0,0\n1\n": "row 2: 1 values, expected 2 (time_s, x)",
+    "time_s,x\n0,0\n2,0\n1,0\n": "row 3, column time_s: 1.0 s is not after 2.0 s",
+    "time_s,x\n0,0\n0,0\n": "row 2, column time_s: 0.0 s is not after 0.0 s",
+    "time_s,q\n0,0\n1,0\n": "task.axes: no axis 'q'; the axes are x, y",
+    "time_s,x\n0,0\n1,3\n": "task.samples: row 2, column x: 3 is outside axes.x.limits.position",
+    "time_s,x\n0,0\n0.001,0.5\n": "task.samples: row 2, column x: 500 /s from the row before, axes.x.limits.speed is 6",
+    "time_s,x\n" + "\n".join(f"{k},0" for k in range(MOST_ROWS + 1)): f"more than {MOST_ROWS} rows",
+    "\xff": "no CSV file",
+}
+
+
+@pytest.mark.parametrize("text", BAD, ids=[text[:30] or "empty" for text in BAD])
+def test_a_file_that_holds_no_task_is_refused_by_row_and_column(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "task.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(RigError) as caught:
+        path_rig(path)
+    assert BAD[text] in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (["task.kind=path"], "samples: 0 rows: expected from 2"),
+        (["task.kind=path", "task.file=none.csv"], "none.csv: No such file"),
+        (["task.kind=waypoints"], "needs `axes` and from 2"),
+        (["task.kind=waypoints", "task.axes=['x']", "task.waypoints=[[0.0], [0.0, 1.0]]"], "row 2 has 2 values for"),
+        (["task.kind=waypoints", "task.axes=['x']", "task.waypoints=[[0.0], [2.0]]"], "row 2, column x: 2 is outside"),
+        (["task.kind=waypoints", "task.axes=['x', 'x']", "task.waypoints=[[0.0, 0.0], [0.1, 0.1]]"], "an axis twice"),
+        (["task.kind=spiral", "task.axes=['x']"], "a spiral needs two axes"),
+    ],
+)  # fmt: skip
+def test_a_task_that_is_not_complete_is_refused(changes: list[str], text: str) -> None:
+    with pytest.raises(RigError) as caught:
+        load_rig(PAPER, changes)
+    assert text in str(caught.value)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_bytes_of_any_kind_are_rows_or_an_error(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    for name, head in (("a.csv", b"time_s,x\n"), ("b.csv", b""), ("c.npz", b"PK\x03\x04")):
+        path = folder / name
+        path.write_bytes(head + data)
+        try:
+            axes, rows = read_task_file(path)
+        except TaskFileError:
+            continue
+        assert axes
+        assert all(len(row) == 1 + len(axes) for row in rows)

@@ -1,0 +1,287 @@
+"""Laws that users bring (tests/laws_of_users): found in every way, run by every command, and trusted with nothing."""
+
+import importlib.metadata
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.control import law_registry
+from hil.control.law_registry import LAWS, law_class
+from hil.control.laws import make_axis_laws, make_law, users
+from hil.control.laws.base import axis_inputs
+from hil.control.laws.coupled import gather
+from hil.control.nominal_model import rig_model
+from hil.control.stability import check_stability
+from hil.cycle.fault_table import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.rig.file import build_rig, load_rig, rig_hash
+from hil.rig.schema import LawConfig, RigConfig, RigError
+from hil.studies.compare.cases import LEARNING, Case, run_case
+from hil.studies.fault_campaign.matrix import plan_chunks, run_chunk
+from hil.studies.sweep.plants import jobs, reproduce, save_worst
+from hil.studies.sweep.plants import run_chunk as run_plants
+from hil.studies.tune.candidate_simulation import Trial
+from hil.studies.tune.objective import Bench
+from hil.telemetry.recorder import LockstepRecorder
+from hil.virtual.batch import BatchRun
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.replay import replay_run
+from hil.virtual.sim import simulate, usable
+from sim_plant.physics.stage import Truth
+from tests.laws_of_users.misbehaves import WAYS
+from tests.support.paths import RIGS, ROOT
+
+FOLDER = ROOT / "tests" / "laws_of_users"
+GOOD = {"lqr": "Lqr", "lqg": "Lqg", "mpc": "PreviewMpc", "network": "Network"}
+QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    """paper.toml in a folder of its own, with the users' files beside it."""
+    for path in (RIGS / "paper.toml", *FOLDER.glob("*.py")):
+        shutil.copy(path, tmp_path)
+    return tmp_path / "paper.toml"
+
+
+def beside(name: str) -> str:
+    return f"law.name=./{name}.py:{ {**GOOD, 'misbehaves': 'Misbehaves'}[name] }"
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_users_law_follows_the_circle(name: str, rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside(name), *QUICK])
+    report, _ = simulate(rig, rig_file.parent, 0.8)
+    assert (report.state, report.faults, report.law_failure) == ("ACTIVE", {}, "")
+    assert max(axis["max_error"] for axis in report.axes.values()) < 50e-6
+    assert check_stability(rig).stable
+
+
+def test_a_file_a_module_and_an_entry_point_are_the_same_law(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = importlib.metadata.EntryPoint("my-lqr", "tests.laws_of_users.lqr:Lqr", law_registry.GROUP)
+    monkeypatch.setattr(law_registry, "entry_points", lambda group: [entry] if group == "hil.laws" else [])
+    hashes = set()
+    for name in ("./lqr.py:Lqr", "tests.laws_of_users.lqr:Lqr", "my-lqr"):
+        rig = load_rig(rig_file, [f"law.name={name}", *QUICK])
+        hashes.add(simulate(rig, rig_file.parent, 0.4)[0].trace_sha256)
+    assert len(hashes) == 1
+    assert law_registry.registered() == [*LAWS, "my-lqr"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("lqr2", "the laws are pd-feedforward, robust-pd"),
+        ("no.such.module:Lqr", "No module named 'no'"),
+        ("tests.laws_of_users.lqr:Nothing", "'Nothing' is no class with reset and force"),
+        ("tests.laws_of_users.lqr:np", "'np' is no class"),
+        ("unittest.mock:Mock", "'Mock' is no class with reset and force"),
+        ("./lqr.py:Lqr2", "'Lqr2' is no class"),
+        ("./broken.py:Lqr", "./broken.py:2: invalid syntax"),
+        ("./raises.py:Lqr", "./raises.py:3: ZeroDivisionError: division by zero"),
+        ("./foreign.py:Lqr", "Lqr does not inherit from hil.Law"),
+    ],
+)
+def test_a_law_that_is_not_to_be_had_is_refused_by_name(name: str, text: str, rig_file: Path) -> None:
+    (rig_file.parent / "broken.py").write_text("x = 1\ndef def\n")
+    (rig_file.parent / "raises.py").write_text("\n\n1 / 0\n")
+    (rig_file.parent / "foreign.py").write_text(
+        "class Lqr:\n    def reset(self, q, f): pass\n    def force(self, x): return 0.0\n"
+    )
+    with pytest.raises(RigError) as caught:
+        usable(load_rig(rig_file, [f"law.name={name}"]), rig_file)
+    assert text in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named(rig_file: Path) -> None:
+    with pytest.raises(RigError, match=r"law\.name = './none\.py:Lqr': .*none\.py: No such file"):
+        load_rig(rig_file, ["law.name=./none.py:Lqr"])
+
+
+def test_gains_are_checked_by_what_the_law_declares(rig_file: Path) -> None:
+    for override, text in (
+        ("law.gains.error=0", "law.gains.error = 0: expected a finite number >= 1e-09"),
+        ("law.gains.q=1", "law.gains.q: ./lqr.py:Lqr has error, effort, learning_rate"),
+    ):
+        with pytest.raises(RigError) as caught:
+            usable(load_rig(rig_file, [beside("lqr"), override]), rig_file)
+        assert text in str(caught.value)
+
+
+def test_the_files_text_is_part_of_the_rig_and_travels_with_it(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("lqr")])
+    law = rig_file.parent / "lqr.py"
+    law.write_text(law.read_text() + "\n# another version\n")
+    other = load_rig(rig_file, [beside("lqr")])
+    assert rig_hash(rig) != rig_hash(other)
+    law.unlink()
+    elsewhere = build_rig(rig.model_dump(mode="json"))
+    assert rig_hash(elsewhere) == rig_hash(rig)
+    assert law_class(elsewhere.law) is law_class(rig.law)
+    assert load_rig(rig_file).law.source == ""
+
+
+def test_a_recording_replays_without_the_file(rig_file: Path, tmp_path: Path) -> None:
+    rig = load_rig(rig_file, [beside("lqg"), *QUICK])
+    recorder = LockstepRecorder(tmp_path / "run.mcap", rig, rig_file)
+    simulate(rig, rig_file.parent, 0.5, observer=recorder.observe)
+    recorder.close()
+    (rig_file.parent / "lqg.py").unlink()
+    report = replay_run(tmp_path / "run.mcap")
+    assert (report.ticks, report.different) == (500, 0)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_batch_equals_the_full_path_for_users_laws_too(name: str, rig_file: Path) -> None:
+    """One object an axis on floats there; here on arrays, or an object for every axis of every plant."""
+    rig = load_rig(rig_file, [beside(name), "wire.stuffing=worst", *QUICK])
+    single = LockstepRun(rig, rig_file.parent)
+    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
+    batch = BatchRun(rig, Truth.stack([truth, truth]))
+    while single.activated_at < 0:
+        single.tick()
+    batch.tick()
+    for _ in range(300):
+        single.tick()
+        batch.tick()
+        assert batch.force.tolist() == [single.cycle.gate.force] * 2
+
+
+def test_a_law_that_looks_ahead_sees_the_reference_of_the_periods_to_come(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("mpc"), *QUICK])
+    run = LockstepRun(rig, rig_file.parent)
+    for _ in range(300):
+        run.tick()
+    setpoints, x = run.cycle.setpoints, run.cycle.inputs[1]
+    assert setpoints.trajectory is not None
+    expected = [setpoints.trajectory.at(1, x.task_ns + k * rig.period_ns) for k in range(13)]
+    assert [(r.position, r.velocity, r.acceleration) for r in x.preview] == expected
+    assert x.preview[0] == x.start
+    assert x.preview[1] == x.end
+
+
+def test_before_a_task_begins_the_preview_rests(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("mpc"), "plant.initial_position=[0.1, -0.2]", *QUICK])
+    run = LockstepRun(rig, rig_file.parent)
+    while run.cycle.state is not State.ACTIVE:
+        run.tick()
+    assert run.cycle.setpoints.trajectory is None
+    assert {(r.position, r.velocity) for r in run.cycle.inputs[1].preview} == {(run.cycle.inputs[1].position, 0.0)}
+
+
+def fault_of(rig: RigConfig, folder: Path, ticks: int = 400) -> LockstepRun:
+    run = LockstepRun(rig, folder)
+    for _ in range(ticks):
+        run.tick()
+    return run
+
+
+@pytest.mark.parametrize("how", [way for way in WAYS if way != "never returns"])
+def test_a_law_that_goes_wrong_ends_in_zero_torque_and_is_named(how: str, rig_file: Path) -> None:
+    run = fault_of(load_rig(rig_file, [beside("misbehaves"), f"law.gains.how={how}"]), rig_file.parent)
+    assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.NOT_FINITE)
+    assert run.cycle.gate.force == [0.0, 0.0]
+    assert not any(run.stage.applied_force)
+    assert "law ./misbehaves.py:Misbehaves: ./misbehaves.py:" in run.cycle.law.failure
+
+
+def test_the_line_that_raised_is_named(rig_file: Path) -> None:
+    run = fault_of(load_rig(rig_file, [beside("misbehaves")]), rig_file.parent)
+    lines = (FOLDER / "misbehaves.py").read_text().splitlines()
+    number = next(index for index, line in enumerate(lines, 1) if "len([])" in line)
+    assert run.cycle.law.failure.endswith(f"./misbehaves.py:{number}: ZeroDivisionError: float division by zero")
+
+
+def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(users, "CALL_LIMIT_S", 0.3)
+    run = fault_of(load_rig(rig_file, [beside("misbehaves"), "law.gains.how='never returns'"]), rig_file.parent)
+    assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.NOT_FINITE)
+    assert "no answer within 0.3 s" in run.cycle.law.failure
+
+
+def test_after_a_reset_a_law_gets_another_chance(rig_file: Path) -> None:
+    asked: list[CommandKind] = []
+    run = LockstepRun(
+        load_rig(rig_file, [beside("misbehaves")]),
+        rig_file.parent,
+        operator=lambda r, k: (asked.pop(),) if asked else (),
+    )
+    for state, command in ((State.READY, CommandKind.ACTIVATE), (State.FAULT, CommandKind.RESET)) * 2:
+        for _ in range(400):
+            if run.cycle.state is state:
+                break
+            run.tick()
+        assert run.cycle.state is state
+        asked.append(command)
+    assert run.cycle.law.failure
+
+
+def test_a_law_that_cannot_be_made_is_refused_before_anything_runs(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("misbehaves"), "law.gains.how='raises when made'"])
+    with pytest.raises(RigError, match=r"it cannot be made: \./misbehaves\.py:\d+: RuntimeError: no weights"):
+        usable(rig, rig_file)
+
+
+def test_outside_the_main_thread_a_law_runs_without_its_time_limit(rig_file: Path) -> None:
+    found: list[Any] = []
+    rig = load_rig(rig_file, [beside("lqr"), *QUICK])
+    thread = threading.Thread(target=lambda: found.append(simulate(rig, rig_file.parent, 0.3)[0]))
+    thread.start()
+    thread.join()
+    assert found[0].trace_sha256 == simulate(rig, rig_file.parent, 0.3)[0].trace_sha256
+
+
+def test_tune_searches_the_gains_a_law_declares_and_the_law_on_floats_too(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("lqr"), "task.radius=1e-3"])
+    bench = Bench(rig, rig.law.name, 0, [Trial("own", {"approach_s": 0.2}, 4.0)])
+    assert list(bench.space) == ["error", "effort"]
+    gains = bench.gains(np.array([[0.5, 0.5], [0.9, 0.1]]))
+    assert bench.margins(gains)[0].gain_db > 0.0
+
+
+def test_the_learning_wrapper_goes_around_a_users_law(rig_file: Path) -> None:
+    row = run_case(Case(str(rig_file), "./lqr.py:Lqr" + LEARNING, "nominal", 1000.0, QUICK, 1.0))
+    assert (row["state"], row["faults"]) == ("ACTIVE", {})
+
+
+@pytest.mark.parametrize("name", ["lqr", "network"])
+def test_a_sweeps_worker_needs_nothing_but_the_job(name: str, rig_file: Path, tmp_path: Path) -> None:
+    rig = load_rig(rig_file, [beside(name), *QUICK])
+    (job,) = jobs(rig, rig_file.parent, 2, 0.8, seed=1)
+    (rig_file.parent / f"{name}.py").unlink()
+    figures = run_plants(job)
+    (path,) = save_worst(rig_file, rig, 1, False, [1], tmp_path)
+    assert reproduce(path, 0.8, figures.max_error[1])
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_slice_of_the_fault_campaign_passes_with_a_users_law(name: str, rig_file: Path) -> None:
+    chunks = plan_chunks(load_rig(rig_file, [beside(name)]), rig_file.parent, stride=60)
+    cells = [cell for chunk in (chunks[4], chunks[8]) for cell in run_chunk(chunk)]
+    assert [cell.why for cell in cells if not cell.passed] == []
+    assert cells
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GOOD)
+def test_the_whole_fault_campaign_passes_with_a_users_law(name: str, rig_file: Path) -> None:
+    for chunk in plan_chunks(load_rig(rig_file, [beside(name)]), rig_file.parent):
+        assert [f"{c.checkpoint} / {c.trial}: {c.why}" for c in run_chunk(chunk) if not c.passed] == []
+
+
+def test_a_users_law_answers_one_axis_as_arrays_of_one() -> None:
+    rig = load_rig(RIGS / "paper.toml")
+    config = LawConfig(name="tests.laws_of_users.lqr:Lqr")
+    limit = np.array([axis.limits.force for axis in rig.axes.values()])
+    model = rig_model(rig)
+    single = make_axis_laws(config, model, 1e-3, limit)
+    inputs = [axis_inputs(), axis_inputs()]
+    for x in inputs:
+        x.position_estimate, x.mean_velocity, x.mean_sign = 1e-5, 0.1, 1.0
+    whole = make_law(config, model, 1e-3, limit)
+    assert single.force(inputs) == whole.force(gather(inputs)).tolist()
