@@ -8,8 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
-from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
-from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
+from hil.control.estimator.motion_filter import MotionFilter
+from hil.control.laws.base import LawInputs, axis_inputs
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
+from hil.cycle.record_builder import RecordBuilder
+from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
 from hil.rig.file import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
@@ -34,16 +37,42 @@ DIGEST = document_hash(RIG)
 METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
 
 
+def _tick(index: int, flags: int) -> Tick:
+    stop, recorder_ok, realtime_ok, rig_ok = (bool(flags & 1 << bit) for bit in range(4))
+    return Tick(
+        index * 2,
+        index * 1000,
+        index * 1000 + 7,
+        PortCounters(),
+        stop=stop,
+        recorder_ok=recorder_ok,
+        realtime_ok=realtime_ok,
+        rig_ok=rig_ok,
+    )
+
+
+def _motion(first: float) -> tuple[LawInputs, MotionFilter]:
+    """Seven numbers in a row, from `first` on."""
+    inputs, motion = axis_inputs(), MotionFilter([0.0, 0.0, 0.0], 1.0)
+    inputs.position, motion.position, motion.velocity, motion.disturbance = (first + place for place in range(4))
+    motion.innovation, inputs.sample.position, inputs.sample.velocity = (first + place for place in range(4, 7))
+    return inputs, motion
+
+
 def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorCommand, bool]], int]]) -> np.ndarray:
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
-        builder.tick(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
+        builder.tick(_tick(index, flags), 4, 0, 1 << 40, sending=bool(flags & 16))
+        builder.progress(index, -1)
         for axis, stamp_ns in enumerate((index, -5, 2**60)):
-            builder.axis(axis, *(index + 10.0 * axis + place for place in range(9)), stamp_ns, axis)
+            builder.axis(axis, *_motion(index + 10.0 * axis))
+            builder.force(axis, index + 10.0 * axis + 7.0, index + 10.0 * axis + 8.0, axis)
+            builder.instant(axis, stamp_ns)
         builder.drives([0, 1, 2], [1, 2, 4])
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
-        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7, 8)
+        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7)
+        builder.law_floors(8)
         builder.missed(9, 10, 11, 12)
         records[index] = builder.traffic(commands, sent, received)
     return records
