@@ -36,28 +36,6 @@ DIGEST = document_hash(RIG)
 METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
 
 
-def _tick(index: int, flags: int) -> Tick:
-    stop, recorder_ok, realtime_ok, rig_ok = (bool(flags & 1 << bit) for bit in range(4))
-    return Tick(
-        index * 2,
-        index * 1000,
-        index * 1000 + 7,
-        PortCounters(),
-        stop=stop,
-        recorder_ok=recorder_ok,
-        realtime_ok=realtime_ok,
-        rig_ok=rig_ok,
-    )
-
-
-def _motion(first: float) -> tuple[LawInputs, MotionFilter]:
-    """Seven numbers in a row, from `first` on."""
-    inputs, motion = axis_inputs(), MotionFilter([0.0, 0.0, 0.0], 1.0)
-    inputs.position, motion.position, motion.velocity, motion.disturbance = (first + place for place in range(4))
-    motion.innovation, inputs.sample.position, inputs.sample.velocity = (first + place for place in range(4, 7))
-    return inputs, motion
-
-
 def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorCommand, bool]], int]]) -> np.ndarray:
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
