@@ -7,6 +7,7 @@ from types import TracebackType
 
 import numpy as np
 
+from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
