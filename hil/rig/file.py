@@ -125,9 +125,7 @@ def _is_axis_encoder(path: list[str]) -> bool:
     return len(path) == 3 and path[0] == "axes" and path[2] == "encoder_resolution"
 
 
-def build_rig(
-    document: dict[str, Any], overrides: Sequence[str] = (), *, folder: Path = Path()
-) -> RigConfig:
+def build_rig(document: dict[str, Any], overrides: Sequence[str] = (), *, folder: Path = Path()) -> RigConfig:
     """Validate a parsed rig document, of this version or an earlier one, with `key=value` overrides applied. Raises
     RigError with every problem. folder: what files of laws and tasks are relative to.
     """
