@@ -59,6 +59,11 @@ class MountedHost:
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.fd, self.echo_id = layout.fd, layout.echo_id
 
+    @property
+    def problems(self) -> Sequence[str]:
+        """Why drives were refused, for people."""
+        return self.layout.problems
+
     def decode(self, frame: Frame) -> Sample | Reject:
         """As the layout's, with the axis' position."""
         sample = self.layout.decode(frame)
