@@ -204,7 +204,8 @@ class ControlLoop:
             self.parts.notifier.send("WATCHDOG=1")
             return
         verdict = "" if self._realtime_ok else ", real time degraded"
-        lines = ["WATCHDOG=1", f"STATUS={state.name}{verdict}"]
+        failure = self._cycle.law.failure  # of a user's law: why there is a fault
+        lines = ["WATCHDOG=1", f"STATUS={state.name}{verdict}{': ' if failure else ''}{failure}"]
         if self._told is None:
             lines.append("READY=1")
         self.parts.notifier.send(*lines)

@@ -204,6 +204,12 @@ def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytes
     assert "no answer within 0.3 s" in run.cycle.law.failure
 
 
+def test_a_law_that_fails_on_arrays_is_named_as_well(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("misbehaves"), "law.gains.after=-1.0"])
+    with pytest.raises(ValueError, match=r"law \./misbehaves\.py:Misbehaves: \./misbehaves\.py:\d+: ZeroDivisionError"):
+        check_stability(rig)
+
+
 def test_after_a_reset_a_law_gets_another_chance(rig_file: Path) -> None:
     asked: list[CommandKind] = []
     run = LockstepRun(

@@ -123,15 +123,21 @@ class UserAxes:
                 _within_call = False
                 signal.setitimer(signal.ITIMER_REAL, 0.0)
         except (Exception, SystemExit, _TooLongError) as error:
-            self.failure = f"law {self._name}: {_place(error, self._laws[0])}{type(error).__name__.strip('_')}: {error}"
+            self.failure = told(self._name, self._laws[0], error)
             return None
+
+
+def told(name: str, law: Any, error: BaseException) -> str:
+    """What went wrong in a user's law, with the file and the line."""
+    return f"law {name}: {_place(error, law)}{type(error).__name__.strip('_')}: {error}"
 
 
 def _place(error: BaseException, law: Any) -> str:
     """'file:line: ' of the last line of the law's own file that the exception came through, or of its `force`."""
     law = getattr(law, "_inner", law)  # inside iterative learning
-    own = getattr(sys.modules.get(type(law).__module__), "__file__", None)
-    code = getattr(type(law).force, "__code__", None)
+    made = law.made if isinstance(law, PerElement) else type(law)
+    own = getattr(sys.modules.get(made.__module__), "__file__", None)
+    code = getattr(made.force, "__code__", None)
     line, trace = getattr(code, "co_firstlineno", 0), error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == own:
@@ -151,6 +157,30 @@ def _copy(reference: Any) -> Reference:
     return Reference(reference.position, reference.velocity, reference.acceleration)
 
 
+class OnArrays(Law):
+    """A user's law on arrays; whatever it raises is a ValueError that names the file and the line."""
+
+    def __init__(self, name: str, inner: Law) -> None:
+        self._name, self._inner = name, inner
+        self.coupled, self.preview = inner.coupled, inner.preview
+        self.told_of_learning = inner.told_of_learning  # type: ignore[misc]
+        self.stiffness, self.damping = inner.stiffness, inner.damping
+
+    def reset(self, position: Any, force: Any) -> None:
+        """See Law."""
+        try:
+            self._inner.reset(position, force)
+        except Exception as error:
+            raise ValueError(told(self._name, self._inner, error)) from error
+
+    def force(self, inputs: LawInputs) -> Any:
+        """See Law."""
+        try:
+            return self._inner.force(inputs)
+        except Exception as error:
+            raise ValueError(told(self._name, self._inner, error)) from error
+
+
 class PerElement(Law):
     """A law on arrays (..., n_axes) made of one object for every axis of every plant, each on floats; or of one for
     every plant, on arrays (n_axes,), where the law is coupled. For laws that are not `elementwise`.
@@ -159,7 +189,8 @@ class PerElement(Law):
     def __init__(
         self, law: type[Law], model: Model, period: float, force_limit: Array, gains: Mapping[str, Any]
     ) -> None:
-        self._class, self._model, self._period, self._limit, self._gains = law, model, period, force_limit, gains
+        self.made = law
+        self._model, self._period, self._limit, self._gains = model, period, force_limit, gains
         self.coupled = bool(law.coupled)
         self.preview = law.preview
         self._shape: tuple[int, ...] = ()
@@ -178,7 +209,7 @@ class PerElement(Law):
         for index, limit in enumerate(limits):
             own = dict(zip(numbers, (column[index] for column in columns), strict=True))
             each = Model(*(column[index] for column in model))
-            self._laws.append(self._class(each, self._period, limit, **own, **words))
+            self._laws.append(self.made(each, self._period, limit, **own, **words))
         for law, q, tau in zip(self._laws, self._cells(position), self._cells(force), strict=True):
             law.reset(q, tau)
 
