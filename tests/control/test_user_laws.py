@@ -152,6 +152,12 @@ def test_a_batch_equals_the_full_path_for_users_laws_too(name: str, rig_file: Pa
         assert batch.force.tolist() == [single.cycle.gate.force] * 2
 
 
+def test_a_laws_name_is_a_file_name_that_stays_in_its_folder() -> None:
+    names = ["./lqr.py:Lqr", "/a/b/lqr.py:Lqr", "../lqr.py:Lqr", "my.laws:Lqr", "structured-kalman", "..:."]
+    found = [law_registry.file_name(name) for name in names]
+    assert found == ["lqr.py-Lqr", "a-b-lqr.py-Lqr", "lqr.py-Lqr", "my.laws-Lqr", "structured-kalman", "law"]
+
+
 def test_a_law_that_looks_ahead_sees_the_reference_of_the_periods_to_come(rig_file: Path) -> None:
     rig = load_rig(rig_file, [beside("mpc"), *QUICK])
     run = LockstepRun(rig, rig_file.parent)
