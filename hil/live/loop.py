@@ -209,7 +209,9 @@ class ControlLoop:
             self.parts.notifier.send("WATCHDOG=1")
             return
         verdict = "" if self._realtime_ok else ", real time degraded"
-        lines = ["WATCHDOG=1", f"STATUS={'; '.join((state.name + verdict, *problems.told))}"]
+        failure = self._cycle.law.failure  # of a user's law: why there is a fault
+        told = [state.name + verdict, *problems.told, *([failure] if failure else [])]
+        lines = ["WATCHDOG=1", f"STATUS={'; '.join(told)}"]
         if self._told is None:
             lines.append("READY=1")
         self.parts.notifier.send(*lines)
