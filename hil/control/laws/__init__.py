@@ -14,6 +14,7 @@ from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearnin
 from hil.control.laws.pd_feedforward import PdFeedforward
 from hil.control.laws.per_axis import PerAxis
 from hil.control.laws.pid import Pid
+from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.laws.robust_pd import AlphaBracketsPd, FilteredErrorPd, RobustPd
 from hil.control.laws.sliding_mode import SlidingMode
 from hil.control.laws.slotine_li import SlotineLi
@@ -38,6 +39,7 @@ LAWS: dict[str, type[Law]] = {
         SuperTwisting,
         DisturbanceObserver,
         StructuredKalman,
+        PreslidingKalman,
     )
 }
 
