@@ -38,6 +38,7 @@ COMMANDS: dict[str, Entry] = {
     "compare": Entry("hil.studies.compare.command:compare", "All control laws on the same task"),
     "tune": Entry("hil.studies.tune.command:tune", "Find gains for a law and write them to the rig file"),
     "sweep": Entry("hil.studies.sweep:sweep", "Thousands of plants with seeded parameters"),
+    "evidence": Entry("hil.studies.evidence:evidence", "Accuracies over drawn stages: median and 95 %"),
     "replay": Entry("hil.virtual.replay:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),

@@ -31,8 +31,9 @@ class Model:
     """Nominal belief about the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
 
     Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
-    supply to hold the axis. torque_lag: s, of the force behind its command. mode_frequency (Hz), mode_damping, mode_load:
-    of a tool on a spring, as the motor is held; its damping ratio; its part of the mass. 0: none.
+    supply to hold the axis. torque_lag: s, of the force behind its command. mode_frequency: Hz, at which the tool rings
+    on its spring while the motor is held, 0: a rigid axis; mode_damping: its damping ratio; mode_load: its part of the
+    mass.
     """
 
     mass: Number

@@ -1,18 +1,19 @@
 """PD plus feedforward for real guides: friction by the motion since the reversal, learnt while moving; lag and a
 flexible mode inside the observer; a bias that is found.
 
-    force = lag^-1 [(m + dm) a + viscous v + quadratic v |v| + gravity + sum w_i z_i(r + s) + table(r)] - Kp e - Kd e' + d
+    force = lag^-1 [(m + dm) a + viscous v + quadratic v |v| + gravity + sum w_i z_i(r + s) + table(r)]
+            - Kp e - Kd e' + d
 
 - z_i: operators of presliding friction (hil/control/laws/presliding_bank.py) on the reference r. s integrates the error
   through them: an integral whose loop gain does not depend on the guide's stiffness.
 - w_i and dm: by a Kalman filter on the observer's innovations (hil/control/laws/weight_regression.py), only while the
-  reference moves. Its regressors see the position as predicted, not as corrected: a correction would correlate with the
-  innovation it came from. That the axis is not where the reference is, is known to it: measured friction itself is never
-  fed forward, which would be positive feedback with delay.
-- table: what the observer's disturbance d repeats along the travel, per direction (hil/control/laws/position_table.py).
-- e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the force
-  acts. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be soft, the loop
-  then takes gains that are stable on any.
+  reference moves. Its regressors see the position as predicted, not as corrected: a correction would correlate with
+  the innovation it came from. It accounts for the axis not being where the reference is; but measured friction itself
+  is never fed forward, which would be positive feedback with delay.
+- table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
+- e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
+  force acts. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be soft, the
+  loop then takes gains that are stable on any.
 
 After the method of an independent study on LuGre and Maxwell-slip guides. Models: Canudas de Wit and others, IEEE TAC
 40(3), 1995; Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005.

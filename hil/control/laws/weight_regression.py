@@ -1,5 +1,6 @@
-"""Weights of an axis' friction and inertia from the observer's innovations: one Kalman filter of random walks, for floats
-and arrays.
+"""Weights of an axis' friction and inertia from the observer's innovations: one Kalman filter of random walks.
+
+Written for floats and arrays.
 
 Innovation = sum of weight error times what a unit of it makes of an innovation + noise (Friedland's separate estimate
 of a bias, IEEE TAC 14(4), 1969). Weights: 6 operators of hil/control/laws/presliding_bank.py (N) and the mass (kg).
