@@ -56,7 +56,7 @@ def axis_model(whole: Any, index: int) -> Model:
         whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity,
         whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
     )  # fmt: skip
-    return Model(*(float(value[index]) for value in values))
+    return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 
 
 @dataclass(slots=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.number import Number, at_least, bounded
+from hil.control.number import Number, bounded
 
 HALF = 31  # nodes on each side of position 0
-LAST_CELL = 61.999
+LAST_CELL = 30.999
 
 
 class PositionTable:
@@ -23,37 +23,38 @@ class PositionTable:
         self._floats = isinstance(limit, float)
         self._values: Any = [0.0] * (2 * HALF + 1) if self._floats else np.zeros((2 * HALF + 1, *np.shape(limit)))
 
-    def _place(self, position: Number) -> Number:
-        """Position in cells from the first node."""
-        return at_least(bounded(position * self._density + HALF, LAST_CELL), 0.0)
+    def _place(self, position: Number) -> tuple[Number, Any, Any]:
+        """Share of the way from one node to the next, away from position 0, and both nodes' numbers."""
+        signed = bounded(position * self._density, LAST_CELL)
+        place = abs(signed)
+        if self._floats:
+            cell = int(place)
+            step = 1 if signed >= 0.0 else -1
+            return place - cell, HALF + step * cell, HALF + step * (cell + 1)
+        cells = place.astype(np.int64)
+        steps = np.where(signed >= 0.0, 1, -1)
+        return place - cells, (HALF + steps * cells)[None], (HALF + steps * (cells + 1))[None]
 
     def at(self, position: Number) -> Number:
         """Force learnt there, N."""
-        place = self._place(position)
-        values = self._values
-        if self._floats:
-            cell = int(place)
-            low: float = values[cell]
-            high: float = values[cell + 1]
-            return low + (high - low) * (place - cell)
-        cells = place.astype(np.int64)[None]
-        first = np.take_along_axis(values, cells, 0)[0]
-        return first + (np.take_along_axis(values, cells + 1, 0)[0] - first) * (place - cells[0])
+        share, near, far = self._place(position)
+        low, high = self._read(near), self._read(far)
+        return low + (high - low) * share
 
     def add(self, position: Number, force: Number) -> None:
         """Let the force there grow by about `force` (N)."""
-        place = self._place(position)
-        values = self._values
+        share, near, far = self._place(position)
+        self._write(near, bounded(self._read(near) + (1.0 - share) * force, self._limit))
+        self._write(far, bounded(self._read(far) + share * force, self._limit))
+
+    def _read(self, node: Any) -> Number:
         if self._floats:
-            cell = int(place)
-            share = place - cell
-            low: float = values[cell]
-            high: float = values[cell + 1]
-            values[cell] = bounded(low + (1.0 - share) * force, self._limit)
-            values[cell + 1] = bounded(high + share * force, self._limit)
-            return
-        cells = place.astype(np.int64)[None]
-        share = place - cells[0]
-        for at, more in ((cells, (1.0 - share) * force), (cells + 1, share * force)):
-            new = bounded(np.take_along_axis(values, at, 0)[0] + more, self._limit)
-            np.put_along_axis(values, at, new[None], 0)
+            value: Number = self._values[node]
+            return value
+        return np.take_along_axis(self._values, node, 0)[0]
+
+    def _write(self, node: Any, value: Number) -> None:
+        if self._floats:
+            self._values[node] = value
+        else:
+            np.put_along_axis(self._values, node, value[None], 0)

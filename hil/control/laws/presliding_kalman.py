@@ -273,10 +273,10 @@ class PreslidingKalman(Law):
         self._coming = (z[0], z[1], z[2], z[3], z[4], z[5], a + 0.0)
         # How far friction has turned round, -1 to 1, shares the tables of both directions.
         total = at_least(w[0] + w[1] + w[2] + w[3] + w[4] + w[5], 0.3 * self._dry)
-        turned = 0.5 + 0.5 * bounded(friction / total, 1.0)
+        turned = 0.5 * bounded(friction / total, 1.0)
         self._tabulate(rests)
         place = q0 + centre
-        table = turned * self._forward.at(place) + (1.0 - turned) * self._backward.at(place)
+        table = (0.5 + turned) * self._forward.at(place) + (0.5 - turned) * self._backward.at(place)
         smooth = (model.mass + w[6]) * a + (model.viscous + model.quadratic * abs(v)) * v + model.gravity
         wanted = smooth + friction + table
         motion = self._motion
