@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.number import Number, bounded
+from hil.control.number import Number, bounded, select
 
 HALF = 31  # nodes on each side of position 0
 LAST_CELL = 30.999
@@ -22,6 +22,9 @@ class PositionTable:
         self._limit = limit
         self._floats = isinstance(limit, float)
         self._values: Any = [0.0] * (2 * HALF + 1) if self._floats else np.zeros((2 * HALF + 1, *np.shape(limit)))
+        zero = limit - limit
+        self._to_near, self._to_far = zero, zero  # learnt since the axis came between the nodes beside it
+        _, self._near, self._far = self._place(zero)
 
     def _place(self, position: Number) -> tuple[Number, Any, Any]:
         """Share of the way from one node to the next, away from position 0, and both nodes' numbers."""
@@ -33,7 +36,7 @@ class PositionTable:
             return place - cell, HALF + step * cell, HALF + step * (cell + 1)
         cells = place.astype(np.int64)
         steps = np.where(signed >= 0.0, 1, -1)
-        return place - cells, (HALF + steps * cells)[None], (HALF + steps * (cells + 1))[None]
+        return place - cells, HALF + steps * cells, HALF + steps * (cells + 1)
 
     def at(self, position: Number) -> Number:
         """Force learnt there, N."""
@@ -42,19 +45,34 @@ class PositionTable:
         return low + (high - low) * share
 
     def add(self, position: Number, force: Number) -> None:
-        """Let the force there grow by about `force` (N)."""
+        """Let the force there grow by about `force` (N), once the axis has left the nodes beside it.
+
+        At once, it would act on what is still ahead in the same pass, and be learnt from again.
+        """
         share, near, far = self._place(position)
-        self._write(near, bounded(self._read(near) + (1.0 - share) * force, self._limit))
-        self._write(far, bounded(self._read(far) + share * force, self._limit))
+        was_near, was_far, to_near, to_far = self._near, self._far, self._to_near, self._to_far
+        left_near, left_far = (was_near != near) & (was_near != far), (was_far != near) & (was_far != far)
+        if not self._floats or left_near or left_far:
+            zero = force - force
+            self._grow(was_near, select(left_near, to_near, zero))
+            self._grow(was_far, select(left_far, to_far, zero))
+            self._to_near = select(near == was_near, to_near, select(near == was_far, to_far, zero))
+            self._to_far = select(far == was_near, to_near, select(far == was_far, to_far, zero))
+            self._near, self._far = near, far
+        self._to_near = self._to_near + (1.0 - share) * force
+        self._to_far = self._to_far + share * force
+
+    def _grow(self, node: Any, force: Number) -> None:
+        self._write(node, bounded(self._read(node) + force, self._limit))
 
     def _read(self, node: Any) -> Number:
         if self._floats:
             value: Number = self._values[node]
             return value
-        return np.take_along_axis(self._values, node, 0)[0]
+        return np.take_along_axis(self._values, node[None], 0)[0]
 
     def _write(self, node: Any, value: Number) -> None:
         if self._floats:
             self._values[node] = value
         else:
-            np.put_along_axis(self._values, node, value[None], 0)
+            np.put_along_axis(self._values, node[None], value[None], 0)
