@@ -7,9 +7,8 @@ flexible mode inside the observer; a bias that is found.
 - z_i: operators of presliding friction (hil/control/laws/presliding_bank.py) on the reference r. s integrates the error
   through them: an integral whose loop gain does not depend on the guide's stiffness.
 - w_i and dm: by a Kalman filter on the observer's innovations (hil/control/laws/weight_regression.py), only while the
-  reference moves. Its regressors see the position as predicted, not as corrected: a correction would correlate with
-  the innovation it came from. It accounts for the axis not being where the reference is; but measured friction itself
-  is never fed forward, which would be positive feedback with delay.
+  reference moves. Its regressors are the operators on the observed position, as the axis is not where the reference is;
+  but measured friction itself is never fed forward, which would be positive feedback with delay.
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
   force acts. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be soft, the
@@ -83,7 +82,7 @@ class PreslidingKalman(Law):
         "finest": Gain(0.3e-6, "m", "smallest reach of presliding friction; the coarsest is 200 times that", TINIEST),
         "play": Gain(7.5e-9, "m", "motion within it counts as noise"),
         "table_pitch": Gain(1e-3, "m", "distance of the table's nodes", TINIEST),
-        "table_rate": Gain(0.5, "1", "share of the disturbance learnt on the way from node to node; 0: none"),
+        "table_rate": Gain(0.8, "1", "share of the disturbance learnt on the way from node to node; 0: none"),
     }
 
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
@@ -197,8 +196,8 @@ class PreslidingKalman(Law):
         innovation = (inputs.position - q - error) * inputs.fresh
         moves = (v != 0.0) | (q != self._position)
         self._position, self._velocity = q + 0.0, v + 0.0
-        self._learn(q + error, innovation, select(moves, inputs.fresh, 0.0 * inputs.fresh))
         observer.correct(innovation, self._gains)
+        self._learn(q + (observer.e + observer.x), innovation, select(moves, inputs.fresh, 0.0 * inputs.fresh))
         lost = (start.position - q) - half * (v + start.velocity)
         error, rate = observer.ahead(last - self._known_last, lost)
         known = self._feedforward(inputs)
@@ -208,7 +207,7 @@ class PreslidingKalman(Law):
         return known + observer.d - kp * error - kd * rate
 
     def _learn(self, position: Number, innovation: Number, learn: Number) -> None:
-        """Weights from the innovation of the interval before the sample; `position` of the axis, predicted."""
+        """Weights from the innovation of the interval before the sample; `position` of the axis, observed."""
         acting, gains, motion = self._acting, self._gains, self._motion
         way = position - self._place
         way = way - bounded(way, self._play)
