@@ -106,6 +106,10 @@ class HostProtocol(Protocol):
     fd: bool
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
 
+    @property
+    def problems(self) -> Sequence[str]:
+        """Why drives were refused, for people; empty where all is well."""
+
     def decode(self, frame: Frame) -> Sample | Reject:
         """Value of one received frame. Never raises, whatever the bytes."""
 

@@ -38,6 +38,7 @@ class DbcLayout:
     """What both ends share: the bound messages. Raises LayoutError naming every signal that is not there."""
 
     name = "dbc"
+    problems: Sequence[str] = ()
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> None:
         binding = bus.dbc

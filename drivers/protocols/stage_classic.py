@@ -36,6 +36,7 @@ class _Layout:
 
     name = "stage_classic"
     checksum = True
+    problems: Sequence[str] = ()
     fd = False
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

@@ -38,6 +38,7 @@ class _Layout:
 
     name = "stage_fd"
     checksum = True
+    problems: Sequence[str] = ()
     fd = True
 
     def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

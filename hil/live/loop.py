@@ -23,6 +23,7 @@ from drivers.bus.port import Port
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand, Tick
+from hil.live.drive_problems import DriveProblems
 from hil.live.mailbox import Mailbox
 from hil.live.miss_ledger import MissLedger
 from hil.live.pacing import Pacer, run_signal_handlers, sleeper
@@ -65,6 +66,7 @@ class Parts(NamedTuple):
     claim: Claim
     rig_file: WatchedFile
     notifier: Notifier
+    problems: DriveProblems
 
 
 class ControlLoop:
@@ -92,7 +94,7 @@ class ControlLoop:
         self._realtime_ok = parts.claim.verdict.ok
         self._records = parts.cycle.records
         self._cpu_mark_ns = self._cpu_ns = 0
-        self._told: State | None = None
+        self._told: tuple[State, tuple[str, ...]] | None = None
         self._silent = self._recall_due = False
         self._next_rebind = 0
         self._chores = self._plan_chores(rig.period_ns)
@@ -137,8 +139,8 @@ class ControlLoop:
         if pacer.skipped:
             self._book_miss()
         frames = port.drain(woke)
+        estop = self._stop_line.pressed()  # before the mail: no RESET that was sent before it comes after it
         commands = mailbox.poll()
-        estop = self._stop_line.pressed()
         if commands:
             self._before_commands(commands)
         tick = Tick(
@@ -200,16 +202,20 @@ class ControlLoop:
         """To systemd and on the stop page. Only from here: whoever hears it knows that ticks are being run."""
         state = self._cycle.state
         self._stop_line.tell(state.name, self.pacer.index)
-        if state is self._told:
+        problems = self.parts.problems
+        if state not in TORQUE_STATES:  # printing may wait
+            problems.tell(self._cycle.protocol.problems)
+        if (state, problems.told) == self._told:
             self.parts.notifier.send("WATCHDOG=1")
             return
         verdict = "" if self._realtime_ok else ", real time degraded"
         failure = self._cycle.law.failure  # of a user's law: why there is a fault
-        lines = ["WATCHDOG=1", f"STATUS={state.name}{verdict}{': ' if failure else ''}{failure}"]
+        told = [state.name + verdict, *problems.told, *([failure] if failure else [])]
+        lines = ["WATCHDOG=1", f"STATUS={'; '.join(told)}"]
         if self._told is None:
             lines.append("READY=1")
         self.parts.notifier.send(*lines)
-        self._told = state
+        self._told = state, problems.told
 
     def _look_at_rig(self) -> None:
         self._rig_ok = self.parts.rig_file.unchanged()

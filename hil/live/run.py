@@ -21,6 +21,7 @@ from drivers.protocols import host_protocol
 from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.control.stability import refuse_unstable
+from hil.live.drive_problems import DriveProblems
 from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
 from hil.live.realtime import claim
@@ -99,7 +100,7 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
     config = load_rig(path, overrides)
     try:
         rated = [axis.rated_force for axis in config.axes.values()]
-        host_protocol(config.bus, len(config.axes), rated, path.parent)
+        host_protocol(config.bus, len(config.axes), rated, path.parent, config.period_ns, config.mountings)
     except (ValueError, OSError) as error:
         raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
     try:
@@ -137,8 +138,11 @@ def control_loop(
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
+        problems = DriveProblems(files.problems)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
-        yield ControlLoop(Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier), stage_clock)
+        yield ControlLoop(
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems), stage_clock
+        )
 
 
 def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:

@@ -14,6 +14,7 @@ from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import drawable, writable, write_json
+from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
 from hil.rig.file import load_rig
@@ -31,7 +32,9 @@ def check(
         Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
     ] = None,
 ) -> None:
-    """Worst-case response time of every frame, bus load, stability. Exit status 78 where one of them fails."""
+    """Worst-case response time of every frame, bus load, stability, and whether the task keeps the limits. Exit status
+    78 where one of them fails.
+    """
     rig = load_rig(rig_file, overrides or ())
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
@@ -47,11 +50,14 @@ def check(
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
+        infeasible = task_problems(rig)
         stability = check_stability(rig, lowest_rate=True)
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
-    found = [*found, *stability.problems()]
+    for note in start_notes(rig):
+        console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
+    found = [*found, *stability.problems(), *infeasible]
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     if json_path:
         write_json(document, json_path)

@@ -11,6 +11,8 @@ from typing import Annotated
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, WireConfig, key
+from drivers.protocols.mounting import Mounting
+from drivers.toml_file import short
 from hil.rig.plant import completed
 from hil.rig.tables import (
     AXIS_NAME,
@@ -35,13 +37,17 @@ __all__ = [
     "TelemetryConfig", "TimingConfig", "WireConfig",
 ]  # fmt: skip
 
+LONGEST_PROBLEM = 1000  # characters
+
 
 class RigError(Exception):
-    """A rig file (or an override of it) that cannot be used; `problems` holds one line per problem."""
+    """A rig file (or an override of it) that cannot be used; `problems` holds one line per problem, however long the
+    values in it are.
+    """
 
     def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = list(problems)
+        self.problems = [short(problem, LONGEST_PROBLEM) for problem in problems]
+        super().__init__("\n".join(self.problems))
 
 
 class RigConfig(BaseModel):
@@ -71,6 +77,11 @@ class RigConfig(BaseModel):
     def period_ns(self) -> int:
         """Control period, ns."""
         return round(1e9 / self.rate_hz)
+
+    @property
+    def mountings(self) -> list[Mounting]:
+        """The drives on their axes, in bus order."""
+        return [axis.mounting for axis in self.axes.values()]
 
     @property
     def axis_names(self) -> list[str]:

@@ -20,6 +20,7 @@ from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
+from hil.live.drive_problems import read_problems
 from hil.live.mailbox import Mailbox, MailboxError
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
@@ -226,6 +227,8 @@ class Sidecar:
             status.pid = run.reader.pid
             status.control_alive = run.reader.writer_alive
             status.control_ended = run.reader.ended
+            if run.reader.writer_alive:
+                status.drive_problems.extend(read_problems(self._paths.problems))
             status.produced = run.reader.written
             status.sent, status.dropped = run.sent, run.dropped
             if run.caught_up:

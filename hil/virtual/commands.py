@@ -35,12 +35,21 @@ def sim(
     ] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    from hil.control.estimator.gains import per_axis
+    from hil.control.feasibility import task_problems
     from hil.rig.bus_load import refuse_unschedulable
     from hil.virtual.scenario import load_scenario
     from hil.virtual.sim import simulate
 
     config = load_rig(rig, overrides)
     refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
+    start = per_axis(config.plant.initial_position, len(config.axes)).tolist()
+    try:
+        infeasible = task_problems(config, start)
+    except ValueError as error:  # a task that cannot be planned
+        raise RigError([f"{rig}: {error}"]) from None
+    if infeasible:
+        raise RigError([f"{rig}: {problem}" for problem in infeasible])
     scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
     print_plant_notes(console, config)

@@ -10,7 +10,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.cycle.record import RECORD_SIZE, RecordBuilder
+from hil.cycle.record import RECORD_SIZE
+from hil.cycle.record_builder import RecordBuilder
 from hil.live.pacing import Pacer
 from hil.live.ring import RingReader, RingWriter
 from hil.operate.bench.blocks import (

@@ -8,13 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
-from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS, RecordBuilder
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
+from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
 from hil.rig.file import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import Recorder, Recording, RecordingError
 from tests.support.paths import ROOT
+from tests.support.records import bare_tick, put_axis
 
 FRAMES = st.builds(
     Frame, st.integers(0, 2**32 - 1), st.binary(max_size=64), st.integers(0, 7), st.integers(-(2**63), 2**63 - 1)
@@ -38,12 +40,15 @@ def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorComm
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
-        builder.tick(index * 2, index * 1000, index * 1000 + 7, 4, 0, 1 << 40, flags, index, -1)
+        tick = bare_tick(index * 2, index * 1000 + 7, scheduled_ns=index * 1000, flags=flags)
+        builder.tick(tick, 4, 0, 1 << 40, sending=bool(flags & 16))
+        builder.progress(index, -1)
         for axis, stamp_ns in enumerate((index, -5, 2**60)):
-            builder.axis(axis, *(index + 10.0 * axis + place for place in range(9)), stamp_ns, axis)
+            put_axis(builder, axis, [index + 10.0 * axis + place for place in range(9)], stamp_ns, axis)
         builder.drives([0, 1, 2], [1, 2, 4])
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
-        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7, 8)
+        builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7)
+        builder.law_floors(8)
         builder.missed(9, 10, 11, 12)
         records[index] = builder.traffic(commands, sent, received)
     return records
@@ -70,7 +75,8 @@ def test_every_number_of_a_record_is_in_its_own_field() -> None:
 def test_a_number_too_large_for_its_field_does_not_end_the_loop() -> None:
     """After 50 days at 1 kHz the sequence has more than 32 bits; a process that was stopped has stages of seconds."""
     builder = RecordBuilder(1)
-    builder.tick(2**33, 0, 0, 4, 34, 0, 31, 2**32 + 5, 0)
+    builder.tick(bare_tick(2**33, 0, flags=15), 4, 34, 0, sending=True)
+    builder.progress(2**32 + 5, 0)
     builder.drives([2**32 + 1], [2**31])
     builder.spent(2**31, 2**40, 7, 2**33, 2**32 - 1)
     builder.missed(0, 0, 0, 2**35)
