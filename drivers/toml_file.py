@@ -12,6 +12,7 @@ LARGEST = 2**18  # bytes; the longest rig file we know has 8 kB
 DEEPEST = 32  # points in the keys of one line; tomllib takes a time that grows with their square
 MOST_PROBLEMS = 50  # shown of one file
 _SHOWN = 120  # characters of a value in a refusal
+_STRING = re.compile(r""" "(?:[^"\\]|\\.)*" | '[^']*' """, re.VERBOSE)  # on one line
 _DECIMAL = re.compile(r"(?<![\w.])\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
 
 
@@ -45,11 +46,11 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _refuse_deep_keys(text: str) -> None:
-    """Raise TomlError for a line whose keys may be nested too deeply: points that belong to no decimal number."""
+    """Raise TomlError for a line whose keys may be nested too deeply: points in no string and no decimal number."""
     for number, line in enumerate(text.split("\n"), start=1):
         if line.count(".") <= DEEPEST or line.lstrip(" \t").startswith("#"):
             continue
-        if _DECIMAL.sub("", line).count(".") > DEEPEST:
+        if _DECIMAL.sub("", _STRING.sub('""', line)).count(".") > DEEPEST:
             raise TomlError(f"not a TOML document we can read: line {number}: nested too deeply: over {DEEPEST} points")
 
 

@@ -43,6 +43,7 @@ COMMANDS: dict[str, Entry] = {
     "compare": Entry("hil.studies.compare.command:compare", "All control laws on the same task"),
     "tune": Entry("hil.studies.tune.command:tune", "Find gains for a law and write them to the rig file"),
     "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
+    "evidence": Entry("hil.studies.evidence:evidence", "Accuracies over drawn stages: median and 95 %"),
     "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
     "drives": Entry("hil.operate.drives:drives", "Can this CiA 402 drive be used, by its EDS, and if not, why not?"),

@@ -31,6 +31,7 @@ LAWS: dict[str, str] = {
     "super-twisting": "hil.control.laws.super_twisting:SuperTwisting",
     "disturbance-observer": "hil.control.laws.disturbance_observer:DisturbanceObserver",
     "structured-kalman": "hil.control.laws.structured_kalman:StructuredKalman",
+    "presliding-kalman": "hil.control.laws.presliding_kalman:PreslidingKalman",
 }
 _METHODS = ("reset", "force")
 

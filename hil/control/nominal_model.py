@@ -19,6 +19,10 @@ def rig_model(rig: RigConfig) -> Model:
         viscous=np.array([a.viscous for a in axes]),
         quadratic=np.array([a.quadratic for a in axes]),
         gravity=np.array([-a.gravity for a in axes]) + 0.0,
+        torque_lag=np.array([a.torque_lag for a in axes]),
+        mode_frequency=np.array([a.mode_frequency_hz for a in axes]),
+        mode_damping=np.array([a.mode_damping for a in axes]),
+        mode_load=np.array([a.mode_load for a in axes]),
     )
 
 

@@ -43,6 +43,12 @@ class ModelConfig(BaseModel):
     viscous: float = key(0.0, "viscous friction", "N s/m (N m s/rad)")
     quadratic: float = key(0.0, "friction times v |v|", "N s^2/m^2 (N m s^2/rad^2)")
     gravity: float = key(0.0, "constant force on the axis; negative pulls towards negative positions", "N (N m)")
+    torque_lag: float = key(0.0, "time constant of the force behind its command; 0: none", "s", ge=0, le=0.1)
+    mode_frequency_hz: float = key(
+        0.0, "at which the tool rings while the motor is held; 0: a rigid axis", "Hz", ge=0, le=5000
+    )
+    mode_damping: float = key(0.02, "damping ratio of that mode", "1", ge=0, le=1)
+    mode_load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
 
 
 class AxisConfig(BaseModel):

@@ -16,7 +16,7 @@ from hil.control.laws.base import Array, Law, Reference, axis_inputs
 from hil.control.laws.coupled import gather
 from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
-from hil.control.trajectories import make_trajectory, task_repeat
+from hil.control.trajectories import Trajectory, make_trajectory, task_repeat
 from hil.cycle.gate import ForceLimits
 from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
@@ -50,15 +50,18 @@ class Bounds:
 class BatchRun:
     """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the rig becomes ACTIVE.
 
+    trajectory: instead of the rig's task.
+
     error: true position less setpoint at the samples' instant of the latest tick (m). force: applied in it (N).
     Both (plants, n_axes); the next tick writes into the error's array.
     """
 
-    def __init__(self, rig: RigConfig, truth: Truth) -> None:
+    def __init__(self, rig: RigConfig, truth: Truth, trajectory: Trajectory | None = None) -> None:
         n = len(rig.axes)
         shape = truth.shape
         self.rig = rig
         self.index = 0
+        self._trajectory = trajectory
         self._period_ns = rig.period_ns
         self._model = rig_model(rig)
         gains, _ = design_gains(rig)
@@ -93,13 +96,18 @@ class BatchRun:
             self._engage()
         elif self.index == 1:
             rig = self.rig
-            self._setpoints.follow(make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns), [now] * n)
+            task = self._trajectory or make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns)
+            self._setpoints.follow(task, [now] * n)
             self._setpoints.update([now - self._period_ns] * n, [now] * n)
         self._act()
         if self.index:  # until the first command arrives the brakes hold the stage
             self._stage.advance(self._period_ns, self._applied)
         self._applied = self.force.astype(np.float32).astype(np.float64)
         self.index += 1
+
+    def change(self, truth: Truth) -> None:
+        """From now on the plants are these."""
+        self._stage.change(truth)
 
     def _estimate(self) -> None:
         motion, interval = self._filter, self._period_ns * 1e-9

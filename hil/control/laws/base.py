@@ -31,7 +31,9 @@ class Model:
     """The nominal model of the plant, a float each or arrays (..., n_axes): kg, N, N s/m, N s^2/m^2, N.
 
     Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
-    supply to hold the axis.
+    supply to hold the axis. torque_lag: s, of the force behind its command. mode_frequency: Hz, at which the tool rings
+    on its spring while the motor is held, 0: a rigid axis; mode_damping: its damping ratio; mode_load: its part of the
+    mass.
     """
 
     mass: Number
@@ -39,6 +41,10 @@ class Model:
     viscous: Number
     quadratic: Number
     gravity: Number
+    torque_lag: Number = 0.0
+    mode_frequency: Number = 0.0
+    mode_damping: Number = 0.0
+    mode_load: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -46,8 +52,11 @@ def axis_model(whole: Any, index: int) -> Model:
 
     See hil/control/number.py.
     """
-    values = (whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity)
-    return Model(*(float(value[index]) for value in values))
+    values = (
+        whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity,
+        whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
+    )  # fmt: skip
+    return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 
 
 @dataclass(slots=True)

@@ -1,0 +1,104 @@
+"""The law for guides with presliding: its parts against independent ones. What every law must do is in test_laws.py."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are
+
+from hil.control.laws.base import Model
+from hil.control.laws.motion_observer import MotionModel
+from hil.control.laws.position_table import PositionTable
+from hil.control.laws.presliding_bank import Bank, moved, slopes
+from hil.control.laws.weight_regression import Weights, diagonal, learnt
+
+PERIOD, MASS, LAG, LOAD, DAMPING = 1e-3, 0.9, 2e-4, 0.3, 0.02
+FORCE_NOISE, DISTURBANCE_NOISE, MODE_NOISE = 3.24, 1.36, 13.1
+
+
+def model(frequency: float) -> Model:
+    return Model(MASS, 0.6, 3.0, 0.0, 0.0, LAG, frequency, DAMPING, LOAD)
+
+
+@pytest.mark.parametrize("frequency", [0.0, 120.0, 250.0])
+def test_observer_is_scipys_kalman_filter_of_the_two_mass_model(frequency: float) -> None:
+    """In the two masses' own coordinates: motor and tool on a spring, tuned while the motor is held."""
+    tool, motor = LOAD * MASS, (1.0 - LOAD) * MASS
+    omega = 2.0 * np.pi * frequency
+    free = omega / np.sqrt(1.0 - LOAD)
+    stiffness, damper = tool * omega**2, 2.0 * DAMPING * free * tool * motor / MASS  # of the free axis' mode
+    if frequency:
+        a = np.zeros((6, 6))  # motor, its speed, tool, its speed, force, disturbance
+        a[0, 1] = a[2, 3] = 1.0
+        a[1] = [-stiffness / motor, -damper / motor, stiffness / motor, damper / motor, 1 / motor, -1 / motor]
+        a[3] = [stiffness / tool, damper / tool, -stiffness / tool, -damper / tool, 0.0, 0.0]
+        seen, lagged = np.array([[1.0, 0, 0, 0, 0, 0]]), 4
+        # Noise of the mode moves encoder and tool against each other about the centre of mass.
+        own = np.array([0.0, 1.0, 0.0, -motor / tool, 0.0, 0.0])
+    else:
+        a = np.zeros((4, 4))
+        a[0, 1] = 1.0
+        a[1, 2:] = [1 / MASS, -1 / MASS]
+        seen, lagged = np.array([[1.0, 0, 0, 0]]), 2
+        own = np.zeros(4)
+    a[lagged, lagged] = -1.0 / LAG
+    transition = expm(a * PERIOD)
+    metre = PERIOD**2 / (2.0 * MASS)
+    force = -transition[:, -1] / metre * FORCE_NOISE
+    force[-1] = 0.0
+    q = np.outer(force, force) + np.outer(own, own) * (MODE_NOISE / PERIOD) ** 2
+    q[-1, -1] = (DISTURBANCE_NOISE / metre) ** 2
+    scale = np.diag([1.0, 1 / PERIOD] * (lagged // 2) + [1 / metre, 1 / metre])
+    back = np.linalg.inv(scale)
+    p = solve_discrete_are((back @ transition @ scale).T, (seen @ scale).T, back @ q @ back, np.eye(1))
+    gain = scale @ (p @ scale @ seen.T / (seen @ scale @ p @ scale @ seen.T + 1.0))[:, 0]
+    ours = MotionModel(model(frequency), PERIOD).gains(FORCE_NOISE, DISTURBANCE_NOISE, MODE_NOISE)
+    assert [ours.e + ours.x, ours.v + ours.n, ours.d] == pytest.approx([gain[0], gain[1], gain[-1]], rel=1e-6)
+
+
+def test_gains_of_floats_and_of_arrays_are_the_same_bits() -> None:
+    def column(value: float) -> Any:
+        return np.array([value, value])
+
+    arrays = Model(*(column(value) for value in (MASS, 0.6, 3.0, 0.0, 0.0, LAG, 0.0, DAMPING, LOAD)))
+    arrays.mode_frequency = np.array([0.0, 250.0])
+    noises = (FORCE_NOISE, DISTURBANCE_NOISE, MODE_NOISE)
+    both = MotionModel(arrays, PERIOD).gains(*map(column, noises))
+    for i, frequency in enumerate((0.0, 250.0)):
+        one = MotionModel(model(frequency), PERIOD).gains(*noises)
+        assert (one.e, one.v, one.x, one.n, one.d) == tuple(getattr(both, name)[i] for name in "evxnd")
+
+
+def test_operators_turn_round_over_their_reach() -> None:
+    """Dahl's curve after a reversal, 1 - 2 exp(-x / D), in steps small against D."""
+    z: Bank = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    slope = slopes(1e-6)
+    for _ in range(20_000):
+        z = moved(z, slope, -1e-10)
+    expected = [2.0 * np.exp(-2e-6 * s) - 1.0 for s in slope]
+    assert z == pytest.approx(expected, abs=1e-3)
+
+
+def test_weights_become_those_of_the_process() -> None:
+    rng, truth = np.random.default_rng(1), np.array([0.1, -0.2, 0.3, 0.0, 0.5, 0.4, -0.1])
+    ones: Weights = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    none: Weights = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    spread, w = diagonal(ones), np.zeros(7)
+    for _ in range(500):
+        r = rng.normal(size=7)
+        spread, k = learnt(spread, tuple(r.tolist()), 1e-4, none, ones, 1.0)
+        w += np.array(k) * (r @ (truth - w) + 1e-2 * rng.normal())
+    assert w == pytest.approx(truth, abs=5e-3)
+
+
+def test_what_is_learnt_of_a_place_counts_once_the_place_is_left() -> None:
+    table = PositionTable(1e-3, 1.0)
+    for k in range(11):
+        table.add(2e-3 + 1e-4 * k, 0.05)
+        assert table.at(2e-3) == table.at(3e-3) == 0.0 or k == 10
+    for k in range(11):
+        table.add(3e-3 + 1e-4 * k, 0.0)
+    assert table.at(2e-3) == pytest.approx(0.05 * 5.5)
+    assert table.at(3e-3) == pytest.approx(0.05 * 5.5)
+    assert table.at(2.5e-3) == pytest.approx(0.05 * 5.5)
+    assert table.at(5e-3) == table.at(-2e-3) == 0.0
