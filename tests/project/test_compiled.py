@@ -151,3 +151,15 @@ def test_it_computes_the_same_bytes_as_the_interpreted_source() -> None:
     source = Situation("source", ROOT / ".venv" / "bin" / "python", {"PYTHONPATH": str(ROOT)})
     compiled = Situation("compiled", HERE / "bin" / "python", {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"})
     assert ask(compiled, names, TICKS) == ask(source, names, TICKS)
+
+
+@needs_build
+def test_users_laws_run_in_it_and_compute_the_same_bytes() -> None:
+    hash_all = """
+from tests.support.hashes import run_hash
+for law in ("lqr.py:Lqr", "lqg.py:Lqg", "mpc.py:PreviewMpc", "network.py:Network", "misbehaves.py:Misbehaves"):
+    print(law, run_hash("paper.toml", (f"law.name=../../tests/laws_of_users/{law}", "task.radius=1e-3"), 300))
+"""
+    compiled = told(HERE / "bin" / "python", "-P", "-c", hash_all)
+    assert len(set(compiled.split()[1::2])) == 5
+    assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_all)

@@ -31,7 +31,7 @@ def load(parameters: str) -> Any | None:
             digest, _, text = _entry_path(directory, key).read_text(encoding="ascii").partition("\n")
             if digest == _digest(text):
                 entry = json.loads(text)
-                return entry.get("design") if entry.get("key") == key else None
+                return entry.get("design") if entry.get("asked") == key else None
     return None
 
 
@@ -42,7 +42,7 @@ def store(parameters: str, design: Any) -> None:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_private(directory):
             return
-        text = json.dumps({"key": key, "design": design})
+        text = json.dumps({"asked": key, "design": design})  # as earlier versions read it, too
         write_private(_entry_path(directory, key), f"{_digest(text)}\n{text}")
         by_age = sorted(directory.iterdir(), key=lambda path: path.stat().st_mtime_ns)
         for old in by_age[:-MAX_ENTRIES]:

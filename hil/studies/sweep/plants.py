@@ -191,7 +191,8 @@ def save_worst(
         for table, values in overridden(plant_rig(rig, seed, number, hard)).items():
             section: Any = document.setdefault(table, tomlkit.table())
             for key, value in values.items():
-                section[key] = value
+                text = isinstance(value, str) and "\n" in value  # a law's source: as lines, not as one of thousands
+                section[key] = tomlkit.string(value, multiline=True) if text else value
         document["rate_hz"] = rig.rate_hz
         path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
         path.write_text(tomlkit.dumps(document), encoding="utf-8")
