@@ -32,9 +32,9 @@ class Codec(NamedTuple):
 
 
 def load_dbc(path: Path) -> Database:
-    """Read a DBC file. Raises LayoutError naming the file."""
+    """Read a DBC file; messages that nobody binds may be inconsistent. Raises LayoutError naming the file."""
     try:
-        database = cantools.database.load_file(path, database_format="dbc")
+        database = cantools.database.load_file(path, database_format="dbc", strict=False)
     except OSError as error:
         raise LayoutError(f"{path}: {error.strerror or error}") from None
     except (CantoolsError, UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
