@@ -1,12 +1,18 @@
-"""Configuration files: read whole, but never more than such a file can be; and values as a refusal shows them."""
+"""Configuration files in TOML: read within stated limits of size and nesting; and values as a refusal shows them."""
 
 import os
+import re
 import tomllib
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
-LARGEST = 2**20  # bytes; the longest rig file we know has 8 kB, and /dev/zero has no end
+from drivers.text_file import UnsuitableFileError, read_bounded
+
+LARGEST = 2**18  # bytes; the longest rig file we know has 8 kB
+DEEPEST = 32  # points in the keys of one line; tomllib takes a time that grows with their square
+MOST_PROBLEMS = 50  # shown of one file
 _SHOWN = 120  # characters of a value in a refusal
+_DECIMAL = re.compile(r"(?<![\w.])\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
 
 
 class TomlError(ValueError):
@@ -15,10 +21,10 @@ class TomlError(ValueError):
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The document in a file. Raises OSError where it cannot be read, TomlError where it is none."""
-    with Path(path).open("rb") as file:
-        data = file.read(LARGEST + 1)
-    if len(data) > LARGEST:
-        raise TomlError(f"not a TOML document: longer than {LARGEST} bytes")
+    try:
+        data = read_bounded(path, LARGEST)
+    except UnsuitableFileError as error:
+        raise TomlError(f"not a TOML document: {error}") from None
     if data.startswith(b"\xef\xbb\xbf"):
         raise TomlError("not a TOML document: begins with a byte order mark; save it as UTF-8 without one")
     try:
@@ -29,6 +35,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The document in a text. Raises TomlError."""
+    _refuse_deep_keys(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -37,15 +44,33 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise TomlError(f"not a TOML document: {error}") from None
 
 
+def _refuse_deep_keys(text: str) -> None:
+    """Raise TomlError for a line whose keys may be nested too deeply: points that belong to no decimal number."""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.count(".") <= DEEPEST or line.lstrip(" \t").startswith("#"):
+            continue
+        if _DECIMAL.sub("", line).count(".") > DEEPEST:
+            raise TomlError(f"not a TOML document we can read: line {number}: nested too deeply: over {DEEPEST} points")
+
+
 def shown(value: Any) -> str:
     """A value as a refusal shows it: like repr, but short, whatever it is."""
     try:
         text = repr(value)
     except ValueError:  # a number of thousands of digits, which TOML can write in hexadecimal
         return "a number of thousands of digits"
+    except RecursionError:
+        return "tables or lists in one another, hundreds deep"
     return short(text)
 
 
-def short(text: str) -> str:
+def short(text: str, most: int = _SHOWN) -> str:
     """The beginning of a text that may be of any length."""
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def first_problems(problems: Sequence[Any], line: Callable[[Any], str]) -> list[str]:
+    """As many problems of a file as somebody reads, a line each, and how many more there are."""
+    left_out = len(problems) - MOST_PROBLEMS
+    lines = [line(problem) for problem in problems[:MOST_PROBLEMS]]
+    return [*lines, f"and {left_out} more problems"] if left_out > 0 else lines

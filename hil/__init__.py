@@ -4,9 +4,7 @@ What Python programs use of it is listed in `__all__`, and loaded when it is fir
 nothing. Everything else may change from one version to the next.
 """
 
-import importlib
 import os
-from typing import Any
 
 # Nothing in hil calls BLAS (bit determinism forbids it). One thread, set before numpy is imported, saves each process
 # 40 MB and an idle thread beside the real-time loop.
@@ -33,10 +31,10 @@ _PUBLIC = {
 __all__ = sorted(_PUBLIC)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'hil' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    value = getattr(__import__("importlib").import_module(_PUBLIC[name]), name)
     globals()[name] = value
     return value
 

@@ -5,6 +5,7 @@ of whole bytes becomes a `struct.Struct`, any other a few shifts and masks. Both
 DBC's factor and offset. tests/drivers/protocols/test_protocols.py holds them equal to cantools' own encode and decode.
 """
 
+import re
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,6 +17,20 @@ from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
 from drivers.protocols.base import LayoutError
+from drivers.text_file import UnsuitableFileError, read_bounded
+from drivers.toml_file import short
+
+LARGEST = 2**18  # bytes of a DBC file; cantools takes a second for them
+# What cantools would work on for minutes: frames, signals and multiplexer ranges beyond any that a CAN bus has.
+_STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
+_SIZES = (
+    ("frame length", re.compile(r"\bBO_\s+\S+\s+\w+\s*:\s*([-+]?\d+)"), 64),
+    ("signal's first bit", re.compile(r":\s*([-+]?\d+)\s*\|"), 511),
+    ("signal length", re.compile(r"\|\s*([-+]?\d+)\s*@"), 512),
+    ("multiplexer value", re.compile(r"\bSG_MUL_VAL_\s+\d+\s+\w+\s+\w+([^;]*)"), 65535),
+)
+
+_OF_DAMAGED_TEXT = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError)
 
 
 class Codec(NamedTuple):
@@ -32,15 +47,28 @@ class Codec(NamedTuple):
 
 
 def load_dbc(path: Path) -> Database:
-    """Read a DBC file; messages that nobody binds may be inconsistent. Raises LayoutError naming the file."""
+    """Read a DBC file of at most LARGEST bytes; messages that nobody binds may be inconsistent. Raises LayoutError."""
     try:
-        database = cantools.database.load_file(path, database_format="dbc", strict=False)
+        text = read_bounded(path, LARGEST).decode("cp1252")  # the encoding of DBC files, as in cantools
+        _refuse_sizes(text)
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except OSError as error:
         raise LayoutError(f"{path}: {error.strerror or error}") from None
-    except (CantoolsError, UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
+    except UnsuitableFileError as error:
         raise LayoutError(f"{path}: not a usable DBC file: {error}") from None
+    except (CantoolsError, UnsupportedDatabaseFormatError, *_OF_DAMAGED_TEXT) as error:
+        raise LayoutError(f"{path}: not a usable DBC file: {short(str(error), 400)}") from None
     assert isinstance(database, Database)  # what database_format="dbc" gives
     return database
+
+
+def _refuse_sizes(text: str) -> None:
+    """Raise UnsuitableFileError for a number beyond what a CAN bus has."""
+    bare = _STRING_OR_COMMENT.sub(" ", text)
+    for what, pattern, most in _SIZES:
+        for number in (digits for found in pattern.finditer(bare) for digits in re.findall(r"\d+", found[1])):
+            if len(number) > 9 or int(number) > most:
+                raise UnsuitableFileError(f"{what} {short(number)}: allowed 0 to {most}")
 
 
 def compile_codec(message: Message, expected: Sequence[str] | None = None) -> Codec:

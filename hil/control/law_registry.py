@@ -8,6 +8,7 @@ A rig's `law.name` is a name of the table, a name that an installed package regi
 import hashlib
 import importlib
 import linecache
+import re
 import sys
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -49,6 +50,11 @@ def law_class(law: LawConfig, package: str = PACKAGE) -> Any:
     if module.endswith(".py"):
         return _attribute(_from_source(module, law.source), attribute, name)
     return load(name)
+
+
+def file_name(law: str) -> str:
+    """The name of a law as a part of file names: './lqr.py:Lqr' is lqr.py-Lqr."""
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", law).strip("-.") or "law"
 
 
 def is_built_in(law: LawConfig) -> bool:

@@ -139,8 +139,8 @@ class ControlLoop:
         if pacer.skipped:
             self._book_miss()
         frames = port.drain(woke)
+        estop = self._stop_line.pressed()  # before the mail: no RESET that was sent before it comes after it
         commands = mailbox.poll()
-        estop = self._stop_line.pressed()
         if commands:
             self._before_commands(commands)
         tick = Tick(
@@ -209,7 +209,9 @@ class ControlLoop:
             self.parts.notifier.send("WATCHDOG=1")
             return
         verdict = "" if self._realtime_ok else ", real time degraded"
-        lines = ["WATCHDOG=1", f"STATUS={'; '.join((state.name + verdict, *problems.told))}"]
+        failure = self._cycle.law.failure  # of a user's law: why there is a fault
+        told = [state.name + verdict, *problems.told, *([failure] if failure else [])]
+        lines = ["WATCHDOG=1", f"STATUS={'; '.join(told)}"]
         if self._told is None:
             lines.append("READY=1")
         self.parts.notifier.send(*lines)

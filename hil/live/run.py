@@ -172,6 +172,8 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
 def _say_farewell(loop: ControlLoop) -> None:
     """The stop went well even where the terminal or the runtime directory is gone, and nobody can be told."""
     try:
+        if loop.parts.cycle.law.failure:
+            print(f"hil run: {loop.parts.cycle.law.failure}", file=sys.stderr, flush=True)
         print(_summary(loop), flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else what is left fails again at exit

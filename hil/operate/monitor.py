@@ -1,9 +1,14 @@
 """`hil monitor`: a rig in the terminal, over Zenoh, from any machine that reaches the sidecar."""
 
+import os
+import select
 import sys
+import termios
 import time
+import tty
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -15,6 +20,7 @@ from rich.text import Text
 from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import metres
+from hil.operate.estop import stop_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
@@ -23,6 +29,9 @@ STALE_S = 0.5  # a status comes ten times a second, a tick a hundred times and m
 POLL_S = 0.05
 FIRST_S = 30.0
 LINE_INTERVAL_S = 0.5  # without a terminal
+
+STOP_KEY = "e"
+STOP_HINT = "on the rig's machine: e stops (as hil estop does)"
 
 _STATE_STYLES = {"ACTIVE": "bold green", "HOMING": "green", "READY": "cyan", "FAULT": "bold red", "ESTOP": "bold red"}
 
@@ -102,7 +111,11 @@ def view(status: pb.Status, age_s: float = 0.0) -> RenderableType:
     title = (
         f"{status.rig} · {status.law} · {1e9 / status.period_ns if status.period_ns else 0:g} Hz · tick {status.index}"
     )
-    return Panel(Group(control_line(status, age_s), axis_rows(status), counter_rows(status)), title=Text(title))
+    return Panel(
+        Group(control_line(status, age_s), axis_rows(status), counter_rows(status)),
+        title=Text(title),
+        subtitle=STOP_HINT,
+    )
 
 
 def line(status: pb.Status, age_s: float = 0.0) -> str:
@@ -159,17 +172,44 @@ class Newest:
         return time.monotonic() - self._heard_s
 
 
+class Keys(AbstractContextManager["Keys"]):
+    """Single keys from a terminal, without waiting for them."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._before: list[Any] | None = None
+
+    def __enter__(self) -> "Keys":
+        if os.isatty(self._fd):
+            self._before = termios.tcgetattr(self._fd)
+            tty.setcbreak(self._fd, termios.TCSANOW)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before:
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+
+    def within(self, seconds: float) -> str:
+        """The next key that comes within that time; empty where none does."""
+        if self._before is None:
+            time.sleep(seconds)
+            return ""
+        ready, _, _ = select.select([self._fd], [], [], seconds)
+        return os.read(self._fd, 1).decode(errors="replace") if ready else ""
+
+
 def _watch(client: RigClient, console: Console) -> None:
     if not console.is_terminal:
         _watch_lines(client, console)
         return
     waiting = Text(f"waiting for a sidecar at {client.endpoint} (hil sidecar RIG, or hil demo RIG); Ctrl-C ends")
     newest = Newest(client)
-    with Live(waiting, console=console, auto_refresh=False, transient=False) as live:
+    with Live(waiting, console=console, auto_refresh=False, transient=False) as live, Keys(0) as keys:
         while True:
             if (newest.look() or newest.age_s > STALE_S) and newest.status:
                 live.update(view(newest.status, newest.age_s), refresh=True)
-            time.sleep(POLL_S)
+            if keys.within(POLL_S) == STOP_KEY and newest.status:
+                stop_rig(newest.status.rig)  # what it prints appears above the picture
 
 
 def _watch_lines(client: RigClient, console: Console) -> None:

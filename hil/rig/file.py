@@ -10,22 +10,23 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.toml_file import TomlError, parse_toml, read_toml, short, shown
+from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.task_file import TaskFileError, read_task_file
 
+DEEPEST_OVERRIDE = 8  # keys in one another
+_LONGEST = 400  # characters of one problem's text
 
-def _describe(error: ValidationError) -> list[str]:
-    lines = []
-    for item in error.errors():
-        path = ".".join(short(str(part)) for part in item["loc"]) or "rig"
-        value = item.get("input")
-        given = "" if isinstance(value, dict) else f" = {shown(value)}"
-        text = f"no such key; {nearest(item['loc'])}" if item["type"] == "extra_forbidden" else item["msg"]
-        lines.append(f"{path}{given}: {text}")
-    return lines
+
+def _describe(error: dict[str, Any]) -> str:
+    """A line for one of pydantic's errors."""
+    path = ".".join(short(str(part)) for part in error["loc"]) or "rig"
+    value = error.get("input")
+    given = "" if isinstance(value, dict) else f" = {shown(value)}"
+    unknown = error["type"] == "extra_forbidden"
+    return f"{path}{given}: " + (f"no such key; {nearest(error['loc'])}" if unknown else short(error["msg"], _LONGEST))
 
 
 def parse_override(text: str) -> tuple[list[str], Any]:
@@ -33,7 +34,9 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     key, separator, raw = text.partition("=")
     path = key.strip().split(".")
     if not separator or not all(path):
-        raise RigError([f"--set {text!r}: expected key.path=value, for example --set plant.mass_scale=1.2"])
+        raise RigError([f"--set {shown(text)}: expected key.path=value, for example --set plant.mass_scale=1.2"])
+    if len(path) > DEEPEST_OVERRIDE:
+        raise RigError([f"--set {short(text)}: at most {DEEPEST_OVERRIDE} keys in one another"])
     try:
         return path, parse_toml(f"v = {raw.strip()}")["v"]
     except TomlError:
@@ -49,7 +52,7 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
     for part in path[:-1]:
         child = table.setdefault(part, {})
         if not isinstance(child, dict):
-            raise RigError([f"--set {'.'.join(path)}: '{part}' is a value, not a table"])
+            raise RigError([f"--set {short('.'.join(path))}: '{short(part)}' is a value, not a table"])
         table = child
     table[path[-1]] = value
 
@@ -118,7 +121,7 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
     except FormerKeyError as error:
         raise RigError([str(error)]) from None
     except ValidationError as error:
-        raise RigError(_describe(error)) from None
+        raise RigError(first_problems(error.errors(include_url=False), _describe)) from None
 
 
 def _is_axis_encoder(path: list[str]) -> bool:

@@ -13,6 +13,7 @@ _LIKE = 0.65
 _BOUNDS = {
     "minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most", "exclusiveMaximum": "less than"
 }  # fmt: skip
+_PLURALS = {"number": "numbers", "whole number": "whole numbers"}
 _KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
 
 
@@ -132,7 +133,8 @@ def _kind(field: dict[str, Any]) -> str:
     if choices:
         return " or ".join(_kind(choice) for choice in choices)
     if field.get("type") == "array":
-        return f"list of {_kind(field['items'])}s".replace("texts", "text").replace("true or falses", "true or false")
+        one = _kind(field["items"])
+        return f"list of {one.replace('list', 'lists', 1) if one.startswith('list') else _PLURALS.get(one, one)}"
     return _KINDS.get(field.get("type", ""), "table")
 
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, WireConfig, key
 from drivers.protocols.mounting import Mounting
+from drivers.toml_file import short
 from hil.rig.plant import completed
 from hil.rig.tables import (
     AXIS_NAME,
@@ -36,13 +37,17 @@ __all__ = [
     "TelemetryConfig", "TimingConfig", "WireConfig",
 ]  # fmt: skip
 
+LONGEST_PROBLEM = 1000  # characters
+
 
 class RigError(Exception):
-    """A rig file (or an override of it) that cannot be used; `problems` holds one line per problem."""
+    """A rig file (or an override of it) that cannot be used; `problems` holds one line per problem, however long the
+    values in it are.
+    """
 
     def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = list(problems)
+        self.problems = [short(problem, LONGEST_PROBLEM) for problem in problems]
+        super().__init__("\n".join(self.problems))
 
 
 class RigConfig(BaseModel):

@@ -145,7 +145,9 @@ class TaskConfig(BaseModel):
     move_s: Duration = key(1.0, "point_to_point: duration of one move; spiral: of all of it", "s")
     dwell_s: Pause = key(0.5, "point_to_point, waypoints: rest between moves", "s")
     file: str = key("", "path: CSV or NPZ beside the rig file, with time_s and a column for each axis that moves")
-    samples: list[list[float]] = key([], "path: rows of time and positions in the order of `axes`; read from `file`")
+    samples: list[list[float]] = key(
+        [], "path: rows of time and positions in the order of `axes`; read from `file`", "s, then m (rad)"
+    )
     waypoints: list[list[float]] = key([], "waypoints: positions in the order of `axes`", "m (rad)")
     speed: Positive = key(0.1, "waypoints: greatest speed of an axis", "m/s (rad/s)")
     acceleration: Positive = key(1.0, "waypoints: greatest acceleration of an axis", "m/s^2 (rad/s^2)")

@@ -14,15 +14,16 @@ period_s, length. Faults begin and end at their exact instants; everything rando
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.toml_file import TomlError, read_toml, shown
+from drivers.toml_file import TomlError, first_problems, read_toml, short, shown
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
 
 WIRE_PREFIX = "wire_"
 _WIRE_KEYS = ("node", "receiver", "can_id", "count", "delay_s", "bit", "period_s", "length")
+_LONGEST = 400  # characters of one problem's text
 _TRIGGERS = ("at_s", "at_tick", "at_state", "at_phase")
 
 
@@ -85,6 +86,7 @@ KINDS |= {
 }
 KINDS |= {WIRE_PREFIX + kind.value: Kind(f"see FaultKind.{kind.name} in drivers/wire/faults.py") for kind in FaultKind}
 
+MOST_FAULTS = 1000  # of one scenario
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
@@ -189,7 +191,7 @@ class Scenario(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     description: str = ""
-    fault: list[FaultConfig] = []
+    fault: Annotated[list[FaultConfig], Field(max_length=MOST_FAULTS)] = []
 
     def check(self, axis_names: Sequence[str], states: Sequence[str] = (), phases: Sequence[str] = ()) -> None:
         """Raise ScenarioError for a name that the rig does not have; states or phases empty: not checked."""
@@ -209,7 +211,7 @@ class Scenario(BaseModel):
                 if name is not None and names and name not in names
             ]
         if problems:
-            raise ScenarioError(problems)
+            raise ScenarioError(first_problems(problems, str))
 
 
 class ScenarioError(ValueError):
@@ -229,13 +231,13 @@ def load_scenario(path: Path) -> Scenario:
     except TomlError as error:
         raise ScenarioError([f"{path}: {error}"]) from None
     except ValidationError as error:
-        raise ScenarioError([f"{path}: {line}" for line in _describe(error)]) from None
+        lines = first_problems(error.errors(include_url=False), _describe)
+        raise ScenarioError([f"{path}: {line}" for line in lines]) from None
 
 
-def _describe(error: ValidationError) -> list[str]:
-    lines = []
-    for item in error.errors():
-        where = ".".join(str(part + 1) if isinstance(part, int) else part for part in item["loc"]) or "scenario"
-        value = item["input"]
-        lines.append(f"{where}{'' if isinstance(value, dict) else f' = {shown(value)}'}: {item['msg']}")
-    return lines
+def _describe(error: dict[str, Any]) -> str:
+    """A line for one of pydantic's errors; faults are numbered from 1."""
+    path = [str(part + 1) if isinstance(part, int) else short(part) for part in error["loc"]]
+    value = error["input"]
+    given = "" if isinstance(value, dict) else f" = {shown(value)}"
+    return f"{'.'.join(path) or 'scenario'}{given}: {short(error['msg'], _LONGEST)}"

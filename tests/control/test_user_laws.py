@@ -152,6 +152,12 @@ def test_a_batch_equals_the_full_path_for_users_laws_too(name: str, rig_file: Pa
         assert batch.force.tolist() == [single.cycle.gate.force] * 2
 
 
+def test_a_laws_name_is_a_file_name_that_stays_in_its_folder() -> None:
+    names = ["./lqr.py:Lqr", "/a/b/lqr.py:Lqr", "../lqr.py:Lqr", "my.laws:Lqr", "structured-kalman", "..:."]
+    found = [law_registry.file_name(name) for name in names]
+    assert found == ["lqr.py-Lqr", "a-b-lqr.py-Lqr", "lqr.py-Lqr", "my.laws-Lqr", "structured-kalman", "law"]
+
+
 def test_a_law_that_looks_ahead_sees_the_reference_of_the_periods_to_come(rig_file: Path) -> None:
     rig = load_rig(rig_file, [beside("mpc"), *QUICK])
     run = LockstepRun(rig, rig_file.parent)
@@ -202,6 +208,12 @@ def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytes
     run = fault_of(load_rig(rig_file, [beside("misbehaves"), "law.gains.how='never returns'"]), rig_file.parent)
     assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.NOT_FINITE)
     assert "no answer within 0.3 s" in run.cycle.law.failure
+
+
+def test_a_law_that_fails_on_arrays_is_named_as_well(rig_file: Path) -> None:
+    rig = load_rig(rig_file, [beside("misbehaves"), "law.gains.after=-1.0"])
+    with pytest.raises(ValueError, match=r"law \./misbehaves\.py:Misbehaves: \./misbehaves\.py:\d+: ZeroDivisionError"):
+        check_stability(rig)
 
 
 def test_after_a_reset_a_law_gets_another_chance(rig_file: Path) -> None:

@@ -1,4 +1,4 @@
-"""A law that goes wrong in the way its gain `how` names, `after` ticks of motion."""
+"""A PD law that goes wrong in the way its gain `how` names, `after` seconds into its task."""
 
 import math
 
@@ -10,21 +10,23 @@ WAYS = ("raises", "not a number", "infinite", "shape", "word", "nothing", "exits
 
 
 class Misbehaves(Law):
-    GAINS = {"how": Gain("raises", words=(*WAYS, "raises when made")), "after": 100.0}
+    GAINS = {"how": Gain("raises", words=(*WAYS, "raises when made")), "after": Gain(0.1, least=-1.0)}
 
-    def __init__(self, model, period, force_limit, how="raises", after=100.0):
+    def __init__(self, model, period, force_limit, how="raises", after=0.1):
         if how == "raises when made":
             raise RuntimeError("no weights")
-        self.model, self.how, self.left = model, how, after
+        self.model, self.how, self.after_ns = model, how, after * 1e9
+        self.kp, self.kd = model.mass * (0.25 / period) ** 2, 0.35 * model.mass / period
 
     def reset(self, position, force):
         if self.how == "raises in reset":
             raise KeyError("state")
 
     def force(self, inputs):
-        self.left -= 1
-        if self.left > 0:
-            return self.model.gravity
+        if inputs.task_ns <= self.after_ns:
+            error = inputs.position_estimate - inputs.start.position
+            rate = inputs.velocity_estimate - inputs.start.velocity
+            return self.model.gravity - self.kp * error - self.kd * rate
         if self.how == "raises":
             return 1.0 / len([])
         if self.how == "exits":

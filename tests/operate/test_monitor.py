@@ -2,7 +2,9 @@
 
 import builtins
 import io
+import os
 import sys
+import termios
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +17,7 @@ from typer import Exit
 
 from drivers.protocols.base import DriveStatus
 from hil.cli.pictures import tracking_picture
-from hil.operate import dashboard
+from hil.operate import dashboard, monitor
 from hil.operate.monitor import Newest, line, silence, view
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
@@ -211,3 +213,31 @@ def test_no_text_in_a_status_commands_the_terminal_or_the_browser() -> None:
     assert "\x07" not in text
     assert "<script" not in dashboard.headline(clean)
     assert "[bold red on white]" in text  # shown, not obeyed
+
+
+def test_one_key_stops_the_rig_that_is_shown_and_the_terminal_is_left_as_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Showing:
+        endpoint = "nowhere"
+
+        def status(self) -> pb.Status:
+            return status()
+
+    stopped: list[str] = []
+
+    def stop(name: str) -> int:
+        stopped.append(name)
+        raise KeyboardInterrupt  # and the person leaves
+
+    monkeypatch.setattr(monitor, "stop_rig", stop)
+    ours, theirs = os.openpty()
+    keys, before = monitor.Keys, termios.tcgetattr(theirs)
+    monkeypatch.setattr(monitor, "Keys", lambda _: keys(theirs))
+    os.write(ours, b"xe")
+    with pytest.raises(KeyboardInterrupt):
+        monitor._watch(cast(RigClient, Showing()), Console(file=io.StringIO(), force_terminal=True))
+    assert stopped == ["microscope"]
+    assert termios.tcgetattr(theirs) == before
+    os.close(ours)
+    os.close(theirs)

@@ -21,7 +21,7 @@ PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
         "run loop stop_line timing_record realtime watched_file systemd miss_ledger pacing ring mailbox mapped_file "
-        "runtime_paths stop_page file_lock"
+        "runtime_paths drive_problems stop_page file_lock"
     ),
     "cycle": (
         "step supervisor axes record_builder record limits damped_stop sampling fault_monitor fault_table inbox gate "

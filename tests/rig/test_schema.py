@@ -1,8 +1,10 @@
 """A rig file is right, or it is refused whole, with every problem named, before a bus is opened."""
 
 import math
+import os
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.toml_file import LARGEST, MOST_PROBLEMS
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
@@ -125,7 +128,7 @@ def test_a_missing_file_and_a_broken_file_are_refused(tmp_path: Path) -> None:
         ("rate_hz = 0x" + "f" * 5000, "a number of thousands of digits"),
         ("description = 5\nname = '" + "x" * 100_000 + "'", "name = 'xxxxx"),
         ("\ufeffname = 'x'", "byte order mark"),
-        ("#" * 2**20 + "\n", "longer than 1048576 bytes"),
+        ("#" * LARGEST + "\n", f"longer than {LARGEST} bytes"),
     ],
 )
 def test_documents_beyond_all_bounds_are_refused_in_a_few_lines(tmp_path: Path, content: str, reason: str) -> None:
@@ -137,9 +140,42 @@ def test_documents_beyond_all_bounds_are_refused_in_a_few_lines(tmp_path: Path, 
     assert all(len(line) < 500 for line in caught.value.problems)
 
 
-def test_a_file_without_an_end_is_refused() -> None:
-    with pytest.raises(RigError, match="longer than"):
-        load_rig("/dev/zero")
+def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    for path in ("/dev/zero", "/dev/null", pipe):
+        with pytest.raises(RigError, match="pipe or device"):
+            load_rig(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        ".".join(["a"] * 100_000) + " = 1",
+        "[" + ".".join(["a"] * 100_000) + "]",
+        "a = {" + ".".join(["'b'"] * 50_000) + " = 1}",
+        "\n".join(f"k{i}." + ".".join(["a"] * 28) + " = 1" for i in range(4000)),
+        "[" + ".".join(["a"] * 32) + "]\n" + "\n".join(f"k{i} = 1" for i in range(25_000)),
+        "\n".join(f"k{i} = 1" for i in range(25_000)),
+        "\n".join(["[[x]]"] * 40_000),
+        "a = " + "[" * 400 + "]" * 400,
+        "a = " + "{a = " * 300 + "1" + "}" * 300,
+        "task.target = [" + "'a'," * 60_000 + "]",
+        "task.axes = [" + "'a'," * 60_000 + "]",
+        "rate_hz = 1e999",
+        "rate_hz = -" + "9" * 4000,
+    ],
+    ids=lambda content: content[:12],
+)
+def test_the_worst_documents_take_bounded_time_and_a_bounded_refusal(content: str, tmp_path: Path) -> None:
+    path = tmp_path / "worst.toml"
+    path.write_text(content)
+    began = time.process_time()
+    with pytest.raises(RigError) as caught:
+        load_rig(path)
+    assert time.process_time() - began < 2.0
+    assert len(caught.value.problems) <= MOST_PROBLEMS + 1
+    assert all(len(line) < 1000 for line in caught.value.problems)
 
 
 @pytest.mark.parametrize(
@@ -150,6 +186,8 @@ def test_a_file_without_an_end_is_refused() -> None:
         ["law=5", "law.name=pid"],
         ["rate_hz=" + "1" * 5000],
         ["law.gains=" + "[" * 5000],
+        [".".join(["a"] * 100_000) + "=1"],
+        ["law.gains=" + ".".join(["a"] * 100_000)],
         ["plant.mass=0x" + "f" * 5000],
         ["drives=5", "plant.watchdog_s=0.1"],
         ["plant=5"],

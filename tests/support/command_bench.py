@@ -5,9 +5,11 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-from hil.cycle.record import RecordBuilder
+import numpy as np
+
+from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind, OperatorCommand
+from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader, RingWriter
 from hil.live.stop_line import StopLine
@@ -34,7 +36,7 @@ class CommandBench:
         self._mailbox = Mailbox.create(directory / "mailbox")
         self._ring = RingWriter(directory / "ring", 256, period_ns=1_000_000, metadata={})
         self._reader = RingReader(directory / "ring")
-        self._records = RecordBuilder(1)
+        self._record = np.zeros(1, RECORD)[0]
         self._server = CommandServer(directory / "commands", remote)
         self._gateway = Gateway(EXPIRY_S, directory / "stop", self.entries.append)
         self._thread = threading.Thread(target=self._run)
@@ -57,11 +59,14 @@ class CommandBench:
     def _tick(self, now_ns: int) -> None:
         if self.dead:
             return
-        commands: list[tuple[OperatorCommand, bool]] = [(c, c.kind in ACCEPTED) for c in self._mailbox.poll()]
-        pressed = self._stop.pressed()
+        pressed, commands, record = self._stop.pressed(), self._mailbox.poll(), self._record
         state = State.ESTOP if pressed else State.READY
-        self._records.tick(0, now_ns, now_ns, state, 0, 0, ESTOP * pressed, 0, -1)
-        self._ring.append(self._records.traffic(commands, [], []))
+        record["now_ns"], record["state"], record["flags"] = now_ns, state, ESTOP * pressed
+        record["n_commands"] = len(commands)
+        for place, command in enumerate(commands):
+            accepted = command.kind in ACCEPTED
+            record["commands"][place] = (command.kind, accepted, command.sequence, command.expires_ns)
+        self._ring.append(record)
         if pressed:
             self._stop.latched(state.name, 0)
 

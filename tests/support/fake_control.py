@@ -11,7 +11,8 @@ from pathlib import Path
 
 from drivers.frame import Frame
 from hil.cycle.command_desk import CommandDesk
-from hil.cycle.record import REJECT_REASONS, RecordBuilder
+from hil.cycle.record import REJECT_REASONS
+from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.state_machine import Event, State
 from hil.cycle.tick import PortCounters
 from hil.live.mailbox import Mailbox
@@ -20,6 +21,7 @@ from hil.live.ring import RingWriter
 from hil.live.runtime_paths import runtime_paths
 from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
+from tests.support.records import bare_tick, put_axis, put_tick
 
 SLOTS = 65536  # a minute: no reader is held up for longer than that, whatever else the machine does
 
@@ -55,11 +57,11 @@ def main(rig_file: str, ticks: int) -> None:
             pacer.wait()
             desk.handle(mailbox.poll(), pacer.now_ns, act)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
-            builder.tick(pacer.index, pacer.scheduled_ns, pacer.now_ns, state, 0, 0, flags, pacer.index, -1)
+            put_tick(builder, bare_tick(pacer.index, pacer.now_ns, scheduled_ns=pacer.scheduled_ns, flags=flags), state)
             for axis in range(n):
-                builder.axis(axis, *[math.sin(pacer.index * 1e-3)] * 9, 0, 0)
+                put_axis(builder, axis, [math.sin(pacer.index * 1e-3)] * 9)
             builder.drives([0] * n, [1] * n)
-            builder.counters(PortCounters(), [0] * REJECT_REASONS, 0, 0, 0, 0)
+            builder.counters(PortCounters(), [0] * REJECT_REASONS, 0, 0, 0)
             sent, received = [Frame(0x80, bytes(24), 5)], [Frame(0x100, bytes(16), 5, pacer.now_ns)] * 4
             ring.append(builder.traffic(desk.handled, sent, received))
 

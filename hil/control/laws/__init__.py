@@ -15,7 +15,7 @@ from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.control.laws.coupled import Coupled, interpreted_axis_laws
 from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
 from hil.control.laws.per_axis import PerAxis
-from hil.control.laws.users import PerElement, UserAxes
+from hil.control.laws.users import OnArrays, PerElement, UserAxes
 from hil.control.number import Number
 from hil.rig.schema import LawConfig
 
@@ -89,11 +89,13 @@ def make_axis_laws(
 def law_on_arrays(law: LawConfig) -> Callable[..., Law]:
     """What makes the law on arrays from (model, period, force_limit, **gains)."""
     made = law_class(law, __name__)
-    if is_built_in(law) or made.elementwise:
+    if is_built_in(law):
         return made  # type: ignore[no-any-return]
 
     def make(model: Model, period: float, force_limit: Array, **gains: Any) -> Law:
-        return PerElement(made, model, period, force_limit, gains)
+        if made.elementwise:
+            return OnArrays(law.name, made(model, period, force_limit, **gains))
+        return OnArrays(law.name, PerElement(made, model, period, force_limit, gains))
 
     return make
 

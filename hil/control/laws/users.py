@@ -6,6 +6,7 @@ which line of which file it was. The next `reset` (the operator's, before anothe
 """
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -18,30 +19,55 @@ import numpy as np
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
 
-CALL_LIMIT_S = 5.0  # a law that has not returned by then never will; drives have gone to zero by themselves long before
+CALL_LIMIT_S = 5.0  # a call that lasts as long never ends, or might as well; it is given up before twice that
 
 
 class _TooLongError(BaseException):
     """Raised in the midst of a law's call; no Exception, so that the law does not catch it by accident."""
 
 
-_within_call = False
+class _Watch:
+    """Ends a law's call that lasts too long, by a timer that looks every CALL_LIMIT_S whether the same call still runs.
+
+    The calls themselves only count: no system call, no clock. A timer that finds no more calls stops itself.
+    """
+
+    def __init__(self) -> None:
+        self.calls = self._seen = 0
+        self.within = self.armed = False
+
+    def begin(self) -> None:
+        """A call begins."""
+        if not self.armed:
+            self._arm()
+        self.calls += 1
+        self.within = True
+
+    def _arm(self) -> None:
+        """Look from now on. Signals reach the main thread alone, and somebody else's timer is left alone."""
+        self.armed = True
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if signal.getsignal(signal.SIGALRM) in (signal.SIG_DFL, None):
+            signal.signal(signal.SIGALRM, self._look)
+        if signal.getsignal(signal.SIGALRM) == self._look:
+            signal.setitimer(signal.ITIMER_REAL, CALL_LIMIT_S, CALL_LIMIT_S)
+
+    def disarm(self) -> None:
+        """Another process has no such timer."""
+        self.armed = self.within = False
+
+    def _look(self, number: int, frame: FrameType | None) -> None:
+        same, self._seen = self.calls == self._seen, self.calls
+        if same and self.within:
+            raise _TooLongError(f"no answer within {CALL_LIMIT_S:g} s")
+        if same:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            self.armed = False
 
 
-def _give_up(number: int, frame: FrameType | None) -> None:
-    if _within_call:
-        raise _TooLongError(f"no answer within {CALL_LIMIT_S:g} s")
-
-
-def _can_interrupt() -> bool:
-    """Whether a call can be ended: signals reach the main thread alone, and the timer may be somebody else's."""
-    if threading.current_thread() is not threading.main_thread():
-        return False
-    handler = signal.getsignal(signal.SIGALRM)
-    if handler in (signal.SIG_DFL, None):
-        signal.signal(signal.SIGALRM, _give_up)
-        return True
-    return handler is _give_up
+_watch = _Watch()
+os.register_at_fork(after_in_child=_watch.disarm)
 
 
 class UserAxes:
@@ -52,16 +78,29 @@ class UserAxes:
 
     def __init__(self, laws: Sequence[Law], name: str, n_axes: int) -> None:
         self._laws = list(laws)
+        self._forces = [law.force for law in laws]
         self._name, self._n = name, n_axes
         self._coupled = self._laws[0].coupled
         self._preview = max(law.preview for law in self._laws)
-        self._interruptible = _can_interrupt()
         self.failure = ""
 
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""
         self.failure = ""
-        self._guarded(self._reset, position, force)
+        _watch.begin()
+        try:
+            self._reset(position, force)
+        except (Exception, SystemExit, _TooLongError) as error:
+            self.failure = told(self._name, self._laws[0], error)
+        finally:
+            _watch.within = False
+
+    def _reset(self, position: Sequence[float], force: Sequence[float]) -> None:
+        if self._coupled:
+            self._laws[0].reset(np.array(position), np.array(force))
+            return
+        for law, q, tau in zip(self._laws, position, force, strict=True):
+            law.reset(q, tau)
 
     def force(self, axes: Sequence[Any]) -> list[float]:
         """See AxisLaws; NaN for all axes where the law has failed."""
@@ -69,69 +108,54 @@ class UserAxes:
             for x in axes:
                 if not x.preview:  # the first tick after the axes were engaged: they rest
                     x.preview = [_copy(x.start) for _ in range(self._preview + 1)]
-        asked = None if self.failure else self._guarded(self._force, axes)
-        return [math.nan] * self._n if asked is None else asked
+        if self.failure:
+            return [math.nan] * self._n
+        _watch.begin()
+        try:
+            return self._of_all(axes) if self._coupled else self._of_each(axes)
+        except (Exception, SystemExit, _TooLongError) as error:
+            self.failure = told(self._name, self._laws[0], error)
+            return [math.nan] * self._n
+        finally:
+            _watch.within = False
 
     @property
     def denominator_floors(self) -> int:
         """See AxisLaws."""
         return sum(law.denominator_floors for law in self._laws)
 
-    def _reset(self, position: Sequence[float], force: Sequence[float]) -> list[float]:
-        if self._coupled:
-            self._laws[0].reset(np.array(position), np.array(force))
-        else:
-            for law, q, tau in zip(self._laws, position, force, strict=True):
-                law.reset(q, tau)
-        return []
-
-    def _force(self, axes: Sequence[Any]) -> list[float]:
-        if self._coupled:
-            return self._checked(self._laws[0].force(gather(axes)))
-        asked = []
-        for law, x in zip(self._laws, axes, strict=True):
-            value = law.force(x)
+    def _of_each(self, axes: Sequence[Any]) -> list[float]:
+        asked: list[float] = []
+        for force, x in zip(self._forces, axes, strict=True):
+            value = force(x)
             if type(value) is not float:
                 value = _number(value)
+            if value - value != 0.0:
+                raise ValueError(f"force returned {value} for axis {len(asked)}")
             asked.append(value)
-        return self._finite(asked)
-
-    def _checked(self, value: Any) -> list[float]:
-        array = np.asarray(value, dtype=np.float64)
-        if array.shape != (self._n,):
-            raise TypeError(f"force returned an array of shape {array.shape}, expected ({self._n},)")
-        found: list[float] = array.tolist()
-        return self._finite(found)
-
-    def _finite(self, asked: list[float]) -> list[float]:
-        for axis, value in enumerate(asked):
-            if not math.isfinite(value):
-                raise ValueError(f"force returned {value} for axis {axis}")
         return asked
 
-    def _guarded(self, call: Any, *arguments: Any) -> list[float] | None:
-        """The call's result; None, and `failure`, where there is none."""
-        global _within_call
-        try:
-            if not self._interruptible:
-                return call(*arguments)  # type: ignore[no-any-return]
-            _within_call = True
-            signal.setitimer(signal.ITIMER_REAL, CALL_LIMIT_S)
-            try:
-                return call(*arguments)  # type: ignore[no-any-return]
-            finally:
-                _within_call = False
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
-        except (Exception, SystemExit, _TooLongError) as error:
-            self.failure = f"law {self._name}: {_place(error, self._laws[0])}{type(error).__name__.strip('_')}: {error}"
-            return None
+    def _of_all(self, axes: Sequence[Any]) -> list[float]:
+        array = np.asarray(self._forces[0](gather(axes)), dtype=np.float64)
+        if array.shape != (self._n,):
+            raise TypeError(f"force returned an array of shape {array.shape}, expected ({self._n},)")
+        if not np.isfinite(array).all():
+            raise ValueError(f"force returned {array.tolist()}")
+        asked: list[float] = array.tolist()
+        return asked
+
+
+def told(name: str, law: Any, error: BaseException) -> str:
+    """What went wrong in a user's law, with the file and the line."""
+    return f"law {name}: {_place(error, law)}{type(error).__name__.strip('_')}: {error}"
 
 
 def _place(error: BaseException, law: Any) -> str:
     """'file:line: ' of the last line of the law's own file that the exception came through, or of its `force`."""
     law = getattr(law, "_inner", law)  # inside iterative learning
-    own = getattr(sys.modules.get(type(law).__module__), "__file__", None)
-    code = getattr(type(law).force, "__code__", None)
+    made = law.made if isinstance(law, PerElement) else type(law)
+    own = getattr(sys.modules.get(made.__module__), "__file__", None)
+    code = getattr(made.force, "__code__", None)
     line, trace = getattr(code, "co_firstlineno", 0), error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == own:
@@ -151,6 +175,30 @@ def _copy(reference: Any) -> Reference:
     return Reference(reference.position, reference.velocity, reference.acceleration)
 
 
+class OnArrays(Law):
+    """A user's law on arrays; whatever it raises is a ValueError that names the file and the line."""
+
+    def __init__(self, name: str, inner: Law) -> None:
+        self._name, self._inner = name, inner
+        self.coupled, self.preview = inner.coupled, inner.preview
+        self.told_of_learning = inner.told_of_learning  # type: ignore[misc]
+        self.stiffness, self.damping = inner.stiffness, inner.damping
+
+    def reset(self, position: Any, force: Any) -> None:
+        """See Law."""
+        try:
+            self._inner.reset(position, force)
+        except Exception as error:
+            raise ValueError(told(self._name, self._inner, error)) from error
+
+    def force(self, inputs: LawInputs) -> Any:
+        """See Law."""
+        try:
+            return self._inner.force(inputs)
+        except Exception as error:
+            raise ValueError(told(self._name, self._inner, error)) from error
+
+
 class PerElement(Law):
     """A law on arrays (..., n_axes) made of one object for every axis of every plant, each on floats; or of one for
     every plant, on arrays (n_axes,), where the law is coupled. For laws that are not `elementwise`.
@@ -159,7 +207,8 @@ class PerElement(Law):
     def __init__(
         self, law: type[Law], model: Model, period: float, force_limit: Array, gains: Mapping[str, Any]
     ) -> None:
-        self._class, self._model, self._period, self._limit, self._gains = law, model, period, force_limit, gains
+        self.made = law
+        self._model, self._period, self._limit, self._gains = model, period, force_limit, gains
         self.coupled = bool(law.coupled)
         self.preview = law.preview
         self._shape: tuple[int, ...] = ()
@@ -178,7 +227,7 @@ class PerElement(Law):
         for index, limit in enumerate(limits):
             own = dict(zip(numbers, (column[index] for column in columns), strict=True))
             each = Model(*(column[index] for column in model))
-            self._laws.append(self._class(each, self._period, limit, **own, **words))
+            self._laws.append(self.made(each, self._period, limit, **own, **words))
         for law, q, tau in zip(self._laws, self._cells(position), self._cells(force), strict=True):
             law.reset(q, tau)
 

@@ -10,7 +10,7 @@ import typer
 
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import metres, print_plant_notes, writable, write_json
-from hil.control.law_registry import LAWS
+from hil.control.law_registry import LAWS, file_name
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.sweep.plants import (
@@ -63,12 +63,12 @@ def sweep(
             rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
             work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
             figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
-            plot(output / f"{name}.png", rig, figures)
+            plot(output / f"{file_name(name)}.png", rig, figures)
             chosen = worst_plants(figures, worst)
             paths = save_worst(rig_file, rig, seed, hard, chosen, output)
             cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
             document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
-            _show(console, rig, document["laws"][name], output / f"{name}.png")
+            _show(console, rig, document["laws"][name], output / f"{file_name(name)}.png")
     if json_target:
         write_json(document, json_target)
 

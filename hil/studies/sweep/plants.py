@@ -16,6 +16,7 @@ import numpy as np
 import tomlkit
 
 from hil.cli.processes import worker_pool
+from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig
@@ -192,7 +193,7 @@ def save_worst(
             for key, value in values.items():
                 section[key] = value
         document["rate_hz"] = rig.rate_hz
-        path = folder / f"{rig.law.name}-plant-{number}.toml"
+        path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
         path.write_text(tomlkit.dumps(document), encoding="utf-8")
         paths.append(path)
     return paths
