@@ -31,6 +31,26 @@ class SignalBinding(BaseModel):
     scale: float = key(1.0, "encoder counts (position) or N (torque) per physical unit of the DBC file", "1", gt=0)
 
 
+class SwitchBinding(SignalBinding):
+    """A signal that switches something; by default one bit (or a bit per axis)."""
+
+    on: int = key(1, "raw value that means yes: 8 for an axis state of closed loop", "1", ge=0, lt=2**64)
+    off: int = key(0, "raw value that means no", "1", ge=0, lt=2**64)
+
+
+class StatusBinding(SignalBinding):
+    """A signal that tells the state of a drive; without lists of values its bits are drivers.protocols' DriveStatus."""
+
+    enabled: list[int] = key([], "raw values with which the drive applies its torque", "1")
+    fault: list[int] = key([], "raw values with which it is in fault", "1")
+
+
+class ConstantBinding(SignalBinding):
+    """A signal of a command message that always has the same raw value."""
+
+    value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
+
+
 Signals = list[SignalBinding]
 
 
@@ -39,10 +59,18 @@ class DbcBinding(BaseModel):
 
     model_config = STRICT
     position: Signals = key(REQUIRED, "encoder position of each axis")
-    status: Signals = key([], "drive status bits of each axis")
+    status: list[StatusBinding] = key([], "state of each axis' drive; may be in another message than its position")
+    error: Signals = key([], "error code of each axis' drive, beside its status: anything but 0 is a fault")
     torque: Signals = key(REQUIRED, "force (torque) demanded of each axis")
-    enable: Signals = key([], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis")
-    reset: Signals = key([], "clears a latched drive fault; one for all axes, or one per axis")
+    enable: list[SwitchBinding] = key(
+        [], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis"
+    )
+    reset: list[SwitchBinding] = key([], "clears a latched drive fault; one for all axes, or one per axis")
+    constant: list[ConstantBinding] = key([], "signals of command messages that never change")
+    feedback: Literal["triggered", "cyclic"] = key(
+        "triggered", "triggered: drives sample when they receive the last command; cyclic: in their own time"
+    )
+    on_change: list[str] = key([], "command messages that are sent at the start and when a value in them changes")
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")
     checksum: Signals = key([], "checksums in the payload, besides CAN's own")

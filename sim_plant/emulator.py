@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.config import BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
-from drivers.protocols.base import Command, DriveStatus, Reject
+from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
@@ -40,6 +40,11 @@ class AllBut:
 
     def __contains__(self, can_id: object) -> bool:
         return can_id not in self._ids
+
+
+def _nothing_more(_sample: Sample) -> list[Frame]:
+    """Layouts that carry the state of a drive beside its position send no further frames."""
+    return []
 
 
 class EmulatedStage:
@@ -81,6 +86,7 @@ class EmulatedStage:
         canopen = bus.protocol == "cia402"
         self._protocol = None if canopen else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
+        self._encode_status = getattr(self._protocol, "encode_status", _nothing_more)
         self._stage = Stage(
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
@@ -304,7 +310,8 @@ class EmulatedStage:
         answers: list[Frame] = []
         for axis, drive in enumerate(self.drives):
             if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
-                answers += self._from_axis(axis, (encode(drive.sample(positions[axis], now_ns)),))
+                sample = drive.sample(positions[axis], now_ns)
+                answers += self._from_axis(axis, (encode(sample), *self._encode_status(sample)))
                 self.commands += axis == 0
         self._update()
         return answers

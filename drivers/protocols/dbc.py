@@ -6,7 +6,10 @@ Rules. What the binding (drivers.config.DbcBinding) means:
 - enable: one signal per axis; or one for all, of a bit per axis, or of one bit (set while any axis is enabled). Without
   it disabled axes get zero torque.
 - reset: clears latched faults; any number of signals. Without it the drives' own means have to.
-- status: per axis, raw value = DriveStatus bits. Without it a drive counts as enabled while it is told to be.
+- status: per axis, raw value = DriveStatus bits, or lists of values that mean enabled and fault. Without it a drive
+  counts as enabled while it is told to be. It may come in a message of its own; it is then believed for half a second.
+- error: per axis; anything but 0 is a fault.
+- constant: signals of command messages that never change. on_change: command messages that are not sent every tick.
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
 - checksum: any bound message's 8-bit checksum over its other bytes.
@@ -22,16 +25,18 @@ from pathlib import Path
 from typing import Any
 
 from drivers.arbitration import arbitration_key
-from drivers.config import BusConfig, DbcBinding, SignalBinding
+from drivers.config import BusConfig, DbcBinding, SignalBinding, StatusBinding
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
-from drivers.protocols.dbc_binding import Bound, bind_messages, bound_items, check_binding
+from drivers.protocols.dbc_binding import Bound, BoundMessage, bind_messages, bound_items, check_binding
 from drivers.protocols.dbc_codec import load_dbc
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
 PREFIX = "dbc:"
-ENABLED = int(DriveStatus.ENABLED)
+ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
+STATE_PERIOD_NS = 10_000_000  # least period of what is not sent every tick, for the schedulability analysis
+STATE_TIMEOUT_NS = 500_000_000  # after which a state that came in such a message is no longer believed
 
 
 class DbcLayout:
@@ -54,17 +59,35 @@ class DbcLayout:
                 self._messages[item.message].whole(key, item)
         for checksum in binding.checksum:
             self._messages[checksum.message].protect(checksum)
+        self._free_running = binding.feedback == "cyclic"
         self._position = [self._bound(item) for item in binding.position]
         self._torque = [self._bound(item) for item in binding.torque]
         self._status = [self._bound(item) for item in binding.status]
         self._enable = [self._bound(item) for item in binding.enable]
         self._reset = [self._bound(item) for item in binding.reset]
+        self._error = [self._bound(item) for item in binding.error]
+        self._constant = [(self._bound(item), item.value) for item in binding.constant]
+        self._switch = [(item.on, item.off) for item in binding.enable]
+        self._bit_per_axis = len(self._enable) == 1 and self._enable[0].place.bits > 1 and self._switch[0] == (1, 0)
+        self._reset_switch = [(item.on, item.off) for item in binding.reset]
+        self._maps = [_status_map(item) for item in binding.status]
         self._echo = [self._bound(item) for item in binding.feedback_counter]
         self._counters = [self._bound(item) for item in binding.command_counter]
         self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
-        commands = [bound.message for bound in [*self._torque, *self._enable, *self._reset, *self._counters]]
+        bound_commands = [*self._torque, *self._enable, *self._reset, *self._counters]
+        commands = [bound.message for bound in [*bound_commands, *(bound for bound, _ in self._constant)]]
         self._commands = sorted(dict.fromkeys(commands), key=lambda message: arbitration_key(message.can_id))
+        self._on_change = {message.can_id for message in self._commands if message.name in binding.on_change}
+        names = {message.name for message in self._commands}
+        for name in binding.on_change:
+            if name not in names:
+                raise LayoutError(f"bus.dbc.on_change: {name!r} is no bound command message")
+        self._cyclic = [message for message in self._commands if message.can_id not in self._on_change]
+        if not {bound.message.can_id for bound in self._torque}.isdisjoint(self._on_change) or not self._cyclic:
+            raise LayoutError("bus.dbc.on_change names a message with a torque, which is sent every tick")
         self._feedback = [bound.message for bound in self._position]
+        carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
+        self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
         self._check_places(binding, path.name)
@@ -75,7 +98,7 @@ class DbcLayout:
 
     def _check_places(self, binding: DbcBinding, file: str) -> None:
         """Feedback signals of one axis share a message; each axis has its own; counters echo; torques reach."""
-        for key, group in (("status", self._status), ("feedback_counter", self._echo)):
+        for key, group in (("feedback_counter", self._echo),):
             for axis, bound in enumerate(group):
                 if bound.message is not self._feedback[axis]:
                     raise LayoutError(
@@ -84,7 +107,7 @@ class DbcLayout:
                     )
         if len({message.can_id for message in self._feedback}) != self.n_axes:
             raise LayoutError(f"{file}: two positions in one message; each axis needs a message of its own")
-        for message in self._feedback:
+        for message in [*self._feedback, *self._state_only]:
             if message in self._commands:
                 raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
         if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
@@ -97,15 +120,28 @@ class DbcLayout:
                     f"bus.dbc.torque[{axis}]: {bound.message.name}.{binding.torque[axis].signal} reaches +-{reach:g}; "
                     f"the rated force is {rated:g}: check its scale"
                 )
-        if len(self._enable) == 1 and 1 < self._enable[0].place.bits < self.n_axes:
+        if self._bit_per_axis and self._enable[0].place.bits < self.n_axes:
             raise LayoutError(f"bus.dbc.enable has {self._enable[0].place.bits} bits; 1, or one per axis, is needed")
 
     def messages(self, period_ns: int) -> list[Message]:
-        """All commands, then the feedbacks, which the last command triggers."""
-        commands = [Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, "host") for m in self._commands]
-        return commands + [
-            Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, f"axis {axis}", self._commands[-1].name)
-            for axis, m in enumerate(self._feedback)
+        """All commands, then the feedbacks, which the last command triggers, and what is sent less often."""
+        trigger = None if self._free_running else self._cyclic[-1].name
+        slow_ns = max(period_ns, STATE_PERIOD_NS)
+        return [
+            *(Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, "host") for m in self._cyclic),
+            *(
+                Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, f"axis {axis}", trigger)
+                for axis, m in enumerate(self._feedback)
+            ),
+            *(
+                Message(m.name, m.can_id, m.length, m.fd, slow_ns, slow_ns, 0, f"axis {axis}")
+                for m, axis in self._state_only.items()
+            ),
+            *(
+                Message(m.name, m.can_id, m.length, m.fd, slow_ns, slow_ns, 0, "host")
+                for m in self._commands
+                if m not in self._cyclic
+            ),
         ]
 
 
@@ -118,17 +154,25 @@ class DbcHost(DbcLayout):
         super().__init__(bus, n_axes, rated_force, base_dir)
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._axis = {message.can_id: axis for axis, message in enumerate(self._feedback)}
+        self._states = {message.can_id: message for message in self._state_only}
+        self._known = {*self._axis, *self._states}
         self._own = {message.can_id for message in self._commands}
-        self.echo_id: int | None = self._commands[-1].can_id
+        self.echo_id: int | None = None if self._free_running else self._cyclic[-1].can_id
         self._enabled = 0
+        self._state, self._fault = [0] * n_axes, [0] * n_axes
+        self._told_tick = [-STATE_TIMEOUT_NS] * n_axes  # when a message with a state alone came
+        self._tick = 0
+        self._state_ticks = STATE_TIMEOUT_NS // period_ns
+        self._sent: dict[int, list[Any]] = {}
 
     def decode(self, frame: Frame) -> Sample | Reject:
-        """Sample of a feedback message; its stamp is an estimate (sampling_clock.py)."""
+        """Sample of a feedback message; its stamp is an estimate (sampling_clock.py). SERVICE for a state alone."""
         axis = self._axis.get(frame.can_id)
         if axis is None:
             if frame.flags & ECHO:
                 self._clock.triggered(frame.timestamp_ns)
-            return _reject_id(frame.can_id, self._axis, self._own)
+            state = self._states.get(frame.can_id)
+            return self._decode_state(state, frame) if state else _reject_id(frame.can_id, self._known, self._own)
         message = self._feedback[axis]
         unfit = message.fits(frame)
         if unfit is not None:
@@ -137,33 +181,73 @@ class DbcHost(DbcLayout):
         counts = self._position[axis].place.value(values[self._position[axis].place.at])
         if not -(2.0**53) <= counts <= 2.0**53:  # also where it is not a number
             return Reject.INVALID_VALUE
-        status = self._enabled >> axis & ENABLED
-        if self._status:
-            status = int(values[self._status[axis].place.at])
-            if status & ~STATUS_MASK:
-                return Reject.INVALID_VALUE
+        if not self._note_state(message, values):
+            return Reject.INVALID_VALUE
         sequence = int(values[self._echo[axis].place.at]) if self._echo else -1
-        return Sample(axis, round(counts), status, sequence, self._clock.instant(axis, frame))
+        clock = self._clock
+        stamp_ns = clock.begun(frame) if self._free_running else clock.instant(axis, frame)
+        return Sample(axis, round(counts), self._status_of(axis), sequence, stamp_ns)
+
+    def _decode_state(self, message: BoundMessage, frame: Frame) -> Reject:
+        unfit = message.fits(frame)
+        if unfit is not None:
+            return unfit
+        known = self._note_state(message, message.codec.unpack(frame.data))
+        return Reject.SERVICE if known else Reject.INVALID_VALUE
+
+    def _note_state(self, message: BoundMessage, values: Sequence[Any]) -> bool:
+        """Keep what a message tells of drives; False where it has a status bit that nobody knows."""
+        for axis, bound in enumerate(self._status):
+            if bound.message is message:
+                raw, meanings = int(values[bound.place.at]), self._maps[axis]
+                if meanings is None and raw & ~STATUS_MASK:
+                    return False
+                self._state[axis] = raw if meanings is None else meanings.get(raw, 0)
+                self._told_tick[axis] = self._tick
+        for axis, bound in enumerate(self._error):
+            if bound.message is message:
+                self._fault[axis] = FAULT if values[bound.place.at] else 0
+        return True
+
+    def _status_of(self, axis: int) -> int:
+        """What is known of a drive: nothing where it has been silent about its state for too long."""
+        if not self._status:
+            return self._enabled >> axis & ENABLED | self._fault[axis]
+        if self._tick - self._told_tick[axis] > self._state_ticks:
+            return self._fault[axis]
+        return self._state[axis] | self._fault[axis]
 
     def encode(self, command: Command) -> list[Frame]:
-        """All command messages. Raises ValueError for a force not finite or beyond its rated force."""
+        """All command messages that are due. Raises ValueError for a force not finite or beyond its rated force."""
         check_force(command.force, self._rated)
         self._enabled = enable = command.enable
+        self._tick += 1
         self._clock.trigger()
         values = {message.can_id: [0] * len(message.codec.names) for message in self._commands}
+        for (message, place), raw in self._constant:
+            values[message.can_id][place.at] = raw
         for axis, (message, place) in enumerate(self._torque):
             values[message.can_id][place.at] = place.raw(command.force[axis] if enable >> axis & 1 else 0.0)
         if len(self._enable) == 1 < self.n_axes:
-            ((message, place),) = self._enable
-            values[message.can_id][place.at] = enable if place.bits > 1 else int(enable != 0)
+            ((message, place),), ((on, off),) = self._enable, self._switch
+            switched = on if enable else off
+            values[message.can_id][place.at] = enable if self._bit_per_axis else switched
         else:
-            for axis, (message, place) in enumerate(self._enable):
-                values[message.can_id][place.at] = enable >> axis & 1
-        for message, place in self._reset:
-            values[message.can_id][place.at] = int(command.reset)
+            for axis, ((message, place), (on, off)) in enumerate(zip(self._enable, self._switch, strict=True)):
+                values[message.can_id][place.at] = on if enable >> axis & 1 else off
+        for (message, place), (on, off) in zip(self._reset, self._reset_switch, strict=True):
+            values[message.can_id][place.at] = on if command.reset else off
         for message, place in self._counters:
             values[message.can_id][place.at] = command.sequence % self.sequence_modulus
-        return [message.frame(values[message.can_id]) for message in self._commands]
+        due = self._changed(values) + self._cyclic if self._on_change else self._commands
+        return [message.frame(values[message.can_id]) for message in due]
+
+    def _changed(self, values: dict[int, list[Any]]) -> list[BoundMessage]:
+        """The messages that are sent on a change, and have one."""
+        candidates = [message for message in self._commands if message.can_id in self._on_change]
+        changed = [message for message in candidates if values[message.can_id] != self._sent.get(message.can_id)]
+        self._sent |= {message.can_id: values[message.can_id] for message in changed}
+        return changed
 
 
 class DbcDevice(DbcLayout):
@@ -189,9 +273,10 @@ class DbcDevice(DbcLayout):
         if unfit is not None:
             return unfit
         self._received[message.can_id] = message.codec.unpack(frame.data)
-        if message is not self._commands[-1]:
+        if message is not self._cyclic[-1]:
             return Reject.SERVICE
-        received, self._received = self._received, {}
+        received = self._received
+        self._received = {can_id: values for can_id, values in received.items() if can_id in self._on_change}
         if len(received) != len(self._commands):
             return Reject.STALE
         return self._assemble(received)
@@ -211,16 +296,17 @@ class DbcDevice(DbcLayout):
         if len(counters) > 1:
             return Reject.STALE  # parts of two commands
         force = [max(-rated, min(rated, value)) for value, rated in zip(force, self._rated, strict=True)]
-        return Command(max(counters, default=0), force, enable, any(raw(bound) for bound in self._reset))
+        resets = zip(self._reset, self._reset_switch, strict=True)
+        reset = any(raw(bound) == on if on != 1 else raw(bound) for bound, (on, _) in resets)
+        return Command(max(counters, default=0), force, enable, reset)
 
     def _enabled(self, raw: Sequence[int]) -> int:
         """Bit per axis from the raw values of the enable signals."""
         if not raw:
             return self._all_axes
         if len(raw) == 1 < self.n_axes:
-            common = self._enable[0].place.bits == 1
-            return self._all_axes * raw[0] if common else raw[0]
-        return sum(1 << axis for axis, bit in enumerate(raw) if bit)
+            return raw[0] if self._bit_per_axis else self._all_axes * (raw[0] == self._switch[0][0])
+        return sum(1 << axis for axis, (bit, (on, _)) in enumerate(zip(raw, self._switch, strict=True)) if bit == on)
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """The feedback message of one axis; a position beyond its signal's range stays at its end."""
@@ -229,11 +315,43 @@ class DbcDevice(DbcLayout):
         values: list[Any] = [0] * len(message.codec.names)
         place = self._position[axis].place
         values[place.at] = place.raw(sample.position)
-        if self._status:
-            values[self._status[axis].place.at] = sample.status & STATUS_MASK
+        self._put_state(message, axis, sample.status, values)
         if self._echo:
             values[self._echo[axis].place.at] = sample.sequence % self.sequence_modulus
         return message.frame(values)
+
+    def encode_status(self, sample: Sample) -> list[Frame]:
+        """The messages that carry the state of that axis' drive alone."""
+        frames = []
+        for message, axis in self._state_only.items():
+            if axis == sample.axis:
+                values: list[Any] = [0] * len(message.codec.names)
+                self._put_state(message, axis, sample.status, values)
+                frames.append(message.frame(values))
+        return frames
+
+    def _put_state(self, message: BoundMessage, axis: int, status: int, values: list[Any]) -> None:
+        if self._status and self._status[axis].message is message:
+            meanings = self._maps[axis]
+            raw = status & STATUS_MASK
+            if meanings is not None:
+                meant = FAULT if status & FAULT else ENABLED if status & ENABLED else 0
+                raw = next((raw for raw, bits in meanings.items() if bits == meant), _unused(meanings))
+            values[self._status[axis].place.at] = raw
+        if self._error and self._error[axis].message is message:
+            values[self._error[axis].place.at] = int(bool(status & FAULT))
+
+
+def _status_map(binding: StatusBinding) -> dict[int, int] | None:
+    """DriveStatus bits by raw value; None where the raw value is the bits."""
+    if not binding.enabled and not binding.fault:
+        return None
+    return dict.fromkeys(binding.enabled, ENABLED) | dict.fromkeys(binding.fault, FAULT)
+
+
+def _unused(meanings: dict[int, int]) -> int:
+    """The least raw value that means neither enabled nor fault."""
+    return next(raw for raw in range(len(meanings) + 1) if raw not in meanings)
 
 
 def _reject_id(can_id: int, known: Any, own: Any) -> Reject:

@@ -6,12 +6,15 @@ from typing import Any, NamedTuple
 
 from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
+from cantools.database.errors import Error as CantoolsError
 
 from drivers.config import DbcBinding, SignalBinding
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import LayoutError, Reject
 from drivers.protocols.checksum import ALGORITHMS
 from drivers.protocols.dbc_codec import Codec, compile_codec
+
+_COUNTERS = ("command_counter", "feedback_counter", "checksum")
 
 
 class Place(NamedTuple):
@@ -51,6 +54,10 @@ class BoundMessage:
             raise LayoutError(
                 f"message {self.name} has {self.length} bytes, which no {'FD' if self.fd else 'classic'} frame has"
             )
+        try:
+            message.refresh(strict=True)
+        except CantoolsError as error:
+            raise LayoutError(f"message {self.name}: {error}") from None
         self._signals = {str(signal.name): signal for signal in message.signals}
         self._checksum = ALGORITHMS[algorithm]
         self.checksum_at = -1
@@ -112,7 +119,7 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
         count = len(getattr(binding, key))
         if count != n_axes:
             raise LayoutError(f"bus.dbc.{key} has {count} signals for {n_axes} axes")
-    for key in ("status", "feedback_counter"):
+    for key in ("status", "error", "feedback_counter"):
         count = len(getattr(binding, key))
         if count not in (0, n_axes):
             raise LayoutError(f"bus.dbc.{key} has {count} signals for {n_axes} axes; it may also be left out")
@@ -153,7 +160,7 @@ def bind_messages(database: Database, binding: DbcBinding, file: str) -> dict[st
 def bound_items(binding: DbcBinding) -> list[tuple[str, SignalBinding]]:
     """Every bound signal, with its key in the rig file."""
     items: list[tuple[str, SignalBinding]] = []
-    for key in ("position", "torque", "status", "enable", "reset", "command_counter", "feedback_counter", "checksum"):
+    for key in ("position", "torque", "status", "error", "enable", "reset", "constant", *_COUNTERS):
         items += [(f"bus.dbc.{key}[{at}]", item) for at, item in enumerate(getattr(binding, key))]
     return items
 

@@ -47,11 +47,11 @@ class Codec(NamedTuple):
 
 
 def load_dbc(path: Path) -> Database:
-    """Read a DBC file of at most LARGEST bytes. Raises LayoutError naming the file."""
+    """Read a DBC file of at most LARGEST bytes; messages that nobody binds may be inconsistent. Raises LayoutError."""
     try:
         text = read_bounded(path, LARGEST).decode("cp1252")  # the encoding of DBC files, as in cantools
         _refuse_sizes(text)
-        database = cantools.database.load_string(text, database_format="dbc")
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except OSError as error:
         raise LayoutError(f"{path}: {error.strerror or error}") from None
     except UnsuitableFileError as error:

@@ -43,6 +43,16 @@ class SamplingClock:
             self._current_ns = self._estimate(axis, frame)
         return self._current_ns
 
+    def begun(self, frame: Frame) -> int:
+        """When the frame began on the wire; -1 where it has no reception time.
+
+        A drive that sends in its own time sampled no later.
+        """
+        if frame.timestamp_ns <= 0:
+            return -1
+        nominal, data = frame_bits(frame)
+        return frame.timestamp_ns - round(nominal * self._nominal_ns + data * self._data_ns)
+
     def _estimate(self, axis: int, frame: Frame) -> int:
         """From the first answer. Where another axis than before is first, the usual one may be lost: then as many
         answers are taken to have gone before as explain best that one period has passed."""
