@@ -99,7 +99,8 @@ def test_every_number_of_a_record_is_in_its_own_field() -> None:
 def test_a_number_too_large_for_its_field_does_not_end_the_loop() -> None:
     """After 50 days at 1 kHz the sequence has more than 32 bits; a process that was stopped has stages of seconds."""
     builder = RecordBuilder(1)
-    builder.tick(2**33, 0, 0, 4, 34, 0, 31, 2**32 + 5, 0)
+    builder.tick(Tick(2**33, 0, 0, PortCounters(), stop=True), 4, 34, 0, sending=True)
+    builder.progress(2**32 + 5, 0)
     builder.drives([2**32 + 1], [2**31])
     builder.spent(2**31, 2**40, 7, 2**33, 2**32 - 1)
     builder.missed(0, 0, 0, 2**35)
