@@ -77,7 +77,7 @@ class Cia402Config(BaseModel):
 
     model_config = STRICT
     eds: list[str] = key(REQUIRED, "EDS or DCF files, beside the rig file: one per axis, or one for all", min_length=1)
-    nodes: list[NodeNumber] = key([], "CANopen node of each axis", derived="bus.node_id and the numbers after it")
+    nodes: list[NodeNumber] = key([], "CANopen node of each axis", "1", derived="bus.node_id and the numbers after it")
     rpdo: Literal["auto", "shared", "own"] = key(
         "auto", "shared: one RPDO with the torques of all drives; own: one per drive; auto: shared where all drives can"
     )

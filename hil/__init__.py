@@ -13,12 +13,22 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _PUBLIC = {
+    "Event": "hil.runs",
     "Gain": "hil.control.gain",
     "Knob": "hil.control.gain",
     "Law": "hil.control.laws.base",
     "LawInputs": "hil.control.laws.base",
     "Model": "hil.control.laws.base",
+    "Recording": "hil.runs",
+    "RecordingError": "hil.telemetry.recorder",
     "Reference": "hil.control.laws.base",
+    "Rig": "hil.runs",
+    "RigError": "hil.rig.schema",
+    "Run": "hil.runs",
+    "Simulation": "hil.runs",
+    "load_rig": "hil.runs",
+    "replay": "hil.runs",
+    "simulate": "hil.runs",
 }
 __all__ = sorted(_PUBLIC)
 

@@ -17,6 +17,7 @@ from drivers.config import BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject
+from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.physics.stage import Stage, Truth, per_axis_array
@@ -46,7 +47,7 @@ class EmulatedStage:
 
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value. drives: their
-    watchdog and brakes.
+    watchdog and brakes. mountings: of the drives on their axes; none: all straight.
 
     now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
     that carried no command, by reason. sampled: truth (positions in m, velocities in m/s) at the latest sampling,
@@ -65,8 +66,12 @@ class EmulatedStage:
         start_ns: int = 0,
         *,
         drives: DrivesConfig | None = None,
+        mountings: Sequence[Mounting] = (),
     ) -> None:
         n_axes = len(axis_names)
+        self._mountings = [] if is_straight(mountings) else list(mountings)
+        if self._mountings:
+            rated_force = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         self.axis_names = list(axis_names)
         self.now_ns = start_ns
         self._physics_ns = start_ns
@@ -110,7 +115,7 @@ class EmulatedStage:
         from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
 
         return [
-            Cia402Drive(first_id + drive.axis, drive, partial(self._shown_position, drive.axis), self.now_ns)
+            Cia402Drive(first_id + drive.axis, drive, partial(self._position_at_drive, drive.axis), self.now_ns)
             for drive in self.drives
         ]
 
@@ -134,7 +139,10 @@ class EmulatedStage:
     @property
     def applied_force(self) -> list[float]:
         """Force each drive applies now, N."""
-        return [drive.force for drive in self.drives]
+        forces = [drive.force for drive in self.drives]
+        if self._mountings:
+            return [mounting.force_at_axis(f) for mounting, f in zip(self._mountings, forces, strict=True)]
+        return forces
 
     @property
     def nodes(self) -> "Sequence[Cia402Drive]":
@@ -158,6 +166,14 @@ class EmulatedStage:
         if self._physics_ns != self.now_ns:
             return self._stage.peek_reading(self.now_ns - self._physics_ns, self._force, axis)
         return self._stage.reading(axis)
+
+    def _position_at_drive(self, axis: int) -> float:
+        """What the encoder of the drive sees, m of the axis."""
+        position = self._shown_position(axis)
+        if not self._mountings:
+            return position
+        mounting = self._mountings[axis]
+        return mounting.direction * (position - mounting.offset * self.drives[axis].resolution)
 
     # what acts on it -------------------------------------------------------------------------------------------------
 
@@ -230,7 +246,7 @@ class EmulatedStage:
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""
         drives = self.drives
-        self._force = [drive.force + push for drive, push in zip(drives, self._push, strict=True)]
+        self._force = [force + push for force, push in zip(self.applied_force, self._push, strict=True)]
         deadline_ns = self._agenda[0][0] if self._agenda else NEVER_NS
         for drive in drives:
             if drive.deadline_ns < deadline_ns:
@@ -281,6 +297,8 @@ class EmulatedStage:
         now_ns = self.now_ns
         self._note_sampling()
         positions = self._stage.readings()
+        if self._mountings:
+            positions = [self._position_at_drive(axis) for axis in range(len(self.drives))]
         encode = self._protocol.encode_feedback
         sequence, forces, enable, reset = command
         answers: list[Frame] = []

@@ -59,7 +59,7 @@ def _crossed_roller(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
         "presliding_damping": 0.2,
         "friction_variation": 0.1,
         "friction_period": 10e-3,
-        "modes": [ModeConfig(frequency_hz=250.0, damping=0.02, load=0.3)],
+        "modes": [ModeConfig(frequency_hz=200.0, damping=0.02, load=0.3)],
         "cable_stiffness": of_friction(0.5),
         "cable_hysteresis": of_friction(0.02),
         "bias": of_friction(0.05),

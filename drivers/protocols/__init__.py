@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
+from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_straight
 
 if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
     from drivers.config import BusConfig
@@ -15,14 +16,23 @@ __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
 
 def host_protocol(
-    bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path, period_ns: int = 1_000_000
+    bus: "BusConfig",
+    n_axes: int,
+    rated_force: Sequence[float],
+    base_dir: Path,
+    period_ns: int = 1_000_000,
+    mountings: Sequence[Mounting] = (),
 ) -> HostProtocol:
     """The host's side of the layout `bus.protocol`, before any bus is opened.
 
-    rated_force: N or N m per axis. base_dir: folder of the rig file, where a relative `dbc:` path starts.
-    period_ns: of the control loop; cia402 tells its drives, and layouts without time stamps count with it.
+    rated_force: N or N m per axis, at the axis. base_dir: folder of the rig file, where relative paths start.
+    period_ns: of the control loop; cia402 tells its drives, and layouts without time stamps count with it. mountings:
+    of the drives on their axes; none: all straight.
     Raises LayoutError (a ValueError) where the rig cannot be carried by the layout.
     """
+    if not is_straight(mountings):
+        at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
+        return MountedHost(host_protocol(bus, n_axes, at_drive, base_dir, period_ns), mountings)
     match bus.protocol:
         case "stage_fd":
             from drivers.protocols.stage_fd import StageFdHost
@@ -43,8 +53,13 @@ def host_protocol(
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
 
 
-def device_protocol(bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path) -> DeviceProtocol:
+def device_protocol(
+    bus: "BusConfig", n_axes: int, rated_force: Sequence[float], base_dir: Path, mountings: Sequence[Mounting] = ()
+) -> DeviceProtocol:
     """The drives' side of the layout `bus.protocol`; arguments and errors as in `host_protocol`."""
+    if not is_straight(mountings):
+        at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
+        return MountedDevice(device_protocol(bus, n_axes, at_drive, base_dir), mountings)
     match bus.protocol:
         case "stage_fd":
             from drivers.protocols.stage_fd import StageFdDevice

@@ -95,12 +95,7 @@ def _chunks(trajectory: Trajectory, n_axes: int, period_ns: int) -> Iterator[tup
     for first in range(0, count - 1, CHUNK):
         instants = np.arange(first, min(first + CHUNK + 1, count)) * period_ns
         reference = trajectory.sample(np.repeat(instants[:, None], n_axes, axis=1))
-        yield (
-            np.asarray(instants * 1e-9, dtype=np.float64),
-            reference.position,
-            reference.velocity,
-            reference.acceleration,
-        )
+        yield instants.astype(np.float64) * 1e-9, reference.position, reference.velocity, reference.acceleration
 
 
 def _along(rig: RigConfig, trajectory: Trajectory) -> Iterator[Violation]:

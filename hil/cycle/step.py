@@ -65,7 +65,7 @@ class ControlCycle:
         self.rig = rig
         axes = list(rig.axes.values())
         rated = [axis.rated_force for axis in axes]
-        self.protocol: HostProtocol = host_protocol(rig.bus, len(axes), rated, base_dir, rig.period_ns)
+        self.protocol: HostProtocol = host_protocol(rig.bus, len(axes), rated, base_dir, rig.period_ns, rig.mountings)
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
         self.axes = Axes(rig)
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints

@@ -66,21 +66,21 @@ class Supervisor:
         return self.machine.state
 
     def advance(self, tick: Tick) -> None:
-        """Faults first, then the stop line, exit, the operator, and at last what the state itself has reached."""
+        """Faults first, then exit, the operator, the stop line, and at last what the state itself has reached."""
         if self.machine.state is State.BOOT:
             self._handle(Event.BUS_UP, tick)
         if self._monitor.active:
             fault, reaction = self._monitor.worst_fault(self.machine.state)
             if reaction >= Reaction.STOP:
                 self.latch(fault, reaction, tick)
-        if tick.estop:
-            self._handle(Event.ESTOP, tick)
         if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
             self._handle(Event.EXIT, tick)
         if tick.commands:
             self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
         else:
             self.commands.handled = []
+        if tick.estop:  # after the operator: no RESET of the same tick undoes it
+            self._handle(Event.ESTOP, tick)
         self._progress(tick)
 
     def latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:

@@ -137,8 +137,8 @@ class ControlLoop:
         if pacer.skipped:
             self._book_miss()
         frames = port.drain(woke)
+        estop = self._stop_line.pressed()  # before the mail: no RESET that was sent before it comes after it
         commands = mailbox.poll()
-        estop = self._stop_line.pressed()
         if commands:
             self._before_commands(commands)
         tick = Tick(

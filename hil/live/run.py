@@ -99,7 +99,7 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
     config = load_rig(path, overrides)
     try:
         rated = [axis.rated_force for axis in config.axes.values()]
-        host_protocol(config.bus, len(config.axes), rated, path.parent)
+        host_protocol(config.bus, len(config.axes), rated, path.parent, config.period_ns, config.mountings)
     except (ValueError, OSError) as error:
         raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
     try:

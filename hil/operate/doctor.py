@@ -5,18 +5,19 @@ import json
 import os
 import shutil
 import socket
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from drivers.runtime import RuntimeDirectoryError, runtime_dir
-from hil.live.realtime import claim
+from hil.cli.processes import worker_pool
+from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
 from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
@@ -130,19 +131,18 @@ def _interface_finding(name: str, net: Path) -> Finding:
 
 def realtime_findings() -> list[Finding]:
     """What a control process started by this user would be granted; tried in a child, so that nothing stays here."""
-    command = [sys.executable, "-c", "from hil.operate.doctor import probe_realtime; probe_realtime()"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
-    except (subprocess.SubprocessError, OSError) as error:
-        return [Finding("real time", "warn", f"could not be tried: {error}", "run `hil doctor` as the service's user")]
-    grants: list[dict[str, Any]] = json.loads(done.stdout)
-    return [Finding(g["name"], "ok" if g["granted"] else "warn", g["detail"], g["remedy"]) for g in grants]
+        with worker_pool(1) as child:
+            grants = child.submit(_probe_realtime).result(timeout=30)
+    except (BrokenProcessPool, TimeoutError, OSError) as error:
+        detail = f"could not be tried: {error!r}"
+        return [Finding("real time", "warn", detail, "run `hil doctor` as the service's user")]
+    return [Finding(g.name, "ok" if g.granted else "warn", g.detail, g.remedy) for g in grants]
 
 
-def probe_realtime() -> None:
-    """Claim real time with the default [timing] and print the grants as JSON (for the child of realtime_findings)."""
-    held = claim(TimingConfig())
-    sys.stdout.write(json.dumps([grant._asdict() for grant in held.verdict.grants]))
+def _probe_realtime() -> tuple[Grant, ...]:
+    """Claim real time with the default [timing]; the process that does so keeps it until it ends."""
+    return tuple(claim(TimingConfig()).verdict.grants)
 
 
 def kernel_findings(proc: Path = Path("/proc"), sys_kernel: Path = Path("/sys/kernel")) -> list[Finding]:

@@ -19,6 +19,7 @@ NAME = r"[a-z0-9][a-z0-9_-]{0,31}"
 
 def new(
     file: Annotated[Path, typer.Argument(help="the rig file to write, for example my-stage.toml", show_default=False)],
+    *,
     axes: Annotated[str | None, typer.Option(help="their names, in bus order [x,y]")] = None,
     layout: Annotated[str | None, typer.Option(help=f"frame layout: {', '.join(LAYOUTS)} [stage_fd]")] = None,
     mass: Annotated[str | None, typer.Option(help="moving mass, kg (kg m^2); one, or one per axis [0.5]")] = None,

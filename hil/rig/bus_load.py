@@ -13,7 +13,8 @@ def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
     """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
     rated = [axis.rated_force for axis in rig.axes.values()]
     try:
-        return host_protocol(rig.bus, len(rig.axes), rated, base_dir).messages(rig.period_ns)
+        layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+        return layout.messages(rig.period_ns)
     except (ValueError, OSError) as error:
         raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
 

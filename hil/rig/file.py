@@ -125,11 +125,11 @@ def _is_axis_encoder(path: list[str]) -> bool:
     return len(path) == 3 and path[0] == "axes" and path[2] == "encoder_resolution"
 
 
-def build_rig(document: dict[str, Any], overrides: Sequence[str] = ()) -> RigConfig:
+def build_rig(document: dict[str, Any], overrides: Sequence[str] = (), *, folder: Path = Path()) -> RigConfig:
     """Validate a parsed rig document, of this version or an earlier one, with `key=value` overrides applied. Raises
-    RigError with every problem.
+    RigError with every problem. folder: what files of laws and tasks are relative to.
     """
-    return _build(document, overrides, Path())[0]
+    return _build(document, overrides, folder)[0]
 
 
 def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> RigConfig:

@@ -11,6 +11,7 @@ from typing import Annotated
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, WireConfig, key
+from drivers.protocols.mounting import Mounting
 from hil.rig.plant import completed
 from hil.rig.tables import (
     AXIS_NAME,
@@ -71,6 +72,11 @@ class RigConfig(BaseModel):
     def period_ns(self) -> int:
         """Control period, ns."""
         return round(1e9 / self.rate_hz)
+
+    @property
+    def mountings(self) -> list[Mounting]:
+        """The drives on their axes, in bus order."""
+        return [axis.mounting for axis in self.axes.values()]
 
     @property
     def axis_names(self) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
+from drivers.protocols.mounting import Mounting
 from hil.rig.task_file import MOST_ROWS, sample_problems
 from sim_plant.config import NonNegative, Positive, Resolution
 
@@ -55,6 +56,11 @@ class AxisConfig(BaseModel):
         "the drive's rated force (torque); full scale of the layouts that carry per mille or counts",
         "N (N m)",
     )
+    direction: Literal[1, -1] = key(1, "-1: the drive's positive direction is the axis' negative one", "1")
+    gear: Positive = key(
+        1.0, "force (torque) at the axis per unit the drive makes: 2 pi / lead for a ball screw", "1 or N/(N m)"
+    )
+    offset: float = key(0.0, "the axis' position where the drive's is 0", "m (rad)")
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
 
@@ -66,6 +72,11 @@ class AxisConfig(BaseModel):
         if self.limits.force > self.rated_force:
             raise ValueError(f"limits.force = {self.limits.force} exceeds rated_force = {self.rated_force}")
         return self
+
+    @property
+    def mounting(self) -> Mounting:
+        """The drive on this axis."""
+        return Mounting(self.direction, self.gear, round(self.offset / self.encoder_resolution))
 
 
 class LawConfig(BaseModel):

@@ -60,7 +60,7 @@ class Connection:
         self._buffer = bytearray()
         self._ready = not isinstance(peer_socket, ssl.SSLSocket)
         if self._ready:
-            self._greet(now_ns)
+            self._send_challenge(now_ns)
 
     def overdue(self, now_ns: int) -> bool:
         """It has been of no use for too long."""
@@ -87,12 +87,12 @@ class Connection:
         if found.role != OPERATOR:
             self.refusal = f"not authorised: the certificate's role is {found.role!a}, not '{OPERATOR}'"
         self._ready = True
-        self._greet(now_ns)
+        self._send_challenge(now_ns)
 
-    def _greet(self, now_ns: int) -> None:
-        greeting = challenge(now_ns)
-        self._nonce = greeting.nonce
-        self._send(greeting.SerializeToString())
+    def _send_challenge(self, now_ns: int) -> None:
+        first = challenge(now_ns)
+        self._nonce = first.nonce
+        self._send(first.SerializeToString())
 
     def _receive(self, now_ns: int) -> Asked | None:
         received = self._socket.recv(LIMIT)

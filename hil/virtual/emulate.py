@@ -12,7 +12,9 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
     """The rig's emulated stage. Raises RigError for a plant or layout that does not fit."""
     rated = [axis.rated_force for axis in rig.axes.values()]
     try:
-        return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives)
+        return EmulatedStage(
+            rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives, mountings=rig.mountings
+        )
     except (ValueError, OSError) as error:
         raise RigError([f"rig {rig.name}: {error}"]) from None
 

@@ -25,7 +25,7 @@ class Invariants:
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         axes = list(rig.axes.values())
-        self._device = device_protocol(rig.bus, len(axes), [axis.rated_force for axis in axes], base_dir)
+        self._device = device_protocol(rig.bus, len(axes), [axis.rated_force for axis in axes], base_dir, rig.mountings)
         self._modulus = getattr(self._device, "sequence_modulus", 0)
         self._limit = [axis.limits.force * (1 + TOLERANCE) + self._quantum(axis.rated_force) for axis in axes]
         period = rig.period_ns * 1e-9

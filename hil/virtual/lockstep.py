@@ -60,7 +60,9 @@ class LockstepRun:
         self._operator = operator
         self._observer = observer
         rated = [axis.rated_force for axis in rig.axes.values()]
-        self.stage = EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives)
+        self.stage = EmulatedStage(
+            rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings
+        )
         self.wire = Wire.from_config(rig.bus, rig.wire)
         for fault in wire_faults:
             self.wire.inject(fault)

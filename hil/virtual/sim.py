@@ -99,12 +99,13 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
 
 
 class Traces:
-    """Per tick and axis: true error, setpoint and velocity at the samples' instants (NaN where a tick brought none),
-    and applied force.
+    """Per tick and axis: true position; true error, setpoint and velocity at the samples' instants (NaN where a tick
+    brought none), and applied force.
     """
 
     def __init__(self, ticks: int, n_axes: int) -> None:
         shape = (ticks, n_axes)
+        self.true = np.zeros(shape)
         self.error = np.full(shape, np.nan)
         self.setpoint = np.full(shape, np.nan)
         self.velocity_error = np.full(shape, np.nan)
@@ -114,10 +115,11 @@ class Traces:
         """Note the tick just run."""
         cycle = run.cycle
         self.force[index] = cycle.gate.force
+        self.true[index] = run.true_position
         if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
             return
         self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
-        self.error[index] = run.true_position - setpoint
+        self.error[index] = self.true[index] - setpoint
         self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity
 
 

@@ -3,9 +3,9 @@
 It costs two thirds of the general ones where friction is all that acts, a third with ripple and a Stribeck peak.
 
 A lockstep run and the live emulator spend their time here, one axis at a time, where an array of one costs more than
-the arithmetic. Every operation comes in the order it has in axis.py, friction.py and cell.py, so that the bits are the
-same (tests/sim_plant/test_stage.py compares them with the batch); events, which are rare, are left to `advance_piece`
-there.
+the arithmetic. Every operation comes in the order it has in axis.py, friction.py and membrane.py, so that the bits are
+the same (tests/sim_plant/test_stage.py compares them with the batch); events, which are rare, are left to
+`advance_piece` there.
 """
 
 from collections.abc import Callable
@@ -194,7 +194,7 @@ def effort_of(axis: Axis) -> Callable[[float, float, float], float]:
 
 
 def transition_of(axis: Axis) -> Callable[[float, float], bool]:
-    """Whether `cell.transition` of this axis is due, by position and pierced."""
+    """Whether `membrane.transition` of this axis is due, by position and pierced."""
     surface, direction, _, puncture_depth, _ = map(float, axis.membrane)
 
     def is_due(position: float, pierced: float) -> bool:

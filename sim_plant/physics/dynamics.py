@@ -18,78 +18,27 @@ the axis slides. Without presliding friction is set-valued, and a step is one sm
 One source for floats and arrays (number.py).
 """
 
-from typing import NamedTuple
-
 from sim_plant.physics.exact_trigonometry import TURN
-from sim_plant.physics.number import Number, anywhere, decay, greater, root, select, sincos
+from sim_plant.physics.number import (
+    Number,
+    anywhere,
+    decay,
+    decay_with_mean,
+    direction,
+    greater,
+    root,
+    select,
+    sincos,
+)
+from sim_plant.physics.structure import Motion, Structure
 
 MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
 BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
 TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+BREAKING_LOOSE = 0.3  # of the dry friction, that may be gone within a piece
 MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP = 0.4  # rad of a sinusoid
 SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
-LINES = 4  # sinusoids of one kind an axis can have
-
-
-class Structure(NamedTuple):
-    """Parameters of one axis (floats; lines: tuples) or of many (arrays (n,); lines: (LINES, n)), SI; absent: zero.
-
-    mass: kg, of both sides. coulomb, stribeck: N. slowness: s/m, 1 / v_s. viscous: N s/m. quadratic: N s^2/m^2.
-    presliding: m. bristle_damping: N s/m, s1. lag: s. load: kg, m2. mode_stiffness: N/m. mode_damping: N s/m.
-    variation: fraction of the dry friction, a sinusoid of position. cable_stiffness: N/m. cable_hysteresis: N.
-    cable_reach: m. backlash: m. line_...: sinusoids of position, N. floor_...: of time, m/s^2. The membrane's: as in
-    membrane.py.
-    """
-
-    mass: Number
-    coulomb: Number
-    stribeck: Number
-    slowness: Number
-    viscous: Number
-    quadratic: Number
-    presliding: Number
-    bristle_damping: Number
-    lag: Number
-    load: Number
-    mode_stiffness: Number
-    mode_damping: Number
-    variation: Number
-    variation_wavenumber: Number
-    variation_phase: Number
-    cable_stiffness: Number
-    cable_hysteresis: Number
-    cable_reach: Number
-    backlash: Number
-    line_amplitude: Number
-    line_wavenumber: Number
-    line_phase: Number
-    floor_amplitude: Number
-    floor_frequency: Number
-    floor_phase: Number
-    surface: Number
-    direction: Number
-    membrane: Number
-    puncture_depth: Number
-    drag: Number
-
-
-class Motion(NamedTuple):
-    """State of an axis: the motor's position and velocity, m and m/s; pierced: 1.0 or 0.0; the load's position and
-    velocity; bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
-    position behind the backlash; walked: N, of the bias.
-    """
-
-    position: Number
-    velocity: Number
-    pierced: Number
-    load_position: Number
-    load_velocity: Number
-    bristle: Number
-    cable: Number
-    force: Number
-    played: Number
-    walked: Number
 
 
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
@@ -150,24 +99,34 @@ class Dynamics:
         self._ring_rate: Number = 0.0 * motor
         if self.has_mode:
             self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
-        per_speed = 0.0 * motor
+        per_speed, amplitudes = 0.0 * motor, abs(s.cable_hysteresis)
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
+            amplitudes = amplitudes + abs(amplitude)
             rate = rate + root(abs(amplitude) * wavenumber * TURN * self.inverse_mass) * (1.0 / SLOPE_STEP)
         if self.has_variation:
             per_speed = per_speed + (TURN / LINE_STEP) * s.variation_wavenumber * (s.variation != 0.0)
         for amplitude, frequency, _ in self.floor:
             rate = rate + (TURN / LINE_STEP) * frequency * (amplitude != 0.0)
+        self._amplitudes: Number = amplitudes
         self._rate: Number = rate
         self._speed_rate: Number = per_speed + 2.0 * abs(s.quadratic) * self.inverse_mass * (1.0 / SLOPE_STEP)
         self._stuck_rate: Number = 4.0 * self.stiffness * self.inverse_mass
 
-    def effort(self, at: Motion, drive: Number, h: float) -> Number:
-        """Steps that h seconds should be divided into, not rounded; drive: N, what acts but friction."""
+    def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
+        """Steps that h seconds should be divided into, not rounded. forces: as in `step`."""
         s = self.structure
+        external, command = forces
+        drive = external + command
         speed = abs(at.velocity)
-        dry = s.coulomb + s.stribeck
-        reach = h * (abs(drive) + dry + s.mode_stiffness * abs(at.load_position - at.position)) * self.inverse_mass
+        pull = s.mode_stiffness * abs(at.load_position - at.position) + s.cable_stiffness * abs(at.position)
+        if self.has_bristle:  # friction changes with the motion alone, though fast where it breaks loose
+            pull = pull + abs(drive - self.stiffness * at.bristle) + BREAKING_LOOSE * s.coulomb
+        else:
+            pull = pull + abs(drive) + s.coulomb + s.stribeck
+        if self.has_lag:
+            pull = pull + abs(at.force - command)
+        reach = h * (pull + self._amplitudes) * self.inverse_mass
         fastest = speed + reach
         work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
         if self.has_stribeck:
@@ -176,7 +135,7 @@ class Dynamics:
             slowness = s.slowness * (s.stribeck > 0.0)
             work = greater(work, (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness)))
         if self.has_bristle:
-            towards = select(at.velocity < 0.0, -1.0, 1.0)
+            towards = direction(at.velocity)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
@@ -207,34 +166,33 @@ class Dynamics:
         ratio = velocity * self.structure.slowness
         return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
 
-    def bend(self, at: Motion, velocity: Number, moved: Number, span: float) -> Number:
-        """The bristle `span` seconds and `moved` metres later, at this velocity; at most one reversal in between."""
+    def bend(self, at: Motion, before: Number, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
+        """The bristle `span` seconds later, and its limit there; at most one reversal in between.
+
+        before: the limit at the start. arrived: metres moved, and the velocity then.
+        """
         z, v0 = at.bristle, at.velocity
-        limit = before = self.structure.presliding
-        if self.has_stribeck:
-            limit, before = self.limit_at(velocity), self.limit_at(v0)
-        towards = select(velocity < 0.0, -1.0, 1.0)
+        moved, velocity = arrived
+        towards = direction(velocity)
         turned = velocity * v0 < 0.0
-        if anywhere(turned):  # at a third of the way, say: a uniform deceleration to there, which is short against z
+        if anywhere(turned):  # a uniform deceleration to the turning point, which is close against the limit
             there = v0 * v0 * span / (2.0 * select(turned, v0 - velocity, 1.0))
             a = abs(there) / before
             z = select(turned, (z + towards * before) * (1.0 - a * (1.0 - 0.5 * a)) - towards * before, z)
             moved = select(turned, moved - there, moved)
         if not self.has_stribeck:
-            return towards * limit + (z - towards * limit) * decay(towards * moved * self.inverse_limit)
-        # the limit as a ramp over the distance
-        a = towards * moved * (0.5 / before + 0.5 / limit)
-        left = decay(a)
-        near = abs(a) < 1e-4
-        mean = select(near, 1.0 - 0.5 * a, (1.0 - left) / select(near, 1.0, a))
-        return towards * (limit - (limit - before) * mean) + (z - towards * before) * left
+            sliding = towards * before
+            return sliding + (z - sliding) * decay(towards * moved * self.inverse_limit), before
+        limit = self.limit_at(velocity)  # a ramp over the distance
+        left, mean = decay_with_mean(towards * moved * (0.5 / before + 0.5 / limit))
+        return towards * (limit - (limit - before) * mean) + (z - towards * before) * left, limit
 
-    def friction(self, velocity: Number, bristle: Number, sign: Number, scale: Number) -> Number:
-        """Force (N) against the motion. sign: of the branch, where friction is set-valued."""
+    def friction(self, velocity: Number, bristle: tuple[Number, Number], sign: Number, scale: Number) -> Number:
+        """Force (N) against the motion. bristle: z, and its limit. sign: of the branch of set-valued friction."""
         s = self.structure
         if self.has_bristle:
-            rate = velocity - abs(velocity) * bristle / self.limit_at(velocity)
-            dry = self.stiffness * bristle + s.bristle_damping * rate
+            z, limit = bristle
+            dry = self.stiffness * z + s.bristle_damping * (velocity - abs(velocity) * z / limit)
         else:
             dry = sign * s.coulomb
             if self.has_stribeck:
@@ -302,19 +260,19 @@ class Dynamics:
         if self.has_cable:
             hysteresis = s.cable_hysteresis * self._strained(at, 0.5 * h * v0)
             pull1, pull2, pull4 = pull1 - hysteresis, pull2 - hysteresis, pull4 - hysteresis
-        still = 0.0 * v0
-        scales: Triple = (1.0 + still, 1.0 + still, 1.0 + still)
+        scales: Triple = (1.0, 1.0, 1.0)
         if self.has_variation:
             first, inner, last = _sinusoids(self._varying, middle, h * v0)
             scales = 1.0 + first, 1.0 + inner, 1.0 + last
-        floors: Triple = (still, still, still)
+        floors: Triple = (0.0, 0.0, 0.0)
         if self.floor:
+            still = 0.0 * v0
             floors = _sinusoids(self.floor, time + 0.5 * h + still, h + still)
         return (pull1, pull2, pull4), scales, floors
 
     def _strained(self, at: Motion, moved: Number) -> Number:
         """The cable's state (-1 to 1) `moved` metres later."""
-        onward = select(moved < 0.0, -1.0, 1.0)
+        onward = direction(moved)
         return onward + (at.cable - onward) * decay(abs(moved) / self.structure.cable_reach)
 
     def step(self, at: Motion, time: float, forces: tuple[Number, Number], sign: Number, h: float) -> Motion:
@@ -323,15 +281,18 @@ class Dynamics:
         """
         pulls, scales, floors = self._along(at, time, forces, h)
         q0, v0, y0, u0 = at.position, at.velocity, at.load_position, at.load_velocity
-        q, v, y, u, z = q0, v0, y0, u0, at.bristle
-        speeds = accelerations = load_speeds = load_accelerations = 0.0 * v0
+        q, v, y, u = q0, v0, y0, u0
+        before: Number = self.limit_at(v0) if self.has_bristle else 0.0
+        bristle: tuple[Number, Number] = (at.bristle, before)
+        speeds = accelerations = load_speeds = load_accelerations = 0.0
         for stage in range(4):
             moment = (stage + 1) // 2
-            weight = 2.0 if moment == 1 else 1.0
-            a, b = self._accelerations(at.pierced, (q, v, y, u, z), sign, (pulls[moment], scales[moment]))
-            a, b = a - floors[moment], b - floors[moment]
+            a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, (pulls[moment], scales[moment]))
+            if self.floor:
+                a, b = a - floors[moment], b - floors[moment]
             if not self.has_bristle:
                 a = select(sign == 0.0, 0.0, a)
+            weight = 2.0 if moment == 1 else 1.0
             speeds = speeds + weight * v
             accelerations = accelerations + weight * a
             if self.has_mode:
@@ -342,23 +303,25 @@ class Dynamics:
             ahead = h if stage == 2 else 0.5 * h
             q, v, y, u = q0 + ahead * v, v0 + ahead * a, y0 + ahead * u, u0 + ahead * b
             if self.has_bristle:
-                z = self.bend(at, v, q - q0, ahead)
+                bristle = self.bend(at, before, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
-        return self._arrived(at, (q, v, y, u), forces[1], h)
+        z = self.bend(at, before, (q - q0, v), h)[0] if self.has_bristle else at.bristle
+        return self._arrived(at, (q, v, y, u, z), forces[1], h)
 
     def _accelerations(
         self,
         pierced: Number,
-        state: tuple[Number, Number, Number, Number, Number],
+        state: tuple[Number, Number, Number, Number],
+        bristle: tuple[Number, Number],
         sign: Number,
         pull: tuple[Number, Number],
     ) -> tuple[Number, Number]:
-        """Of motor and load (m/s^2), on a floor at rest, in a state (q, q', y, y', z). pull: `_along`'s, and scale."""
+        """Of motor and load (m/s^2), on a floor at rest, in a state (q, q', y, y'). pull: `_along`'s, and scale."""
         s = self.structure
-        q, v, y, u, z = state
-        net = pull[0] - self.friction(v, z, sign, pull[1])
+        q, v, y, u = state
+        net = pull[0] - self.friction(v, bristle, sign, pull[1])
         if self.has_cable:
             net = net - s.cable_stiffness * q
         if self.has_mode:
@@ -367,13 +330,14 @@ class Dynamics:
             return (net + coupling) * self.inverse_mass, -(coupling + taken) * self.inverse_load
         if self.has_cell:
             net = net - self.membrane_force(q, v, pierced)
-        return net * self.inverse_mass, 0.0 * v
+        return net * self.inverse_mass, 0.0
 
-    def _arrived(self, at: Motion, state: tuple[Number, Number, Number, Number], command: Number, h: float) -> Motion:
-        """The whole state after a step that ends at (q, q', y, y')."""
-        q, v, y, u = state
+    def _arrived(
+        self, at: Motion, state: tuple[Number, Number, Number, Number, Number], command: Number, h: float
+    ) -> Motion:
+        """The whole state after a step that ends at (q, q', y, y', z)."""
+        q, v, y, u, bristle = state
         moved = q - at.position
-        bristle = self.bend(at, v, moved, h) if self.has_bristle else at.bristle
         cable = self._strained(at, moved) if self.has_cable else at.cable
         force = command + (at.force - command) * self._prepare_lag(h)[2] if self.has_lag else command
         played = self._play(at, y, u, h) if self.has_backlash else y

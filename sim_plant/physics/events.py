@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_plant.physics.dynamics import Dynamics, Motion, Structure
+from sim_plant.physics.dynamics import Dynamics
+from sim_plant.physics.structure import Motion, Structure
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def take_many(structure: Structure, index: NDArray[np.int64]) -> Structure:
 
 def advance_single(axis: Dynamics, at: Motion, time: float, forces: tuple[float, float], h: float) -> Motion:
     """One axis of floats after h seconds."""
-    count = COUNTS[min(bisect_left(COUNTS, axis.effort(at, forces[0] + forces[1], h)), len(COUNTS) - 1)]
+    count = COUNTS[min(bisect_left(COUNTS, axis.effort(at, forces, h)), len(COUNTS) - 1)]
     short = h / count
     smooth = axis.has_bristle and not axis.has_cell
     for index in range(count):
@@ -128,7 +129,7 @@ def first_instant(
 def advance_many(axes: Dynamics, at: Motion, time: float, forces: tuple[Array, Array], h: float) -> Motion:
     """Many axes after h seconds: those that need equally many steps go together."""
     counts = np.array(COUNTS)
-    chosen = np.minimum(np.searchsorted(counts, axes.effort(at, forces[0] + forces[1], h)), counts.size - 1)
+    chosen = np.minimum(np.searchsorted(counts, axes.effort(at, forces, h)), counts.size - 1)
     levels = np.unique(chosen)
     if levels.size == 1:
         return _steps(axes, at, time, forces, h, COUNTS[int(levels[0])])

@@ -33,6 +33,13 @@ def greater(a: Number, b: Number) -> Number:
     return np.maximum(a, b)
 
 
+def direction(value: Number) -> Number:
+    """1.0 or -1.0: its sign, that of a zero included."""
+    if isinstance(value, float):
+        return math.copysign(1.0, value)
+    return np.copysign(1.0, value)
+
+
 def anywhere(condition: Any) -> bool:
     """Whether the condition holds for any of the axes."""
     if isinstance(condition, bool):
@@ -62,3 +69,11 @@ def decay(a: Number) -> Number:
     quarter = 1.0 / (1.0 + a * (0.25 + a * (0.03125 + a * (0.0026041666666666665 + a * 0.00016276041666666666))))
     square = quarter * quarter
     return square * square
+
+
+def decay_with_mean(a: Number) -> tuple[Number, Number]:
+    """`decay` of a, and its mean from 0 to a, (1 - decay(a)) / a, without the difference."""
+    rising = 0.25 + a * (0.03125 + a * (0.0026041666666666665 + a * 0.00016276041666666666))
+    quarter = 1.0 / (1.0 + a * rising)
+    square = quarter * quarter
+    return square * square, rising * quarter * (1.0 + quarter) * (1.0 + square)

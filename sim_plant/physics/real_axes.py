@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from sim_plant.physics.axis import Axis, State
 from sim_plant.physics.axis_floats import SingleAxis
-from sim_plant.physics.dynamics import LINES, Dynamics, Motion, Structure
+from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import KEPT, Point
 from sim_plant.physics.events import advance_many, advance_single
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.ideal_batch import advance_ideal
 from sim_plant.physics.noise import TORQUE, WALK, Key, key_of, normal
 from sim_plant.physics.number import Number, root
+from sim_plant.physics.structure import LINES, Motion, Structure
 from sim_plant.physics.truth import Truth
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
     return Structure(
         mass=mass,
         coulomb=coulomb,
-        stribeck=flat["stribeck"],
+        stribeck=flat["stribeck"] * (held == 0.0),  # a grip has no peak that steps would have to resolve
         slowness=1.0 / flat["stribeck_velocity"],
         viscous=flat["viscous"],
         quadratic=flat["quadratic"],

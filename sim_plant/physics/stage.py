@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_plant.physics.axis import Axis, State, make_axis, take
 from sim_plant.physics.axis_floats import SingleAxis
-from sim_plant.physics.dynamics import Dynamics, Motion, Structure
+from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import Encoder, Point
 from sim_plant.physics.events import take as take_structure
 from sim_plant.physics.events import take_many
@@ -35,6 +35,7 @@ from sim_plant.physics.real_axes import (
     rigid_motion,
     structure_of,
 )
+from sim_plant.physics.structure import Motion, Structure
 from sim_plant.physics.truth import Truth, per_axis_array
 
 __all__ = ["Stage", "Truth", "per_axis_array"]

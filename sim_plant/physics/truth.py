@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim_plant.config import PlantConfig
-from sim_plant.physics.dynamics import LINES
 from sim_plant.physics.exact_trigonometry import TURN
+from sim_plant.physics.structure import LINES
 from sim_plant.stages import staged
 
 Array = NDArray[np.float64]

@@ -219,7 +219,7 @@ def no_certificate(target: Target) -> Iterator[str]:
     except OSError as error:
         yield str(error)
     else:
-        raise AssertionError("it was greeted")
+        raise AssertionError("it was answered")
 
 
 @attack("a monitor's certificate with the operators' secret", "refused by role")
@@ -238,7 +238,7 @@ def expired(target: Target) -> Iterator[str]:
     except OSError as error:
         yield str(error)
     else:
-        raise AssertionError("it was greeted")
+        raise AssertionError("it was answered")
 
 
 @attack("an operator's certificate of another authority", "refused")
@@ -250,7 +250,7 @@ def other_authority(target: Target) -> Iterator[str]:
     except OSError as error:
         yield str(error)
     else:
-        raise AssertionError("it was greeted")
+        raise AssertionError("it was answered")
 
 
 @attack("an operator's certificate without the secret", "refused by MAC")

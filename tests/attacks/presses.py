@@ -20,7 +20,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader
-from hil.live.runtime_paths import places
+from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_page import Page, live_pages
 from tests.support.live_rig import PAPER, Control, Emulator, emulated
 from tests.support.paths import ROOT
@@ -36,7 +36,7 @@ class Presser:
     def __init__(self, emulator: Emulator, reader: RingReader, seed: int) -> None:
         self._emulator = emulator
         self._reader = reader
-        self._mailbox = Mailbox(places("paper").mailbox)
+        self._mailbox = Mailbox(runtime_paths("paper").mailbox)
         self._random = random.Random(seed)
         self.by_state: dict[str, int] = {}
 
@@ -87,7 +87,7 @@ class Presser:
         reader.next = place
         after = reader.read(WITHIN + 1).records
         assert all(int(record["state"]) == State.ESTOP for record in after), after["state"]
-        assert not after["force"].any(), "torque was let out"
+        assert not after["force"].any(), "torque was applied"
         # The drives, as soon as this machine let them hear the last of these ticks' commands.
         stage, sent_ns = self._emulator.stage, int(after[-1]["now_ns"])
         while min(drive.last_command_ns for drive in stage.drives) < sent_ns:
@@ -142,7 +142,7 @@ def main(count: int, rig: Path) -> None:
             "sidecar killed": beside.kill,
             "disk full": lambda: fill(runtime),
             "rig file deleted": lambda: _delete(rig, control),
-            "runtime directory deleted": lambda: [path.unlink() for path in places("paper").directory.iterdir()],
+            "runtime directory deleted": lambda: [path.unlink() for path in runtime_paths("paper").directory.iterdir()],
         }
         for name, act in breakages.items():
             act()

@@ -9,15 +9,11 @@ import pytest
 from hil.control.law_registry import LAWS
 from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
-from hil.control.laws.iterative_learning import IterativeLearning
-from hil.control.laws.structured_filter import sign_array, sign_float, slide
 from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import CORNERS
-from hil.virtual.lockstep import LockstepRun
-from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PERIOD = 1e-3
@@ -243,90 +239,6 @@ def test_structured_kalman_holds_sub_micrometre_error_on_tasks_of_all_sizes() ->
             assert (rms if trial.rms else largest) < trial.good * 1e-7, trial
 
 
-@pytest.mark.parametrize(
-    ("v0", "v1", "coulomb", "sign"),
-    [
-        (1.0, 0.5, 1.0, 1.0),
-        (-1.0, -0.5, 1.0, -1.0),
-        (0.0, 0.0, 1.0, 0.0),
-        (0.01, -0.03, 0.0, -0.5),
-        (0.0, 0.02, 1.0, 1.0),
-    ],
-)
-def test_mean_sign_is_that_of_the_reference_away_from_reversals(
-    v0: float, v1: float, coulomb: float, sign: float
-) -> None:
-    assert sign_float(v0, v1, PERIOD, 0.02, coulomb)[0] == pytest.approx(sign)
-
-
-def test_a_reversal_between_ticks_is_solved_as_stiction_plays_it() -> None:
-    """The force that the law derives takes a Coulomb-braked mass from v0 to v1 in one period, by fine integration."""
-    mass, coulomb, v0, v1 = 0.022, 1.4, 0.002, -0.008
-    mean, stuck, shift = sign_float(v0, v1, PERIOD, mass, coulomb)
-    force = mass * (v1 - v0) / PERIOD + coulomb * mean
-    assert stuck == 0.0
-    steps = 200_000
-    h, velocity, position = PERIOD / steps, v0, 0.0
-    for _ in range(steps):
-        friction = coulomb if velocity > 0 else -coulomb
-        velocity += h * (force - friction) / mass
-        position += h * velocity
-    assert velocity == pytest.approx(v1, abs=1e-5)
-    assert position == pytest.approx(0.5 * (v0 + v1) * PERIOD + shift, abs=1e-8)
-
-
-def test_reversals_are_the_same_for_floats_and_arrays() -> None:
-    random = np.random.default_rng(5)
-    v0, v1 = 0.01 * random.standard_normal((2, 500))
-    mass, coulomb = np.full(500, 0.02), random.uniform(-0.1, 1.0, 500)
-    many = sign_array(v0, v1, np.full(500, PERIOD), mass, coulomb)
-    for k in range(500):
-        one = sign_float(float(v0[k]), float(v1[k]), PERIOD, 0.02, float(coulomb[k]))
-        assert one == tuple(float(values[k]) for values in many)
-
-
-def slid(velocity: float, push: float, dry: float, time: float, mass: float) -> tuple[float, float]:
-    """By fine implicit steps (Moreau): friction takes what it can, up to `dry`."""
-    steps, way = 20_000, 0.0
-    h = time / steps
-    for _ in range(steps):
-        free = velocity + h * push / mass
-        friction = min(max(free * mass / h, -dry), dry)
-        velocity = free - h * friction / mass
-        way += h * velocity
-    return velocity, way
-
-
-def test_the_filters_axis_slides_sticks_and_turns_as_set_valued_friction_has_it() -> None:
-    mass, dry = 0.02, 1.0
-    cases = [(0.01, 0.5), (0.01, -0.5), (0.01, -1.3), (-0.01, 1.3), (0.0, 0.9), (0.0, 1.1), (0.0, -1.1), (-0.1, 0.2)]
-    for velocity, push in cases:
-        end, way = slide(velocity, push, dry, PERIOD, 1.0 / mass)
-        assert (end, way) == pytest.approx(slid(velocity, push, dry, PERIOD, mass), abs=5e-8 + 2e-4 * abs(end))
-        assert slide(-velocity, -push, dry, PERIOD, 1.0 / mass) == (-end, -way)
-    assert slide(0.0, 0.9, dry, PERIOD, 1.0 / mass) == (0.0, 0.0)
-    velocities, pushes = np.array(cases).T
-    many = slide(
-        velocities, pushes, np.full(len(cases), dry), np.full(len(cases), PERIOD), np.full(len(cases), 1.0 / mass)
-    )
-    for index, (velocity, push) in enumerate(cases):
-        assert tuple(float(v[index]) for v in many) == slide(velocity, push, dry, PERIOD, 1.0 / mass)
-
-
-def test_an_axis_that_has_not_broken_away_teaches_no_bias() -> None:
-    """Friction is three times the model's: the reference moves there and back while the axis sticks."""
-    rig = load_rig(RIGS / "paper.toml", ["law.name=structured-kalman", "plant.coulomb=[3.4, 0.9]", "task.radius=5e-6"])
-    run = LockstepRun(rig, RIGS)
-    for _ in range(3000):
-        run.tick()
-    assert np.abs(run.true_position).max() < 1e-6
-    laws: Any = run.cycle.law
-    for learnt, limit in zip(laws.laws, (3.4, 0.9), strict=True):
-        bias, coulomb, _, _ = learnt._disturbance
-        assert abs(bias) < 0.02 * limit
-        assert coulomb >= 0.0
-
-
 def test_robust_pd_floors_its_denominator_and_counts_it() -> None:
     controller: Any = law("robust-pd")
     controller.reset(np.zeros(2), GRAVITY)
@@ -359,52 +271,6 @@ def test_robust_pd_readings_differ_in_static_stiffness(reading: str, stiffness: 
 def test_bad_gains_are_named(config: LawConfig, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_law(config, model(), PERIOD, LIMIT)
-
-
-def test_learning_needs_a_task_that_repeats_on_the_grid_and_before_memory_ends() -> None:
-    with pytest.raises(ValueError, match="does not repeat"):
-        make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT)
-    with pytest.raises(ValueError, match="not a multiple"):
-        make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT, repeat=(1_000_500, 0))
-    with pytest.raises(ValueError, match="repeats every 100001 ticks; at most 100000 can be learnt"):
-        make_law(LawConfig(iterative_learning=True), model(), PERIOD, LIMIT, repeat=(100_001_000_000, 0))
-
-
-def test_learning_removes_what_comes_back_every_repeat() -> None:
-    """PD holds a mass against a force that repeats every 50 ticks; ten repeats later a tenth of the error is left."""
-    gains = {"kp": 1500.0, "kd": 8.0, "learning_kp": 1500.0, "learning_kd": 8.0}
-    controller = law("learning", np.zeros(2), **gains)
-    assert isinstance(controller, IterativeLearning)
-    controller.reset(np.zeros(2), np.zeros(2))
-    mass = model().mass
-    position, velocity, last, before = (np.zeros(2) for _ in range(4))
-    largest = []
-    for k in range(50 * 20):
-        inputs = blank_inputs((2,))
-        inputs.position = position.copy()
-        inputs.fresh[:] = 1.0
-        inputs.task_ns = k * 1_000_000
-        inputs.force_last, inputs.force_before = last.copy(), before.copy()
-        disturbance = 0.3 * np.sin(2 * np.pi * (k - 1) / 50) * np.ones(2)
-        change = (last - disturbance) / mass * PERIOD
-        position = position + (velocity + 0.5 * change) * PERIOD
-        velocity = velocity + change
-        inputs.position_estimate, inputs.velocity_estimate = position, velocity
-        last, before = controller.force(inputs).copy(), last
-        largest.append(np.abs(position).max())
-    assert max(largest[-50:]) < 0.1 * max(largest[50:100])
-
-
-def test_structured_kalman_inside_learning_meets_what_neither_meets_alone() -> None:
-    """Ripple that the model does not know; what is learnt is told to the filter, or both would diverge."""
-    changes = ["task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5", "plant.modelling_error=0.3"]
-    changes += ["law.name=structured-kalman", "plant.ripple_amplitude=0.05", "plant.ripple_period=0.05"]
-    alone, _ = simulate(load_rig(RIGS / "paper.toml", changes), RIGS, 3.0)
-    both, _ = simulate(
-        load_rig(RIGS / "paper.toml", [*changes, "law.iterative_learning=true", "task.settle_s=14"]), RIGS, 17.0
-    )
-    for axis in ("x", "y"):
-        assert both.axes[axis]["max_error"] < min(0.5e-6, 0.5 * alone.axes[axis]["max_error"])
 
 
 def test_learnt_friction_never_drives_the_axis() -> None:

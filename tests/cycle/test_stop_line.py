@@ -73,3 +73,11 @@ def test_after_shutdown_a_press_is_refused_and_counted() -> None:
     run.estop = True
     assert run.tick().frames == []
     assert run.cycle.state is State.SHUTDOWN
+
+
+def test_a_reset_in_the_same_tick_does_not_undo_it() -> None:
+    run = LockstepRun(load_rig(RIG), RIG.parent, operator=lambda run, _: [CommandKind.RESET, CommandKind.ACTIVATE])
+    for _ in range(100):
+        run.estop = True
+        run.tick()
+        assert run.cycle.state is State.ESTOP

@@ -23,24 +23,24 @@ GLOSSARY = {
     r"(?<![a-z])sail(s|ed|ing)?(?![a-z])": "plan, run",
     r"(?<![a-z])legs?(?![a-z])": "chunk",
     r"(?-i:\bMeans\b[\[\](),.:|]|_means\b|\bmeans(_| =|: [A-Z]))": "capabilities",
-    r"\bbeliefs?\b": "nominal model",
+    r"(?<![a-z])beliefs?(?![a-z])": "nominal model",
     r"rehears": "candidate simulation",
     r"(?-i:\bPlaces\b|\bplaces\(|\bplaces_in\b|\brig_places\b|import .*\bplaces\b)": "runtime paths",
     r"(?<![a-z])doors?(?![a-z])": "listening socket",
     r"(?<![a-z])knock": "join notice",
     r"(?<![a-z])greet": "handshake",
-    r"\bshort[ _]way\b": "fast path",
-    r"\blong[ _]way\b": "slow path",
+    r"(?<![a-z])short[ _]way(?![a-z])": "fast path",
+    r"(?<![a-z])long[ _]way(?![a-z])": "slow path",
     r"(?<![a-z])strangers?(?![a-z])": "unknown frame",
-    r"\b(let|lets|letting)[ _]out\b": "applied force",
-    r"(\bdef |\.)(see|judge)\(": "flag, worst fault",
+    r"(?<![a-z])(let|lets|letting)[ _]out(?![a-z])": "applied force",
+    r"(\bdef |\.)see\(": "flag (a fault)",
 }
 WORDS = [(re.compile(pattern, re.IGNORECASE), instead) for pattern, instead in GLOSSARY.items()]
 DOCUMENT = re.compile(r"[\w-]+\.md\b|\bFIELD_NOTES\b")
 NAMED_FILE = re.compile(
     r"(?<![\w.-])(?<!etc/)(?<!share/)(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
 )
-MODULE = re.compile(r"(?<![\w./@-])(?:hil|drivers|sim_plant)\.\w+")
+MODULE = re.compile(r"(?<![\w./@-])(?:hil|drivers|sim_plant)\.\w\w+")
 MADE_BY_THE_BUILD = "hil/floats/"
 NO_MODULES = {"hil.floats", "hil.laws", "hil.target"}  # of the build; an entry point group; a systemd unit
 HERE = Path(__file__).relative_to(ROOT).as_posix()

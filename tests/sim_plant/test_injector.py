@@ -267,3 +267,36 @@ def test_any_keys_make_a_fault_that_runs_or_a_clear_refusal(keys: dict[str, Any]
     Injector(scenario, stage, wire, MS)
     stage.advance(3 * MS)
     wire.advance(3 * MS)
+
+
+def test_a_step_of_the_plants_bias_moves_its_axis_alone_and_ends() -> None:
+    rig = Rig(during("plant_bias", value=1.0))
+    velocities = []
+    for _ in range(8):
+        rig.tick()
+        velocities.append(rig.stage.velocity.tolist())
+    assert velocities[1][0] == 0.0
+    assert velocities[3][0] == pytest.approx((1.0 - 0.1) / 0.5 * 1.5e-3, rel=0.01)
+    assert velocities[7][0] < velocities[4][0]
+    assert all(velocity[1] == 0.0 for velocity in velocities)
+    assert rig.stage._stage.truth.bias.tolist() == [0.0, 0.0]
+
+
+def test_steps_of_the_plants_structure_do_not_make_the_tool_jump() -> None:
+    for kind, value in (("presliding", 1e-5), ("mode_frequency", 200.0), ("torque_lag", 1e-3), ("cogging", 0.05)):
+        stepped, steady = Rig(during(f"plant_{kind}", value=value), force=1.0), Rig(force=1.0)
+        for _ in range(8):
+            before = stepped.stage.position[0]
+            stepped.tick()
+            steady.tick()
+            moved = stepped.stage.position[0] - before
+            assert -1e-9 < moved < 2e-3 * max(1e-3, abs(steady.stage.velocity[0]))
+        assert stepped.stage.position[0] == pytest.approx(steady.stage.position[0], rel=0.3)
+        assert stepped.stage._stage.truth.presliding.tolist() == [0.0, 0.0]
+
+
+def test_a_step_of_encoder_latency_shows_the_axis_behind_where_it_is() -> None:
+    late, steady = Rig(during("plant_encoder_latency", value=5e-4), force=1.0), Rig(force=1.0)
+    shown = [(late.axis(0)[0].position, steady.axis(0)[0].position) for _ in range(6)]
+    assert [a == b for a, b in shown] == [True, True, False, False, True, True]
+    assert all(a <= b for a, b in shown)

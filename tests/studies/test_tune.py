@@ -1,16 +1,13 @@
 """Batches, sweeps, tuning and comparison: one arithmetic, whoever runs it."""
 
 import shlex
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from shutil import copy
-from typing import Any
 
 import numpy as np
 import pytest
 import tomlkit
-from rich.console import Console
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
@@ -19,9 +16,6 @@ from hil.control.law_registry import LAWS, law_class
 from hil.control.stability import check_stability, refuse_unstable
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig, RigError
-from hil.studies.compare.cases import LEARNING, case_rig, cases, disturbances, run_case
-from hil.studies.compare.report import comparison_table, draw, summary_table, worst_of
-from hil.studies.sweep.plants import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import (
     NO_MARGINS,
@@ -31,7 +25,7 @@ from hil.studies.tune.objective import (
     trials,
 )
 from hil.studies.tune.search import front, rounded, search, write_gains
-from hil.studies.tune.search_space import at_rate, knob_scale, space_of
+from hil.studies.tune.search_space import knob_scale, space_of
 from hil.virtual.batch import BatchRun
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
@@ -66,34 +60,6 @@ def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str) -> N
         for member in range(2):
             assert np.array_equal(batch.error[member], error)
             assert batch.force[member].tolist() == single.cycle.gate.force
-
-
-def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
-    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
-    document = rig.model_dump_json()
-    whole = run_chunk(Job(document, 5, 0, 6, 500, 320, True))
-    with processes(2) as crew:
-        parts = list(crew.run([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)]))
-    for together, first, second in zip(whole, *parts, strict=True):
-        assert np.array_equal(together, np.concatenate([first, second]))
-
-
-def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
-    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
-    work = jobs(rig, RIGS, 3, 0.7, seed=9)
-    figures = run_chunk(work[0])
-    (saved,) = save_worst(PAPER, rig, 9, False, [2], tmp_path)
-    assert reproduce(saved, 0.7, figures.max_error[2])
-    assert not reproduce(saved, 0.7, figures.max_error[1])
-    assert load_rig(saved).plant == plant_rig(rig, 9, 2, False).plant
-    assert "# The stage of Xu" in saved.read_text()
-
-
-def test_a_sweep_without_a_steady_window_is_refused() -> None:
-    with pytest.raises(RigError, match="steady window begins"):
-        jobs(load_rig(PAPER), RIGS, 10, 3.0, seed=1)
-    with pytest.raises(RigError, match="stage_fd"):
-        jobs(load_rig(PAPER, ["wire.jitter=1e-5"]), RIGS, 10, 20.0, seed=1)
 
 
 @pytest.mark.parametrize("rig_file", [PAPER, MICROSCOPE])
@@ -415,103 +381,3 @@ def test_the_middle_of_the_ranges_is_a_sensible_law(monkeypatch: pytest.MonkeyPa
         assert outcome.error < error
         assert outcome.gain_db > 6.0
         assert outcome.phase_deg > 30.0
-
-
-def test_compare_runs_every_combination_asked_for() -> None:
-    chosen = ["pid", "pd-feedforward" + LEARNING]
-    work = cases(PAPER, chosen, QUICK, [500.0], corners=True, disturbed=True, seconds=1.0)
-    assert len(work) == 2 * (5 + 5 + 1)
-    assert {case.rate_hz for case in work} == {1000.0, 500.0}
-    row = run_case(work[0])
-    assert row["law"] == "pid"
-    assert row["state"] == "ACTIVE"
-    assert row["refused"] == []
-    assert row["axes"]["x"]["max_error"] > 0
-    with pytest.raises(RigError, match="the laws are"):
-        cases(PAPER, ["magic"], [], [], corners=False, disturbed=False, seconds=1.0)
-
-
-@pytest.mark.parametrize(
-    ("law", "change", "rates", "reason"),
-    [
-        ("pid", "law.tuned.pid.kp=[1.0]", [], "law.gains.kp has 1 values for 2 axes"),
-        ("pid" + LEARNING, "task.kind=hold", [], "the task does not repeat"),
-        ("pid", "rate_hz=500", [50.0], "drives.watchdog_s = 0.01"),
-    ],
-)
-def test_compare_refuses_what_cannot_run_before_anything_runs(
-    law: str, change: str, rates: list[float], reason: str
-) -> None:
-    with pytest.raises(RigError, match=reason):
-        cases(PAPER, ["pd-feedforward", law], [change], rates, corners=False, disturbed=False, seconds=1.0)
-
-
-def test_at_another_rate_gains_are_what_their_unit_makes_of_them() -> None:
-    """A stiffness of 1 kHz would shake the axis at 250 Hz; gains without a unit of time stay."""
-    changes = ["law.name=pid", "law.gains.kp=1600", "law.gains.kd=8", "law.gains.ki=[320, 640]"]
-    rig = load_rig(PAPER, changes)
-    scaled = at_rate(rig, "pid", rig.law.effective_gains(), 250.0)
-    assert scaled == {"kp": [100.0] * 2, "kd": [2.0] * 2, "ki": [5.0, 10.0]}
-    noises = load_rig(PAPER, ["law.name=structured-kalman"])
-    assert at_rate(noises, "structured-kalman", noises.law.effective_gains(), 250.0) == noises.law.effective_gains()
-    for law in rig.law.tuned:
-        (_, slow) = cases(PAPER, [law], [], [250.0], corners=False, disturbed=False, seconds=1.0)
-        refuse_unstable(case_rig(slow))
-
-
-def test_disturbances_fit_the_rig() -> None:
-    assert disturbances(load_rig(PAPER))["ripple"] == [
-        "plant.ripple_amplitude=[0.05, 0.05]",
-        "plant.ripple_period=0.05",
-    ]
-    for law, extra in disturbances(load_rig(MICROSCOPE)).items():
-        assert load_rig(MICROSCOPE, extra), law
-    assert "off grid" not in disturbances(load_rig(MICROSCOPE))
-
-
-def test_a_run_that_ended_in_a_fault_is_the_worst_of_all(tmp_path: Path) -> None:
-    rig = load_rig(PAPER)
-
-    def row(law: str, corner: str, largest: float, state: str = "ACTIVE") -> dict[str, Any]:
-        figures = {"max_error": largest, "rms_error": largest / 2, "peak_force": 1.0, "chatter": 0.1}
-        axes = {"x": figures, "y": figures}
-        base = {"law": law, "corner": corner, "rate_hz": 1000.0, "axes": axes, "state": state, "faults": {}}
-        return {**base, "refused": ["unstable"] if state == "FAULT" else []}
-
-    rows = [row("pid", "nominal", 2e-6), row("pid", "ripple", float("nan"), "FAULT"), row("pid", "stribeck", 9e-6)]
-    assert worst_of(rows, "x")["corner"] == "ripple"
-    console = Console(width=130, record=True, file=StringIO())
-    console.print(comparison_table(rig, rows), summary_table(rig, rows))
-    text = console.export_text()
-    assert "2 / 2" in text
-    assert "FAULT, unstable: hil run refuses" in text
-    assert "(ripple)" in text
-    draw(tmp_path / "c.png", rig, rows)
-    assert (tmp_path / "c.png").stat().st_size > 1000
-
-
-@pytest.mark.slow
-def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_path: Path) -> None:
-    from hil.studies.compare.velocity_estimators import compare_velocity
-
-    rig = load_rig(PAPER, ["task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5", "plant.modelling_error=0.3"])
-    rows = {row["estimator"]: row["axes"]["x"]["rms_error"] for row in compare_velocity(rig, RIGS, 4.0)}
-    assert rows["Kalman, constant acceleration of the error"] < 0.6 * rows["finite difference"]
-    assert rows["Kalman, constant velocity of the error"] < 0.6 * rows["Kalman, constant velocity"]
-    assert rows["Kalman, structured"] < 0.6 * rows["Kalman, model, input and disturbance"]
-
-
-def test_compare_on_the_command_line_writes_rows(tmp_path: Path) -> None:
-    target = tmp_path / "rows.json"
-    settings = [word for change in QUICK for word in ("--set", change)]
-    result = CliRunner().invoke(
-        build_app("compare"),
-        [
-            *("compare", str(PAPER), "--laws", "pid", "--seconds", "1", "--json", str(target)),
-            "--undisturbed",
-            *(*settings, "--picture", str(tmp_path / "c.png"), "--workers", "1"),
-        ],
-    )
-    assert result.exit_code == 0, result.output
-    assert '"law": "pid"' in target.read_text()
-    assert (tmp_path / "c.png").stat().st_size > 1000

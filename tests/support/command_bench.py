@@ -7,14 +7,16 @@ from types import TracebackType
 
 from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind, OperatorCommand, PortCounters, Tick
+from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader, RingWriter
 from hil.live.stop_line import StopLine
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.codec import ESTOP
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.gateway import Gateway
+from tests.support.records import bare_tick, put_tick
 
 EXPIRY_S = 0.5
 ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE})
@@ -59,8 +61,7 @@ class CommandBench:
         commands: list[tuple[OperatorCommand, bool]] = [(c, c.kind in ACCEPTED) for c in self._mailbox.poll()]
         pressed = self._stop.pressed()
         state = State.ESTOP if pressed else State.READY
-        tick = Tick(0, now_ns, now_ns, PortCounters(), estop=pressed)
-        self._records.tick(tick, state, 0, 0, sending=False)
+        put_tick(self._records, bare_tick(0, now_ns, flags=ESTOP * pressed), state)
         self._ring.append(self._records.traffic(commands, [], []))
         if pressed:
             self._stop.latched(state.name, 0)

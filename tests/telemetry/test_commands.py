@@ -209,7 +209,7 @@ os.setresuid(65534, 65534, 65534)
 root.connect(f"/proc/self/fd/{{handle}}/commands")
 print(CommandClient(root, b"", None).command(CommandKind.STOP))
 """
-    os.chmod(bench.directory / "commands", 0o777)  # a door left open
+    os.chmod(bench.directory / "commands", 0o777)  # left open to everybody
     for parent in (bench.directory, *bench.directory.parents[:4]):
         os.chmod(parent, os.stat(parent).st_mode | 0o111)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)

@@ -8,16 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
-from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.laws.base import LawInputs, axis_inputs
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
 from hil.cycle.record_builder import RecordBuilder
-from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
+from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
 from hil.rig.file import document_hash
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import Recorder, Recording, RecordingError
 from tests.support.paths import ROOT
+from tests.support.records import bare_tick, put_axis
 
 FRAMES = st.builds(
     Frame, st.integers(0, 2**32 - 1), st.binary(max_size=64), st.integers(0, 7), st.integers(-(2**63), 2**63 - 1)
@@ -37,38 +36,15 @@ DIGEST = document_hash(RIG)
 METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
 
 
-def _tick(index: int, flags: int) -> Tick:
-    stop, recorder_ok, realtime_ok, rig_ok = (bool(flags & 1 << bit) for bit in range(4))
-    return Tick(
-        index * 2,
-        index * 1000,
-        index * 1000 + 7,
-        PortCounters(),
-        stop=stop,
-        recorder_ok=recorder_ok,
-        realtime_ok=realtime_ok,
-        rig_ok=rig_ok,
-    )
-
-
-def _motion(first: float) -> tuple[LawInputs, MotionFilter]:
-    """Seven numbers in a row, from `first` on."""
-    inputs, motion = axis_inputs(), MotionFilter([0.0, 0.0, 0.0], 1.0)
-    inputs.position, motion.position, motion.velocity, motion.disturbance = (first + place for place in range(4))
-    motion.innovation, inputs.sample.position, inputs.sample.velocity = (first + place for place in range(4, 7))
-    return inputs, motion
-
-
 def _records(ticks: list[tuple[list[Frame], list[Frame], list[tuple[OperatorCommand, bool]], int]]) -> np.ndarray:
     records = np.zeros(len(ticks), RECORD)
     for index, (received, sent, commands, flags) in enumerate(ticks):
         builder = RecordBuilder(3)
-        builder.tick(_tick(index, flags), 4, 0, 1 << 40, sending=bool(flags & 16))
+        tick = bare_tick(index * 2, index * 1000 + 7, scheduled_ns=index * 1000, flags=flags)
+        builder.tick(tick, 4, 0, 1 << 40, sending=bool(flags & 16))
         builder.progress(index, -1)
         for axis, stamp_ns in enumerate((index, -5, 2**60)):
-            builder.axis(axis, *_motion(index + 10.0 * axis))
-            builder.force(axis, index + 10.0 * axis + 7.0, index + 10.0 * axis + 8.0, axis)
-            builder.instant(axis, stamp_ns)
+            put_axis(builder, axis, [index + 10.0 * axis + place for place in range(9)], stamp_ns, axis)
         builder.drives([0, 1, 2], [1, 2, 4])
         port = PortCounters(received=index, sent=2**40, state=BusState.ERROR_PASSIVE)
         builder.counters(port, list(range(REJECT_REASONS)), 5, 6, 7)
@@ -99,7 +75,7 @@ def test_every_number_of_a_record_is_in_its_own_field() -> None:
 def test_a_number_too_large_for_its_field_does_not_end_the_loop() -> None:
     """After 50 days at 1 kHz the sequence has more than 32 bits; a process that was stopped has stages of seconds."""
     builder = RecordBuilder(1)
-    builder.tick(Tick(2**33, 0, 0, PortCounters(), stop=True), 4, 34, 0, sending=True)
+    builder.tick(bare_tick(2**33, 0, flags=15), 4, 34, 0, sending=True)
     builder.progress(2**32 + 5, 0)
     builder.drives([2**32 + 1], [2**31])
     builder.spent(2**31, 2**40, 7, 2**33, 2**32 - 1)

@@ -261,12 +261,12 @@ def test_the_example_subscriber_of_the_readme_prints_the_stage(bench: Bench) -> 
 
 @pytest.mark.live
 @pytest.mark.live
-def test_what_strangers_publish_as_a_status_does_not_end_those_who_watch(bench: Bench) -> None:
+def test_what_others_publish_as_a_status_does_not_end_those_who_watch(bench: Bench) -> None:
     bench.sidecar()
-    with RigClient(bench.endpoint) as client, zenoh.open(client_config(bench.endpoint)) as stranger:
+    with RigClient(bench.endpoint) as client, zenoh.open(client_config(bench.endpoint)) as other:
         client.wait_status(10.0)
         for _ in range(20):
-            stranger.put("hil/microscope/status", b"\xff\xff no status")
+            other.put("hil/microscope/status", b"\xff\xff no status")
         assert eventually(client, lambda status: status.rig == "microscope")
 
 

@@ -38,10 +38,10 @@ def test_the_echo_that_was_asked_for_comes_back_stamped_with_when_it_was_out(vca
 
 def test_the_same_frame_of_another_program_is_no_echo(vcan: str) -> None:
     host = open_port(bus_config(vcan), role="host", fd=True, echo_id=TRIGGER.can_id)
-    stranger = port_on(vcan)
-    stranger.send(TRIGGER)
+    other = port_on(vcan)
+    other.send(TRIGGER)
     (frame,) = receive(host, 1)
     assert not frame.flags & ECHO
     assert host.counters().echo == 0
     host.close()
-    stranger.close()
+    other.close()

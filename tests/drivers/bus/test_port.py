@@ -6,13 +6,11 @@ test_local_bus.py.
 """
 
 import errno
-import os
 import socket
 import struct
 import time
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,14 +24,11 @@ from drivers.bus.port import (
     EchoingPort,
     Port,
     PortCounters,
-    PortError,
-    open_port,
-    resolve_interface,
 )
 from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import CONTROL_BYTES, HEADER_BYTES, SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
-from drivers.config import BusConfig
 from drivers.frame import BRS, CANFD_MTU, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, to_bytes
+from tests.support.cable import Cable
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
@@ -47,55 +42,6 @@ ORDINARY_AND_NOT = [
     to_bytes(Frame(ERROR | 0x004, bytes.fromhex("0001000000070000"))),
     b"handshake",
 ]
-
-
-class Cable:
-    """A Medium whose far end the test holds."""
-
-    def __init__(self, near: socket.socket, far: socket.socket) -> None:
-        self.near, self.far = near, far
-        near.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        self.next_error = 0
-        self.present = BusState.ERROR_ACTIVE
-        self.unknown: list[bytes] = []
-        self.closed = False
-
-    @classmethod
-    def pair(cls) -> "Cable":
-        return cls(*socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
-
-    def fileno(self) -> int:
-        return self.near.fileno()
-
-    def ready(self) -> list[int]:
-        return [self.near.fileno()]
-
-    def transmit(self, packet: bytes) -> bool:
-        if self.next_error:
-            raise OSError(self.next_error, os.strerror(self.next_error))
-        self.near.send(packet)
-        return True
-
-    def lost(self, fd: int) -> None:
-        self.closed = True
-
-    def service(self, fd: int, packet: bytes) -> bool:
-        self.unknown.append(packet)
-        return packet == b"handshake"
-
-    def state(self) -> BusState:
-        return self.present
-
-    def purge(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        self.near.close()
-        self.far.close()
-
-    def arrive(self, *frames: Frame) -> None:
-        for frame in frames:
-            self.far.send(to_bytes(frame))
 
 
 @pytest.fixture
@@ -164,7 +110,7 @@ def test_a_stamp_is_the_monotonic_time_of_arrival(port: Port, cable: Cable) -> N
     window=st.integers(0, 2 * 10**9) | st.integers(0, 10**6),
     offset=st.integers(0, 10**9),
 )
-def test_the_short_way_of_reading_never_mistakes_the_second(stamp: int, age: int, window: int, offset: int) -> None:
+def test_the_fast_path_never_mistakes_the_second(stamp: int, age: int, window: int, offset: int) -> None:
     block = ReceiveBlock(CANFD_MTU)
     block.expect(len(FEEDBACK.data), FEEDBACK.flags)
     used, plain, _, slots = block._parts[1]
@@ -421,7 +367,7 @@ def test_no_packet_raises_and_each_is_accounted_for(packets: list[bytes]) -> Non
 
 
 @given(st.lists(st.lists(st.sampled_from(ORDINARY_AND_NOT), max_size=6), max_size=6))
-def test_the_short_way_of_reading_tells_the_same_as_the_long_one(ticks: list[list[bytes]]) -> None:
+def test_the_fast_path_tells_the_same_as_the_slow_one(ticks: list[list[bytes]]) -> None:
     short, long = Cable.pair(), Cable.pair()
     ports = [Port(lambda cable=cable: cable, fd=True, receive_limit=4) for cable in (short, long)]
     block = ports[1]._block  # to which no message is as plain as it expects
@@ -435,44 +381,3 @@ def test_the_short_way_of_reading_tells_the_same_as_the_long_one(ticks: list[lis
     assert short.unknown == long.unknown
     for port in ports:
         port.close()
-
-
-def test_auto_means_the_local_bus_where_no_can_interface_has_that_name() -> None:
-    assert resolve_interface(BusConfig(channel="lo")) == "local"  # exists, but is no CAN interface
-    assert resolve_interface(BusConfig(channel="nosuch0")) == "local"
-    assert resolve_interface(BusConfig(interface="socketcan", channel="nosuch0")) == "socketcan"
-
-
-def test_auto_means_socketcan_where_the_interface_exists(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read_text(path: Path, **how: Any) -> str:
-        return "280\n" if path == Path("/sys/class/net/can7/type") else honest(path, **how)
-
-    honest = Path.read_text
-    monkeypatch.setattr(Path, "read_text", read_text)
-    assert resolve_interface(BusConfig(channel="can7")) == "socketcan"
-    with pytest.raises(PortError, match=r"'can7' \(socketcan\): "):  # never the local bus instead
-        open_port(BusConfig(channel="can7"), role="host", fd=True)
-
-
-def test_a_socketcan_interface_that_does_not_exist_is_named() -> None:
-    with pytest.raises(
-        PortError, match=r"^bus\.channel = 'nosuch0' \(socketcan\): (no such interface|this process may)"
-    ):
-        open_port(BusConfig(interface="socketcan", channel="nosuch0"), role="host", fd=True)
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (OSError(errno.EAFNOSUPPORT, "x"), "RestrictAddressFamilies= does not list AF_CAN"),
-        (OSError(errno.ENODEV, "x"), "no such interface"),
-        (OSError(errno.EPERM, "Operation not permitted"), "Operation not permitted"),
-    ],
-)
-def test_a_bus_that_cannot_be_opened_says_why(monkeypatch: pytest.MonkeyPatch, error: OSError, text: str) -> None:
-    def fail(*args: object, **keywords: object) -> None:
-        raise error
-
-    monkeypatch.setattr(socket, "socket", fail)
-    with pytest.raises(PortError, match=text):
-        open_port(BusConfig(interface="local"), role="host", fd=True)

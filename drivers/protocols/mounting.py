@@ -1,0 +1,104 @@
+"""How drives are mounted on their axes: direction, gear and offset, in one place for every layout.
+
+Everything above a layout is in the terms of the axis: positive where the rig says, N (N m) at the axis, counts from the
+rig's zero. Everything in a layout is in the terms of the drive: its own direction, its motor's torque, its encoder's
+counts. `MountedHost` stands between them at the edge of the control process, `MountedDevice` at the edge of what reads
+commands off the bus. Drives mounted straight (the default) need neither, and cost nothing.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from drivers.frame import Frame
+from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, Message, Reject, Sample
+
+
+class Mounting(NamedTuple):
+    """One drive on its axis.
+
+    direction: -1 where the drive's positive direction is the axis' negative one, else 1. gear: force (torque) at the
+    axis per unit that the drive makes, > 0. offset: the axis' count where the drive's is 0.
+    """
+
+    direction: int = 1
+    gear: float = 1.0
+    offset: int = 0
+
+    def force_at_drive(self, force: float) -> float:
+        """What the drive has to make for a force (torque) at the axis."""
+        return self.direction * force / self.gear
+
+    def force_at_axis(self, force: float) -> float:
+        """What a force (torque) of the drive is at the axis."""
+        return self.direction * force * self.gear
+
+    def count_at_axis(self, count: int) -> int:
+        """The axis' position where the drive's is `count`."""
+        return self.direction * count + self.offset
+
+    def count_at_drive(self, count: int) -> int:
+        """The drive's position where the axis' is `count`."""
+        return self.direction * (count - self.offset)
+
+
+STRAIGHT = Mounting()
+
+
+def is_straight(mountings: Sequence[Mounting]) -> bool:
+    """Whether nothing has to be transformed."""
+    return all(mounting == STRAIGHT for mounting in mountings)
+
+
+class MountedHost:
+    """A HostProtocol in the terms of the axes, on one in the terms of the drives (`layout`)."""
+
+    def __init__(self, layout: HostProtocol, mountings: Sequence[Mounting]) -> None:
+        self.layout = layout
+        self._mountings = list(mountings)
+        self.name, self.n_axes = layout.name, layout.n_axes
+        self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
+        self.fd, self.echo_id = layout.fd, layout.echo_id
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """As the layout's, with the axis' position."""
+        sample = self.layout.decode(frame)
+        if isinstance(sample, Sample):
+            sample.position = self._mountings[sample.axis].count_at_axis(sample.position)
+        return sample
+
+    def encode(self, command: Command) -> list[Frame]:
+        """As the layout's, of what the drives have to make."""
+        force = [mounting.force_at_drive(f) for mounting, f in zip(self._mountings, command.force, strict=True)]
+        return self.layout.encode(Command(command.sequence, force, command.enable, command.reset))
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """As the layout's."""
+        return self.layout.messages(period_ns)
+
+
+class MountedDevice:
+    """A DeviceProtocol in the terms of the axes. force_resolution, enable_lag: the layout's, where it has them."""
+
+    def __init__(self, layout: DeviceProtocol, mountings: Sequence[Mounting]) -> None:
+        self._layout = layout
+        self._mountings = list(mountings)
+        self.name, self.n_axes = layout.name, layout.n_axes
+        self.fd = bool(getattr(layout, "fd", False))
+        self.sequence_modulus = int(getattr(layout, "sequence_modulus", 0))
+        self.force_resolution = float(getattr(layout, "force_resolution", 0.0))
+        self.enable_lag = int(getattr(layout, "enable_lag", 0))
+
+    def decode_command(self, frame: Frame) -> Command | Reject:
+        """As the layout's, in forces at the axes."""
+        command = self._layout.decode_command(frame)
+        if not isinstance(command, Command):
+            return command
+        force = [mounting.force_at_axis(f) for mounting, f in zip(self._mountings, command.force, strict=True)]
+        return command._replace(force=force)
+
+    def encode_feedback(self, sample: Sample) -> Frame:
+        """As the layout's, of the drive's position."""
+        position = self._mountings[sample.axis].count_at_drive(sample.position)
+        return self._layout.encode_feedback(
+            Sample(sample.axis, position, sample.status, sample.sequence, sample.stamp_ns)
+        )

@@ -1,0 +1,311 @@
+"""Runs to work with in Python: simulated ones and recorded ones, with one interface.
+
+    import hil
+
+    rig = hil.load_rig("my-stage.toml", ["law.name=structured-kalman"])
+    run = hil.simulate(rig, seconds=10.0)
+    print(run.summary()["axes"])
+    run.plot("run.png")
+    run.compare(hil.Recording("runs/last/run.mcap"))
+
+Nothing here prints, exits or reads arguments.
+"""
+
+import copy
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.cycle.fault_table import Fault
+from hil.cycle.record import RECORD
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CycleResult, Tick
+from hil.operate.summary import RunData, load_run, steady_from
+from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.file import build_rig, rig_hash
+from hil.rig.file import load_rig as read_rig
+from hil.rig.schema import RigConfig, RigError
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.codec import PER_AXIS, PER_TICK
+from hil.telemetry.recorder import LockstepRecorder
+from hil.virtual import replay as replays
+from hil.virtual import sim
+from hil.virtual.figures_of_merit import axis_statistics
+from hil.virtual.scenario import load_scenario
+
+Array = NDArray[np.float64]
+_KEPT = (*PER_TICK, *PER_AXIS)
+_FIELDS: dict[str, Any] = dict(RECORD.fields or {})
+_OFFSETS = {name: int(_FIELDS[name][1]) for name in _KEPT}
+_USED = max(offset + RECORD[name].itemsize for name, offset in _OFFSETS.items())  # bytes of a record with all of them
+_HEAD = np.dtype(
+    {"names": list(_KEPT), "formats": [RECORD[name] for name in _KEPT], "offsets": [*_OFFSETS.values()],
+     "itemsize": _USED}
+)  # fmt: skip
+_NO_CHANGES: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A validated rig and the folder that the files it names are relative to. Made by `load_rig` or `Rig.build`."""
+
+    config: RigConfig
+    folder: Path
+    _source: Path | dict[str, Any]
+    _overrides: tuple[str, ...] = ()
+
+    @classmethod
+    def build(cls, document: dict[str, Any], folder: str | os.PathLike[str] = ".") -> "Rig":
+        """From a document as the rig file's TOML would give it. Raises RigError."""
+        return _rig(document, Path(folder), ())
+
+    def changed(self, *overrides: str) -> "Rig":
+        """The same rig with key.path=value overrides, beyond those it has. Raises RigError."""
+        return _rig(self._source, self.folder, (*self._overrides, *overrides))
+
+    @property
+    def name(self) -> str:
+        """The rig's name."""
+        return self.config.name
+
+    @property
+    def axes(self) -> list[str]:
+        """Names of the axes, in the order of every array's last index."""
+        return self.config.axis_names
+
+    @property
+    def sha256(self) -> str:
+        """Of everything the rig says, the texts of its law's and task's files included."""
+        return rig_hash(self.config)
+
+
+def _rig(source: Path | dict[str, Any], folder: Path, overrides: tuple[str, ...]) -> Rig:
+    if isinstance(source, Path):
+        return Rig(read_rig(source, overrides), folder, source, overrides)
+    return Rig(build_rig(copy.deepcopy(source), overrides, folder=folder), folder, copy.deepcopy(source), overrides)
+
+
+def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = _NO_CHANGES) -> Rig:
+    """Read a rig file; overrides: key.path=value. Raises RigError naming key, value and what is allowed."""
+    return _rig(Path(path), Path(path).parent, tuple(overrides))
+
+
+class Event(NamedTuple):
+    """Something that happened. time: s from the first tick."""
+
+    time: float
+    text: str
+
+
+class Run:
+    """One run as columns; arrays are (ticks,) or (ticks, n_axes), SI units (rad, N m for rotary axes).
+
+    rig: its Rig's configuration. columns: all columns by name, as docs/architecture.md and the recording have them.
+    true: position before the encoder (m), where it is known (simulations), else None.
+    """
+
+    def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array | None = None) -> None:
+        self.rig, self.columns, self.true = rig, columns, true
+
+    @property
+    def axes(self) -> list[str]:
+        """Names of the axes."""
+        return self.rig.axis_names
+
+    @cached_property
+    def time(self) -> Array:
+        """When each tick was due, s from the first."""
+        scheduled = self.columns["scheduled_ns"]
+        seconds: Array = (scheduled - scheduled[:1]) * 1e-9
+        return seconds
+
+    @property
+    def measured(self) -> Array:
+        """Position as measured, m; the prediction where a tick brought no sample."""
+        return self.columns["position"]
+
+    @property
+    def estimate(self) -> Array:
+        """Position as the rig's filter has it, m."""
+        return self.columns["position_estimate"]
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity as the rig's filter has it, m/s."""
+        return self.columns["velocity_estimate"]
+
+    @property
+    def requested(self) -> Array:
+        """Force the law asked for, N."""
+        return self.columns["force_requested"]
+
+    @property
+    def force(self) -> Array:
+        """Force as sent, N."""
+        return self.columns["force"]
+
+    @property
+    def setpoint(self) -> Array:
+        """Setpoint at the samples' instants, m; NaN where no task ran or a tick brought no sample."""
+        return np.where(self._followed, self.columns["setpoint_position"], np.nan)
+
+    @property
+    def error(self) -> Array:
+        """Position less setpoint, both at the samples' instants, m; NaN as in `setpoint`."""
+        return np.where(self._followed, self.columns["following_error"], np.nan)
+
+    @cached_property
+    def _followed(self) -> NDArray[np.bool_]:
+        fresh = (self.columns["age_ticks"] == 0) & (self.columns["task_ns"] >= 0)[:, None]
+        moves = np.isin(self.columns["state"], (int(State.HOMING), int(State.ACTIVE)))[:, None]
+        return np.asarray(fresh & moves)
+
+    @property
+    def state(self) -> list[str]:
+        """Name of the state after every tick."""
+        names = {int(state): state.name for state in State}
+        return [names[value] for value in self.columns["state"].tolist()]
+
+    @cached_property
+    def events(self) -> list[Event]:
+        """Every change of state, and every fault that latched."""
+        found = []
+        for name, kind in (("state", State), ("fault", Fault)):
+            values = self.columns[name]
+            places = np.flatnonzero(np.diff(values, prepend=values[:1] if name == "state" else 0))
+            for place in places.tolist():
+                value = kind(int(values[place]))
+                if name == "state" or value:
+                    found.append(Event(float(self.time[place]), f"{name} {value.name}"))
+        return sorted(found)
+
+    def summary(self) -> dict[str, Any]:
+        """Figures of the steady window: keys rig, law, ticks, seconds, final_state, faults, steady_from_s, and per axis
+        in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N).
+        """
+        ticks = len(self.time)
+        first = steady_from(RunData(self.rig, {}, self.columns, pb.Counters(), None, 0, truncated=False))
+        return {
+            "rig": self.rig.name,
+            "law": self.rig.law.name,
+            "ticks": ticks,
+            "seconds": float(self.time[-1]) if ticks else 0.0,
+            "final_state": self.state[-1] if ticks else None,
+            "faults": [event.text.removeprefix("fault ") for event in self.events if event.text.startswith("fault")],
+            "steady_from_s": float(self.time[first]) if first < ticks else None,
+            "axes": axis_statistics(self.axes, self.error[first:], self.force[first:]),
+        }
+
+    def compare(self, other: "Run") -> dict[str, dict[str, float]]:
+        """Largest difference to another run, tick by tick as far as both go: per axis setpoint, error (m), force (N).
+
+        Raises ValueError where the runs have other axes.
+        """
+        if self.axes != other.axes:
+            raise ValueError(f"the runs have the axes {', '.join(self.axes)} and {', '.join(other.axes)}")
+        n = min(len(self.time), len(other.time))
+        found: dict[str, dict[str, float]] = {name: {} for name in self.axes}
+        for key in ("setpoint", "error", "force"):
+            difference = np.abs(getattr(self, key)[:n] - getattr(other, key)[:n])
+            largest = np.where(np.isnan(difference), 0.0, difference).max(axis=0, initial=0.0)
+            for index, name in enumerate(self.axes):
+                found[name][key] = float(largest[index])
+        return found
+
+    def plot(self, path: str | os.PathLike[str]) -> Path:
+        """Draw setpoint, error and force of every axis as .png, .svg, .pdf, ...; returns the path."""
+        from hil.cli.pictures import tracking_picture
+
+        tracking_picture(Path(path), self.rig, self)
+        return Path(path)
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame, a row a tick, indexed by time; columns such as x_error. Raises ImportError without it."""
+        import pandas
+
+        keys = ("setpoint", "measured", "estimate", "error", "requested", "force")
+        table = {f"{name}_{key}": getattr(self, key)[:, i] for i, name in enumerate(self.axes) for key in keys}
+        if self.true is not None:
+            table |= {f"{name}_true": self.true[:, i] for i, name in enumerate(self.axes)}
+        return pandas.DataFrame({**table, "state": self.state}, index=pandas.Index(self.time, name="time_s"))
+
+
+class Simulation(Run):
+    """A run of `simulate`. report: the figures `hil sim` shows, by the true error. law_failure: why a user's law no
+    longer counted, with file and line; empty where all was well. trace_sha256: over every frame sent and received.
+    """
+
+    def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array, report: sim.SimReport) -> None:
+        super().__init__(rig, columns, true)
+        self.report = report
+        self.law_failure = report.law_failure
+        self.trace_sha256 = report.trace_sha256
+
+
+class Recording(Run):
+    """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
+
+    Raises RecordingError where the file is none.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        data = load_run(Path(path))
+        super().__init__(data.rig, data.columns)
+        self.path, self.metadata = Path(path), data.metadata
+        self.truncated, self.lost = data.truncated, data.lost
+
+
+def simulate(
+    rig: Rig | str | os.PathLike[str],
+    seconds: float = 20.0,
+    *,
+    overrides: Sequence[str] = _NO_CHANGES,
+    scenario: str | os.PathLike[str] | None = None,
+    record: str | os.PathLike[str] | None = None,
+) -> Simulation:
+    """Run a rig in virtual time against its emulated stage, for `seconds`: the same bytes every time, on any machine.
+
+    rig: a Rig or a rig file. overrides: key.path=value. scenario: a file of faults to inject. record: write a recording
+    there. Raises RigError where the rig cannot run, RecordingError where `record` cannot be written.
+    """
+    chosen = rig.changed(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
+    config, folder = chosen.config, chosen.folder
+    refuse_unschedulable(config, folder)
+    faults = load_scenario(Path(scenario), config) if scenario is not None else None
+    recorder = LockstepRecorder(Path(record), config, folder / f"{config.name}.toml") if record is not None else None
+    kept: list[bytes] = []
+
+    def observe(tick: Tick, frames: Sequence[Any], result: CycleResult) -> None:
+        kept.append(result.record.tobytes()[:_USED])
+        if recorder:
+            recorder.observe(tick, frames, result)
+
+    try:
+        report, traces = sim.simulate(config, folder, seconds, observer=observe, scenario=faults)
+    except ValueError as error:
+        raise RigError([f"{config.name}: {error}"]) from None
+    finally:
+        if recorder:
+            recorder.close()
+    report.overrides = list(overrides)
+    return Simulation(config, _columns(kept, len(config.axes)), traces.true, report)
+
+
+def _columns(kept: Sequence[bytes], n_axes: int) -> dict[str, NDArray[Any]]:
+    records = np.frombuffer(b"".join(kept), dtype=_HEAD)
+    per_axis = {name: records[name][:, :n_axes].copy() for name in PER_AXIS}
+    return {**{name: records[name].copy() for name in PER_TICK}, **per_axis}
+
+
+def replay(path: str | os.PathLike[str], *, overrides: Sequence[str] = _NO_CHANGES) -> replays.Replayed:
+    """A recording through a new control cycle, compared byte for byte; overrides: also through that other rig.
+
+    Raises RecordingError, RigError.
+    """
+    return replays.replay_run(Path(path), tuple(overrides))

@@ -1,0 +1,97 @@
+"""The structured filter's axis: reversals between ticks, sticking, sliding, breaking away."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.control.laws.structured_filter import sign_array, sign_float, slide
+from hil.rig.file import load_rig
+from hil.virtual.lockstep import LockstepRun
+from tests.support.paths import RIGS
+
+PERIOD = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("v0", "v1", "coulomb", "sign"),
+    [
+        (1.0, 0.5, 1.0, 1.0),
+        (-1.0, -0.5, 1.0, -1.0),
+        (0.0, 0.0, 1.0, 0.0),
+        (0.01, -0.03, 0.0, -0.5),
+        (0.0, 0.02, 1.0, 1.0),
+    ],
+)
+def test_mean_sign_is_that_of_the_reference_away_from_reversals(
+    v0: float, v1: float, coulomb: float, sign: float
+) -> None:
+    assert sign_float(v0, v1, PERIOD, 0.02, coulomb)[0] == pytest.approx(sign)
+
+
+def test_a_reversal_between_ticks_is_solved_as_stiction_plays_it() -> None:
+    """The force that the law derives takes a Coulomb-braked mass from v0 to v1 in one period, by fine integration."""
+    mass, coulomb, v0, v1 = 0.022, 1.4, 0.002, -0.008
+    mean, stuck, shift = sign_float(v0, v1, PERIOD, mass, coulomb)
+    force = mass * (v1 - v0) / PERIOD + coulomb * mean
+    assert stuck == 0.0
+    steps = 200_000
+    h, velocity, position = PERIOD / steps, v0, 0.0
+    for _ in range(steps):
+        friction = coulomb if velocity > 0 else -coulomb
+        velocity += h * (force - friction) / mass
+        position += h * velocity
+    assert velocity == pytest.approx(v1, abs=1e-5)
+    assert position == pytest.approx(0.5 * (v0 + v1) * PERIOD + shift, abs=1e-8)
+
+
+def test_reversals_are_the_same_for_floats_and_arrays() -> None:
+    random = np.random.default_rng(5)
+    v0, v1 = 0.01 * random.standard_normal((2, 500))
+    mass, coulomb = np.full(500, 0.02), random.uniform(-0.1, 1.0, 500)
+    many = sign_array(v0, v1, np.full(500, PERIOD), mass, coulomb)
+    for k in range(500):
+        one = sign_float(float(v0[k]), float(v1[k]), PERIOD, 0.02, float(coulomb[k]))
+        assert one == tuple(float(values[k]) for values in many)
+
+
+def slid(velocity: float, push: float, dry: float, time: float, mass: float) -> tuple[float, float]:
+    """By fine implicit steps (Moreau): friction takes what it can, up to `dry`."""
+    steps, way = 20_000, 0.0
+    h = time / steps
+    for _ in range(steps):
+        free = velocity + h * push / mass
+        friction = min(max(free * mass / h, -dry), dry)
+        velocity = free - h * friction / mass
+        way += h * velocity
+    return velocity, way
+
+
+def test_the_filters_axis_slides_sticks_and_turns_as_set_valued_friction_has_it() -> None:
+    mass, dry = 0.02, 1.0
+    cases = [(0.01, 0.5), (0.01, -0.5), (0.01, -1.3), (-0.01, 1.3), (0.0, 0.9), (0.0, 1.1), (0.0, -1.1), (-0.1, 0.2)]
+    for velocity, push in cases:
+        end, way = slide(velocity, push, dry, PERIOD, 1.0 / mass)
+        assert (end, way) == pytest.approx(slid(velocity, push, dry, PERIOD, mass), abs=5e-8 + 2e-4 * abs(end))
+        assert slide(-velocity, -push, dry, PERIOD, 1.0 / mass) == (-end, -way)
+    assert slide(0.0, 0.9, dry, PERIOD, 1.0 / mass) == (0.0, 0.0)
+    velocities, pushes = np.array(cases).T
+    many = slide(
+        velocities, pushes, np.full(len(cases), dry), np.full(len(cases), PERIOD), np.full(len(cases), 1.0 / mass)
+    )
+    for index, (velocity, push) in enumerate(cases):
+        assert tuple(float(v[index]) for v in many) == slide(velocity, push, dry, PERIOD, 1.0 / mass)
+
+
+def test_an_axis_that_has_not_broken_away_teaches_no_bias() -> None:
+    """Friction is three times the model's: the reference moves there and back while the axis sticks."""
+    rig = load_rig(RIGS / "paper.toml", ["law.name=structured-kalman", "plant.coulomb=[3.4, 0.9]", "task.radius=5e-6"])
+    run = LockstepRun(rig, RIGS)
+    for _ in range(3000):
+        run.tick()
+    assert np.abs(run.true_position).max() < 1e-6
+    laws: Any = run.cycle.law
+    for learnt, limit in zip(laws.laws, (3.4, 0.9), strict=True):
+        bias, coulomb, _, _ = learnt._disturbance
+        assert abs(bias) < 0.02 * limit
+        assert coulomb >= 0.0

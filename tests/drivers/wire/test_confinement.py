@@ -1,0 +1,135 @@
+"""Error counters, bus-off and recovery on the simulated segment."""
+
+from drivers.bus.counters import BusState
+from drivers.frame import Frame
+from drivers.frame_length import INTERMISSION
+from drivers.wire.faults import FaultKind, WireFault
+from drivers.wire.wire import Wire
+from tests.support.wire_rig import BIT, COMMAND, FEEDBACK, MS, Rig, bits, pair
+
+
+def test_a_node_whose_frames_always_fail_becomes_passive_after_16_and_bus_off_after_32() -> None:
+    rig = Rig(WireFault(FaultKind.CORRUPT, node="drive0", bit=15))
+    states: list[BusState] = []
+    rig.host.send(COMMAND, 0)
+    while rig.wire.now_ns < 10 * MS:
+        rig.wire.advance(rig.wire.now_ns + 10 * BIT)
+        if not states or states[-1] != rig.drives[0].state:
+            states.append(rig.drives[0].state)
+    assert states == [BusState.ERROR_ACTIVE, BusState.ERROR_PASSIVE, BusState.BUS_OFF]
+    assert rig.drives[0].counters().errors == 32
+    assert rig.drives[0].counters().bus_off == 1
+    assert not rig.drives[0].send(FEEDBACK[0], rig.wire.now_ns)
+    assert [frame.can_id for frame in rig.at_host] == [0x101, 0x102, 0x103]  # the others go on
+
+
+def test_an_error_passive_sender_lets_others_go_first() -> None:
+    wire, sender, heard, listener = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=20))
+    sender.send(Frame(0x001, b""), 0)
+    wire.advance(5 * MS)
+    assert (sender.tec, sender.state) == (20 * 8 - 1, BusState.ERROR_PASSIVE)
+    assert (listener.rec, listener.state) == (20 - 1, BusState.ERROR_ACTIVE)
+    heard.clear()
+    other = wire.attach("other", None)
+    for _ in range(2):
+        sender.send(Frame(0x001, b""), wire.now_ns)
+        other.send(Frame(0x700, b""), wire.now_ns + 1)
+    wire.advance(6 * MS)
+    assert [frame.can_id for frame in heard] == [0x001, 0x700, 0x001, 0x700]  # by priority the 0x700s come last
+
+
+def test_a_passive_node_recovers_by_sending_well() -> None:
+    wire, sender, _, _ = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=16))
+    sender.send(COMMAND, 0)
+    wire.advance(5 * MS)
+    assert (sender.tec, sender.state) == (127, BusState.ERROR_ACTIVE)
+    for _ in range(127):
+        sender.send(COMMAND, wire.now_ns)
+        wire.advance(wire.now_ns + MS)
+    assert sender.tec == 0
+
+
+def test_bus_off_lasts_until_it_is_restarted_and_128_times_11_idle_bits_have_passed() -> None:
+    rig = Rig(WireFault(FaultKind.BUS_OFF, node="host", from_ns=MS))
+    rig.ticks(1)
+    rig.wire.advance(500 * MS)
+    assert rig.host.state == BusState.BUS_OFF
+    assert not rig.host.send(COMMAND, rig.wire.now_ns)
+    rig.host.restart(rig.wire.now_ns)
+    rig.wire.advance(500 * MS + 1408 * BIT - 1)
+    assert rig.host.state == BusState.BUS_OFF
+    rig.wire.advance(500 * MS + 1408 * BIT)
+    assert rig.host.state == BusState.ERROR_ACTIVE
+    assert (rig.host.tec, rig.host.rec, rig.host.counters().restarted) == (0, 0, 1)
+    rig.ticks(1, start=502)
+    assert len(rig.at_host) == 8
+
+
+def test_recovery_takes_longer_on_a_busy_bus() -> None:
+    rig = Rig(WireFault(FaultKind.BUS_OFF, node="drive3"))
+    rig.ticks(1)
+    rig.drives[3].restart(MS)
+    rig.ticks(2, start=1)
+    assert rig.drives[3].state == BusState.BUS_OFF  # 2 ms would be enough on an idle bus
+    rig.ticks(2, start=3)
+    assert rig.drives[3].state == BusState.ERROR_ACTIVE
+
+
+def test_what_a_node_had_queued_is_gone_after_bus_off() -> None:
+    wire, sender, heard, _ = pair(WireFault(FaultKind.BUS_OFF, node="sender", from_ns=20 * BIT))
+    sender.send(COMMAND, 0)
+    sender.send(COMMAND, 0)
+    wire.advance(MS)
+    sender.restart(wire.now_ns)
+    wire.advance(10 * MS)
+    assert heard == []
+    assert not sender.queue
+
+
+def test_without_acknowledgement_the_counter_stops_at_128_and_the_old_setpoint_replays() -> None:
+    rig = Rig(WireFault(FaultKind.NO_ACK, node="host", from_ns=5 * MS, until_ns=50 * MS))
+    for tick in range(40):
+        rig.host.send(Frame(COMMAND.can_id, bytes([tick] * 8)), tick * MS)
+        rig.wire.advance((tick + 1) * MS)
+    assert rig.host.tec == 128
+    assert rig.host.state == BusState.ERROR_PASSIVE
+    assert rig.host.counters().bus_off == 0
+    assert rig.host.counters().no_ack > 100
+    assert rig.host.counters().refused == 40 - 5 - 16  # the queue holds 16
+    assert len(rig.at_drive["drive0"]) == 5
+    rig.wire.advance(60 * MS)
+    assert [frame.data[0] for frame in rig.at_drive["drive0"]] == list(range(21))  # 5 to 20: too old by then
+
+
+def test_purging_in_time_keeps_old_setpoints_from_replaying() -> None:
+    rig = Rig(WireFault(FaultKind.NO_ACK, node="host", until_ns=10 * MS))
+    rig.ticks(10)
+    assert rig.host.purge() == 10
+    rig.wire.advance(20 * MS)
+    assert rig.at_drive["drive0"] == []
+    rig.ticks(1, start=20)
+    assert len(rig.at_drive["drive0"]) == 1
+
+
+def test_a_node_alone_on_the_bus_is_not_acknowledged() -> None:
+    wire = Wire(1_000_000)
+    node = wire.attach("alone", None)
+    node.send(COMMAND, 0)
+    wire.advance(100 * MS)
+    assert node.tec == 128
+    assert node.counters().sent == 0
+    attempt = bits(COMMAND) + 6 + INTERMISSION
+    passive = attempt + 8
+    assert node.counters().no_ack == 16 + (100_000 - 15 * attempt - passive - bits(COMMAND)) // passive + 1
+
+
+def test_two_nodes_with_one_identifier_drive_each_other_off_the_bus() -> None:
+    wire = Wire(1_000_000)
+    heard: list[Frame] = []
+    first, second = wire.attach("a", None), wire.attach("b", None)
+    wire.attach("listener", heard.append)
+    first.send(Frame(0x100, b"\x00"), 0)
+    second.send(Frame(0x100, b"\xff"), 0)
+    wire.advance(20 * MS)
+    assert first.state == second.state == BusState.BUS_OFF
+    assert heard == []

@@ -1,0 +1,42 @@
+"""`hil sweep`: the same numbers however plants are dealt out, and the worst of them again, one by one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.rig.file import load_rig
+from hil.rig.schema import RigError
+from hil.studies.sweep.plants import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from tests.support.paths import RIGS
+
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
+QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
+
+
+def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    document = rig.model_dump_json()
+    whole = run_chunk(Job(document, 5, 0, 6, 500, 320, True))
+    with processes(2) as crew:
+        parts = list(crew.run([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)]))
+    for together, first, second in zip(whole, *parts, strict=True):
+        assert np.array_equal(together, np.concatenate([first, second]))
+
+
+def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    work = jobs(rig, RIGS, 3, 0.7, seed=9)
+    figures = run_chunk(work[0])
+    (saved,) = save_worst(PAPER, rig, 9, False, [2], tmp_path)
+    assert reproduce(saved, 0.7, figures.max_error[2])
+    assert not reproduce(saved, 0.7, figures.max_error[1])
+    assert load_rig(saved).plant == plant_rig(rig, 9, 2, False).plant
+    assert "# The stage of Xu" in saved.read_text()
+
+
+def test_a_sweep_without_a_steady_window_is_refused() -> None:
+    with pytest.raises(RigError, match="steady window begins"):
+        jobs(load_rig(PAPER), RIGS, 10, 3.0, seed=1)
+    with pytest.raises(RigError, match="stage_fd"):
+        jobs(load_rig(PAPER, ["wire.jitter=1e-5"]), RIGS, 10, 20.0, seed=1)
