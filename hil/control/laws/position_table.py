@@ -34,7 +34,8 @@ class PositionTable:
             cell = int(place)
             step = 1 if signed >= 0.0 else -1
             return place - cell, HALF + step * cell, HALF + step * (cell + 1)
-        cells = place.astype(np.int64)
+        array: Any = place
+        cells = array.astype(np.int64)
         steps = np.where(signed >= 0.0, 1, -1)
         return place - cells, HALF + steps * cells, HALF + steps * (cells + 1)
 
@@ -66,13 +67,12 @@ class PositionTable:
         self._write(node, bounded(self._read(node) + force, self._limit))
 
     def _read(self, node: Any) -> Number:
-        if self._floats:
-            value: Number = self._values[node]
-            return value
-        return np.take_along_axis(self._values, node[None], 0)[0]
+        value: Number = self._values[node] if self._floats else np.take_along_axis(self._values, node[None], 0)[0]
+        return value
 
     def _write(self, node: Any, value: Number) -> None:
         if self._floats:
             self._values[node] = value
         else:
-            np.put_along_axis(self._values, node[None], value[None], 0)
+            array: Any = value
+            np.put_along_axis(self._values, node[None], array[None], 0)
