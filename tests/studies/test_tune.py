@@ -33,7 +33,8 @@ from hil.virtual.sim import simulate
 from sim_plant.physics.stage import Truth
 from tests.support.paths import RIGS
 
-SPACE = {law: knobs(law_class(LawConfig(name=law)).GAINS, plan=False) for law in LAWS}
+ALL = {law: knobs(law_class(LawConfig(name=law)).GAINS, plan=False) for law in LAWS}
+SPACE = {law: found for law, found in ALL.items() if found}  # the laws that declare something to search
 STRUCTURED = LawConfig(name="structured-kalman")
 PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
