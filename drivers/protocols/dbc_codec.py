@@ -138,6 +138,11 @@ def _field(signal: Signal, length: int) -> _Field:
     shift = 8 * length - (8 * offset + 7 - bit) - signal.length if big else signal.start
     to_float = from_float = None
     if signal.is_float:
+        if signal.length not in _FLOAT:
+            lengths = ", ".join(map(str, _FLOAT))
+            raise LayoutError(
+                f"signal {signal.name}: a floating-point number of {signal.length} bits; allowed {lengths}"
+            )
         bits, number = struct.Struct(">" + _INTEGER[signal.length].upper()), struct.Struct(">" + _FLOAT[signal.length])
         to_float = lambda raw: float(number.unpack(bits.pack(raw))[0])  # noqa: E731
         from_float = lambda value: int(bits.unpack(number.pack(value))[0])  # noqa: E731

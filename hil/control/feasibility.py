@@ -26,9 +26,10 @@ from hil.control.trajectories import Trajectory, plan_task
 from hil.control.trajectories.homing import home_position
 from hil.control.trajectories.segments import Segments
 from hil.rig.schema import RigConfig
-from hil.rig.tables import AxisConfig
+from hil.rig.tables import AxisConfig, LimitsConfig
 
-TRAVEL_MARGIN = 0.5  # of limits.following_error, kept from either end of the travel
+TRAVEL_MARGIN = 0.5  # of limits.following_error, kept from either end of the travel,
+MOST_TRAVEL_MARGIN = 0.05  # but no more of the travel than this
 SPEED_MARGIN = 0.05  # of limits.speed
 FORCE_MARGIN = 0.15  # of limits.force
 RATE_MARGIN = 0.15  # of limits.force_rate
@@ -74,12 +75,17 @@ def violations(rig: RigConfig, start: Sequence[float]) -> list[Violation]:
 def corner_starts(rig: RigConfig) -> dict[str, list[float]]:
     """Where a task may have to begin, by what people call it: home, and the ends of the travel less the margin."""
     limits = [axis.limits for axis in rig.axes.values()]
-    reserves = [li.following_error * TRAVEL_MARGIN * (1.0 + 1e-9) for li in limits]  # standing there is feasible
+    reserves = [_travel_margin(li) * (1.0 + 1e-9) for li in limits]  # standing there is feasible
     return {
         "home": home_position(rig),
         "the lower ends of the travel": [li.position[0] + r for li, r in zip(limits, reserves, strict=True)],
         "the upper ends of the travel": [li.position[1] - r for li, r in zip(limits, reserves, strict=True)],
     }
+
+
+def _travel_margin(limits: LimitsConfig) -> float:
+    travel = limits.position[1] - limits.position[0]
+    return min(limits.following_error * TRAVEL_MARGIN, travel * MOST_TRAVEL_MARGIN)
 
 
 def _horizon(trajectory: Trajectory) -> int:
@@ -114,7 +120,7 @@ def _axis_violations(
     unit, force_unit = ("m", "N") if axis.kind == "linear" else ("rad", "N m")
     key = f"axes.{name}.limits"
     stop = position + velocity * np.abs(velocity) * model.mass / limits.force
-    margin = limits.following_error * TRAVEL_MARGIN
+    margin = _travel_margin(limits)
     low, high = limits.position[0] + margin, limits.position[1] - margin
     smooth = model.mass * acceleration + velocity * (model.viscous + model.quadratic * np.abs(velocity)) - model.gravity
     force = np.abs(smooth + model.coulomb * np.sign(velocity))

@@ -22,7 +22,7 @@ from hil.cycle.tick import CommandKind
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import LawConfig, RigConfig, RigError
 from hil.studies.compare.cases import LEARNING, Case, run_case
-from hil.studies.fault_campaign.matrix import plan_chunks, run_chunk
+from hil.studies.fault_campaign.matrix import displaced, plan_chunks, run_chunk
 from hil.studies.sweep.plants import jobs, reproduce, save_worst
 from hil.studies.sweep.plants import run_chunk as run_plants
 from hil.studies.tune.candidate_simulation import Trial
@@ -282,7 +282,7 @@ def test_a_slice_of_the_fault_campaign_passes_with_a_users_law(name: str, rig_fi
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GOOD)
 def test_the_whole_fault_campaign_passes_with_a_users_law(name: str, rig_file: Path) -> None:
-    for chunk in plan_chunks(load_rig(rig_file, [beside(name)]), rig_file.parent):
+    for chunk in plan_chunks(displaced(load_rig(rig_file, [beside(name)])), rig_file.parent):
         assert [f"{c.checkpoint} / {c.trial}: {c.why}" for c in run_chunk(chunk) if not c.passed] == []
 
 
