@@ -143,9 +143,19 @@ class Demo:
         start = self._family.start
         self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
         self.sidecar = start("sidecar", ["sidecar", *rig, *listen], environment, scene.out / "sidecar.log")
+        self._await_emulator(scene.out / "emulator.log")
         self.control = start("control process", ["run", *rig], environment, scene.out / "control.log")
         pids = ", ".join(f"{child.name} {child.pid}" for child in self._family.children)
         self.console.print(f"started {pids}", soft_wrap=True)
+
+    def _await_emulator(self, log: Path) -> None:
+        """Until the drives are on the bus, which the emulator then says: a frame nobody acknowledges is a fault."""
+        until = time.monotonic() + START_S
+        while " on " not in log.read_text(encoding="utf-8"):
+            self._check_alive()
+            if time.monotonic() > until:
+                raise DemoError(f"the emulated stage was not on the bus within {START_S:.0f} s")
+            time.sleep(POLL_S)
 
     def _await_endpoint(self) -> str:
         """Where the sidecar listens, as soon as it does."""
