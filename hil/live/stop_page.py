@@ -127,8 +127,10 @@ def _trusted(directory: str) -> bool:
 
 
 def _held_pages(rig: str) -> "list[Page]":
-    ending = f"/{rig}/{NAME}"
+    """Those of our own runtime directory, or, where none is held, those of any."""
+    ending, ours = f"/{rig}/{NAME}", f"{runtime_path()}/"
     pages: dict[tuple[int, int], Page] = {}
+    own: dict[tuple[int, int], Page] = {}
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
             descriptors = os.listdir(f"/proc/{pid}/fd")
@@ -142,5 +144,6 @@ def _held_pages(rig: str) -> "list[Page]":
                 continue
             if target.endswith(ending) and (page := open_page(link)):
                 found = os.fstat(page.fd)
-                pages.setdefault((found.st_dev, found.st_ino), page)
-    return list(pages.values())
+                kept = own if target.startswith(ours) else pages
+                kept.setdefault((found.st_dev, found.st_ino), page)
+    return list((own or pages).values())
