@@ -119,7 +119,7 @@ def test_a_rig_runs_on_native_floats_and_a_batch_on_arrays() -> None:
     ask_both = """
 import numpy as np
 from hil.virtual import batch
-from hil.cycle import step as cycle
+from hil.cycle import axes as cycle
 batch.MotionFilter([np.ones(2)] * 3, np.ones(2)).correct(np.ones(2), 1e-3, np.ones(2))
 try:
     cycle.MotionFilter([1.0] * 3, 1.0).correct(np.ones(2), 1e-3, np.ones(2))
