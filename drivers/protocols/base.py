@@ -105,6 +105,9 @@ class HostProtocol(Protocol):
     checksum: bool  # its frames carry one besides CAN's own
     fd: bool
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
+    # ns per axis from the tick's start until a drive that samples in its own time applies its torque; empty where what
+    # triggers sampling applies the torque too.
+    acts_ns: Sequence[int]
 
     @property
     def problems(self) -> Sequence[str]:

@@ -46,6 +46,7 @@ class _Layout:
         self.n_axes = n_axes
         self.sequence_modulus = SEQUENCE_MODULUS
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         # The largest force after rounding to single precision, so that a command of exactly the rated force passes.
