@@ -110,7 +110,9 @@ class EmulatedDriveConfig(BaseModel):
 
     @model_validator(mode="after")
     def _every_key_acts(self) -> "EmulatedDriveConfig":
-        ignored = sorted(self.model_fields_set - {"kind"} - _OF_KIND[self.kind])
+        fields = type(self).model_fields
+        stated = {name for name, value in self if value != fields[name].default}
+        ignored = sorted(stated - {"kind"} - _OF_KIND[self.kind])
         if ignored:
             raise ValueError(f"{', '.join(ignored)}: no key of kind = {self.kind!r}")
         if self.status_bits & ~0xC100:

@@ -129,7 +129,7 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
         )
     if binding.feedback_period_s and binding.feedback != "cyclic":
         raise LayoutError("bus.dbc.feedback_period_s: triggered drives answer commands and have no period of their own")
-    if "checksum_algorithm" in binding.model_fields_set and not binding.checksum:
+    if binding.checksum_algorithm != DbcBinding.model_fields["checksum_algorithm"].default and not binding.checksum:
         raise LayoutError("bus.dbc.checksum_algorithm: no bus.dbc.checksum is bound that it would act on")
     if bool(binding.feedback_counter) != bool(binding.command_counter):
         raise LayoutError("bus.dbc: feedback_counter echoes command_counter; bind both or neither")
