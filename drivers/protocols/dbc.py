@@ -27,7 +27,7 @@ from typing import Any
 from drivers.arbitration import arbitration_key
 from drivers.config import BusConfig, DbcBinding, SignalBinding, StatusBinding
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
-from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
+from drivers.protocols.base import UNHEALTHY, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, BoundMessage, bind_messages, bound_items, check_binding
 from drivers.protocols.dbc_codec import load_dbc
 from drivers.protocols.sampling_clock import SamplingClock
@@ -88,6 +88,7 @@ class DbcLayout:
         self._feedback = [bound.message for bound in self._position]
         carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
         self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
+        self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
         self._check_places(binding, path.name)
@@ -335,11 +336,11 @@ class DbcDevice(DbcLayout):
             meanings = self._maps[axis]
             raw = status & STATUS_MASK
             if meanings is not None:
-                meant = FAULT if status & FAULT else ENABLED if status & ENABLED else 0
+                meant = FAULT if status & UNHEALTHY else ENABLED if status & ENABLED else 0
                 raw = next((raw for raw, bits in meanings.items() if bits == meant), _unused(meanings))
             values[self._status[axis].place.at] = raw
         if self._error and self._error[axis].message is message:
-            values[self._error[axis].place.at] = int(bool(status & FAULT))
+            values[self._error[axis].place.at] = int(bool(status & UNHEALTHY))
 
 
 def _status_map(binding: StatusBinding) -> dict[int, int] | None:
