@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 from drivers.config import BusConfig
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
-from drivers.protocols.base import Command, Reject, Sample
+from drivers.protocols.base import UNHEALTHY, Command, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, BoundMessage
 from drivers.protocols.dbc_layout import ENABLED, FAULT, DbcLayout
 from drivers.protocols.sampling_clock import SamplingClock
@@ -60,7 +60,7 @@ class DbcHost(DbcLayout):
         self._known = {*self._axis, *self._states}
         self._own = {message.can_id for message in self._commands}
         self.echo_id: int | None = None if self._free_running else self._cyclic[-1].can_id
-        self.acts_ns = self._find_acts(bus) if self._free_running else []
+        self.acts_ns: Sequence[int] = self._find_acts(bus) if self._free_running else []
         self._enabled = 0
         self._state, self._fault = [0] * n_axes, [0] * n_axes
         self._told_tick = [-STATE_TIMEOUT_NS] * n_axes  # when a message with a state alone came
@@ -305,11 +305,11 @@ class DbcDevice(DbcLayout):
             meanings = self._maps[axis]
             raw = status & STATUS_MASK
             if meanings is not None:
-                meant = FAULT if status & FAULT else ENABLED if status & ENABLED else 0
+                meant = FAULT if status & UNHEALTHY else ENABLED if status & ENABLED else 0
                 raw = next((raw for raw, bits in meanings.items() if bits == meant), _unused(meanings))
             values[self._status[axis].place.at] = raw
         if self._error and self._error[axis].message is message:
-            values[self._error[axis].place.at] = int(bool(status & FAULT))
+            values[self._error[axis].place.at] = int(bool(status & UNHEALTHY))
 
 
 def _unused(meanings: dict[int, int]) -> int:

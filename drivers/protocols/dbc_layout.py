@@ -66,6 +66,7 @@ class DbcLayout:
         self._feedback = [bound.message for bound in self._position]
         carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
         self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
+        self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
         self._check_places(binding, path.name)

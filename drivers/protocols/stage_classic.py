@@ -36,6 +36,7 @@ class _Layout:
 
     name = "stage_classic"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = False
 

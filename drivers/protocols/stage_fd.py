@@ -38,6 +38,7 @@ class _Layout:
 
     name = "stage_fd"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = True
 

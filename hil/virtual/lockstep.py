@@ -67,6 +67,7 @@ class LockstepRun:
         for fault in wire_faults:
             self.wire.inject(fault)
         self.received: list[Frame] = []  # by the host since the last tick
+        self._discarded = 0  # of those, beyond the receive limit
         self._echo_id = self.cycle.protocol.echo_id
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
@@ -118,15 +119,14 @@ class LockstepRun:
             self.index,
             now,
             now,
-            self.host.counters(),
+            self.host.counters()._replace(discarded=self._discarded),
             self._commands(now),
             stop=self.stop,
             estop=self.estop,
             **self.grants,
         )
         self.estop = False
-        frames = self.received.copy()
-        self.received.clear()
+        frames = self._drain()
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
@@ -139,6 +139,14 @@ class LockstepRun:
             self.injector.observe(now, self.cycle.state.name, self._phase())
         self.skip(1)
         return result
+
+    def _drain(self) -> list[Frame]:
+        """What the host received since the last tick; of a flood the newest, as drivers.bus.port has it."""
+        limit = self.rig.bus.receive_limit
+        self._discarded += max(0, len(self.received) - limit)
+        frames = self.received[-limit:]
+        self.received.clear()
+        return frames
 
     def _phase(self) -> str:
         """Name of the task's phase; empty outside ACTIVE."""

@@ -157,11 +157,15 @@ def queue_full(run: LockstepRun, axis: int) -> None:
     run.host.queue_length = 0
 
 
-def babble(can_id: int) -> Step:
-    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47."""
+def babble(*can_ids: int) -> Step:
+    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47. With the first
+    of the identifiers that no message of the rig's has.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
+        taken = {message.can_id for message in run.cycle.protocol.messages(run.rig.period_ns)}
+        can_id = next(can_id for can_id in can_ids if can_id not in taken)
         run.wire.inject(WireFault(FaultKind.BABBLE, from_ns=now, can_id=can_id, period_ns=25_000, length=0))
 
     return once(act)
@@ -191,7 +195,8 @@ def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
         answers = run.cycle.protocol.messages(run.rig.period_ns)
-        can_id = next(m.can_id for m in answers if m.after is not None and m.sender == f"axis {axis}")
+        cyclic = [m for m in answers if m.period_ns == run.rig.period_ns and m.sender == f"axis {axis}"]
+        can_id = cyclic[0].can_id
         for frame in list(run.received):
             if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
                 run.received.append(make(frame))
