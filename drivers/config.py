@@ -86,6 +86,13 @@ class DbcBinding(BaseModel):
     feedback_period_s: float = key(
         0.0, "cyclic: period in which a drive sends its position", "s", derived="the control period", ge=0, le=1
     )
+    state_period_s: float = key(
+        0.01,
+        "period of the messages with `status` or `error` alone; what drives say of themselves is seen so much later",
+        "s",
+        ge=1e-3,
+        le=0.25,
+    )
     on_change: list[str] = key(
         [],
         "command messages that are sent when a value in them changes: at the start too, and before every enabling; one "

@@ -109,6 +109,7 @@ class HostProtocol(Protocol):
     # ns per axis from the tick's start until a drive that samples in its own time applies its torque; empty where what
     # triggers sampling applies the torque too.
     acts_ns: Sequence[int]
+    state_ns: int  # period in which drives tell their state; 0: with every position
 
     @property
     def problems(self) -> Sequence[str]:

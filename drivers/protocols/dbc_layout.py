@@ -11,7 +11,7 @@ from drivers.protocols.dbc_codec import load_dbc
 
 PREFIX = "dbc:"
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
-STATE_PERIOD_NS = 10_000_000  # least period of what is not sent every tick, for the schedulability analysis
+OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
 
 
 class DbcLayout:
@@ -66,6 +66,7 @@ class DbcLayout:
         self._feedback = [bound.message for bound in self._position]
         carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
         self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
+        self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
         self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())
@@ -121,7 +122,8 @@ class DbcLayout:
     def messages(self, period_ns: int) -> list[Message]:
         """All commands, then the feedbacks, which the last command triggers, and what is sent less often."""
         trigger = None if self._free_running else self._cyclic[-1].name
-        slow_ns = max(period_ns, STATE_PERIOD_NS)
+        slow_ns = max(period_ns, OCCASIONAL_NS)
+        state_ns = max(period_ns, self.state_ns)
         feedback_ns = self._feedback_period_ns or period_ns
         return [
             *(Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, "host") for m in self._cyclic),
@@ -130,7 +132,7 @@ class DbcLayout:
                 for axis, m in enumerate(self._feedback)
             ),
             *(
-                Message(m.name, m.can_id, m.length, m.fd, slow_ns, slow_ns, 0, f"axis {axis}")
+                Message(m.name, m.can_id, m.length, m.fd, state_ns, state_ns, 0, f"axis {axis}")
                 for m, axis in self._state_only.items()
             ),
             *(

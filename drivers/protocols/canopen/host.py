@@ -96,6 +96,7 @@ class Cia402Host:
     fd = False
     echo_id: int | None = cia301.SYNC_ID
     acts_ns: Sequence[int] = ()
+    state_ns = 0
 
     def __init__(
         self,

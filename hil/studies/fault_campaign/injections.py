@@ -195,7 +195,7 @@ def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
         answers = run.cycle.protocol.messages(run.rig.period_ns)
-        cyclic = [m for m in answers if m.period_ns == run.rig.period_ns and m.sender == f"axis {axis}"]
+        cyclic = [m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}"]
         can_id = cyclic[0].can_id
         for frame in list(run.received):
             if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
