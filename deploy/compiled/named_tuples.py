@@ -34,7 +34,7 @@ def rewrite(text: str, module: str, known: dict[Key, Fields]) -> str:
     behind = {name: line for name, (_, line) in classes.items()}
     lines = text.splitlines(keepends=True)
     used = _rewrite_calls(tree, lines, {name: fields for name, (fields, _) in classes.items()})
-    for name in sorted(used, key=lambda name: -behind[name]):
+    for name in sorted(used, key=lambda name: (-behind[name], name)):
         lines.insert(behind[name], f"_new_{name}: _Final = {name}\n")
     if used:
         last = max(node.end_lineno or 0 for node in tree.body if _goes_first(node))
