@@ -57,8 +57,8 @@ class MountedHost:
         self._mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
-        self.causes = layout.causes
-        self.fd, self.echo_id = layout.fd, layout.echo_id
+        self.causes, self.state_ns = layout.causes, layout.state_ns
+        self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
 
     @property
     def problems(self) -> Sequence[str]:

@@ -50,6 +50,8 @@ class _Layout:
         self.n_axes = n_axes
         self.sequence_modulus = SEQUENCE_MODULUS
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.state_ns = 0
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         self._rated = list(rated_force)

@@ -96,8 +96,15 @@ class LockstepRun:
     def skip(self, slots: int) -> None:
         """Let `slots` periods pass without a tick: the control process was held up."""
         self.index += slots
-        self.wire.advance(self.index * self.rig.period_ns)
-        for unasked in self.stage.advance(self.index * self.rig.period_ns):
+        end_ns = self.index * self.rig.period_ns
+        while (due_ns := self.stage.speaks_ns) < end_ns:
+            self._advance(due_ns)
+        self._advance(end_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        """Wire and stage live to now_ns, and the drives say what they have to."""
+        self.wire.advance(now_ns)
+        for unasked in self.stage.advance(now_ns):
             self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
 
     def restart(self) -> None:

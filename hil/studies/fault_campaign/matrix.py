@@ -61,6 +61,15 @@ class Cell:
     lacking: str
 
 
+_TOLD_BY_DRIVES = frozenset({Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENCODER_FAULT})
+
+
+def state_ticks(run: CampaignRun) -> int:
+    """By how much later it is seen what drives say of themselves, where they say it in messages of their own time."""
+    state_ns = run.cycle.protocol.state_ns
+    return -(-state_ns // run.rig.period_ns)
+
+
 def will_move(run: CampaignRun, axis: int, ticks: int) -> bool:
     """Whether the task takes the axis so far within `ticks` that standing still must break its following limit."""
     setpoints, limits = run.cycle.setpoints, list(run.rig.axes.values())[axis].limits
@@ -143,7 +152,7 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
         return _release_failure(trial, run, seen)
     if fault not in trial.faults:
         return f"latched {fault.name}, which this trial must not cause"
-    within = ticks(trial.within, run.rig)
+    within = ticks(trial.within, run.rig) + (state_ticks(run) if fault in _TOLD_BY_DRIVES else 0)
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
     if due and REACTIONS[fault] < trial.demand:
@@ -186,7 +195,7 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: CampaignRun) -> Ce
     unready = began is State.CONNECTED and trial.unready is not None and trial.unready(run, axis)
     horizon = periods(HORIZON_S, run.rig)
     last = (
-        (ticks(trial.within, run.rig) if due else 0)
+        (ticks(trial.within, run.rig) + state_ticks(run) if due else 0)
         + ticks(trial.slack, run.rig)
         + ticks(trial.watch, run.rig)
         + horizon
