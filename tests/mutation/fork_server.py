@@ -20,6 +20,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.mutation.rooms import LEFT_OUT
+
 PRELOADED = (
     "pytest", "hypothesis", "_hypothesis_pytestplugin", "numpy", "scipy.linalg", "scipy.optimize", "scipy.integrate",
     "filterpy.kalman", "can", "cantools", "canopen", "pydantic", "tomlkit", "typer", "rich.console", "rich.table",
@@ -30,6 +32,7 @@ WALL_S_PER_TEST = 300  # of one that waits for what never comes
 MEMORY = 6 << 30
 NOT_HERE = "not slow and not live and not vcan and not controller and not systemd"
 OPTIONS = ["-q", "--no-header", "--tb=no", "--assert=plain", "--hypothesis-profile=mutants", "-m", NOT_HERE]
+OPTIONS += ["-k", " and ".join(f"not {name}" for name in LEFT_OUT)]
 OPTIONS += [f"-pno:{plugin}" for plugin in ("cacheprovider", "xdist", "benchmark")]
 
 _PR_SET_PDEATHSIG = 1

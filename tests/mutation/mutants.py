@@ -38,7 +38,16 @@ _ARITHMETIC = {
     ast.BitXor: ("^", "|"),
 }
 _SWAPPED_NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
-_ORDERLESS = {"isinstance", "getattr", "hasattr", "zip", "min", "max"}  # arguments whose order is no fact of ours
+_ORDERLESS = {
+    "isinstance",
+    "getattr",
+    "hasattr",
+    "zip",
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+}  # arguments whose order is no fact of ours
 _UNMUTATED = (ast.Raise, ast.JoinedStr, ast.Import, ast.ImportFrom, ast.Assert, ast.Global, ast.Nonlocal)
 _DELETED = (ast.Expr, ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Raise, ast.Delete, ast.Assert)
 
@@ -175,7 +184,11 @@ class _Finder:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name in _SWAPPED_NAMES:
             self.replace(node.func, "other function", _SWAPPED_NAMES[name])
-        if len(node.args) < 2 or name in _ORDERLESS or any(isinstance(a, ast.Starred) for a in node.args[:2]):
+        if (
+            len(node.args) < 2
+            or self.text(node.func).rpartition(".")[2] in _ORDERLESS
+            or any(isinstance(a, ast.Starred) for a in node.args[:2])
+        ):
             return
         first, second = node.args[:2]
         for_people = all(isinstance(a, ast.Constant) and isinstance(a.value, str) for a in (first, second))

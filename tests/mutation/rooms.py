@@ -10,6 +10,10 @@ from typing import NamedTuple
 _RUNS = ("tests/virtual/test_reference.py", "tests/virtual/test_lockstep.py")
 
 
+# Seconds each, and whatever they see others see as well: left out, so that a mutant that lives costs no minutes.
+LEFT_OUT = ("however_long", "never_returns", "1200_random_sets", "any_bit_wrong", "margins_that_are_shown")
+
+
 class Room(NamedTuple):
     """sources: files or folders. tests: likewise, in the order in which they run."""
 
@@ -23,12 +27,16 @@ ROOMS = {
         ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", *_RUNS,
          "tests/virtual/test_replay.py"),
     ),
+    "users' laws": Room(
+        ("hil/control/laws/users.py", "hil/control/law_registry.py"),
+        ("tests/control/test_user_laws.py", "tests/control/test_laws.py"),
+    ),
     "laws": Room(
-        ("hil/control/laws", "hil/control/law_registry.py", "hil/control/gain.py", "hil/control/number.py",
+        ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
          "hil/control/nominal_model.py"),
         ("tests/control/test_breakaway.py", "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
-         "tests/control/test_laws.py", "tests/control/test_user_laws.py"),
+         "tests/control/test_laws.py"),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
@@ -63,6 +71,16 @@ ROOMS = {
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", *_RUNS),
     ),
 }  # fmt: skip
+
+
+def sources_of(root: Path, name: str) -> list[str]:
+    """The files of a room; of one that several name, the first one's."""
+    taken = {file for other in list(ROOMS)[: list(ROOMS).index(name)] for file in _sources(root, other)}
+    return [file for file in _sources(root, name) if file not in taken]
+
+
+def _sources(root: Path, name: str) -> list[str]:
+    return [file for source in ROOMS[name].sources for file in python_files(root, source)]
 
 
 def python_files(root: Path, path: str) -> list[str]:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer, Verdict
 from tests.mutation.mutants import Mutant, differs, mutants_of
-from tests.mutation.rooms import ROOMS, python_files, tests_for
+from tests.mutation.rooms import ROOMS, sources_of, tests_for
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMANDED = 0.95
@@ -80,7 +80,7 @@ def all_cases(rooms: Sequence[str], match: str) -> list[Case]:
     """Every mutant of the rooms; of the lines that contain `match`, where it is given."""
     cases = []
     for room in rooms:
-        for path in (file for source in ROOMS[room].sources for file in python_files(ROOT, source)):
+        for path in sources_of(ROOT, room):
             source = (ROOT / path).read_bytes()
             for mutant in mutants_of(path, source):
                 case = Case(room, mutant, *mutant.lines(source))
