@@ -14,8 +14,7 @@ from hil.cycle.tick import CommandKind, OperatorCommand, Tick
 from hil.rig.schema import RigConfig
 from tests.support.paths import RIGS
 
-SAMPLE_NS = 100_000  # from a command's tick to the drives' sampling
-ANSWER_NS = 300_000  # to their answers
+ANSWER_NS = 300_000  # from a command's tick to the drives' answers
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,12 @@ class Shown(NamedTuple):
 
 
 class ScriptedDrives:
-    """Construct with a rig; `tick` plays one control period. Positions are counts, of all axes alike."""
+    """Construct with a rig; `tick` plays one control period. sample_ns: from a command's tick to the drives' sample."""
 
     def __init__(self, rig: RigConfig) -> None:
         rated = [axis.rated_force for axis in rig.axes.values()]
         self.rig = rig
+        self.sample_ns = 100_000
         self.cycle = ControlCycle(rig, RIGS)
         self._device = device_protocol(rig.bus, len(rated), rated, RIGS)
         self._port = PortCounters()
@@ -95,7 +95,7 @@ class ScriptedDrives:
             self._enabled = command.enable
         for axis in range(len(self.rig.axes)):
             status = (DriveStatus.ENABLED if self._enabled >> axis & 1 else 0) | (0 if axis else script.status)
-            stamp = self._sent_ns + SAMPLE_NS
+            stamp = self._sent_ns + self.sample_ns
             frame = self._device.encode_feedback(Sample(axis, script.counts, int(status), command.sequence, stamp))
             frame = frame._replace(timestamp_ns=self._sent_ns + ANSWER_NS)
             if axis not in script.silent:
