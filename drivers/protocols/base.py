@@ -104,6 +104,7 @@ class HostProtocol(Protocol):
     sequence_modulus: int  # 0: the layout carries no sequence number
     checksum: bool  # its frames carry one besides CAN's own
     fd: bool
+    positions: Sequence[tuple[float, float]]  # by axis, the least and greatest count that a sample can carry
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
 
     @property

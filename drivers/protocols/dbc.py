@@ -61,6 +61,8 @@ class DbcLayout:
             self._messages[checksum.message].protect(checksum)
         self._free_running = binding.feedback == "cyclic"
         self._position = [self._bound(item) for item in binding.position]
+        ends = [sorted((at.place.value(at.place.low), at.place.value(at.place.high))) for at in self._position]
+        self.positions: Sequence[tuple[float, float]] = [(low, high) for low, high in ends]
         self._torque = [self._bound(item) for item in binding.torque]
         self._status = [self._bound(item) for item in binding.status]
         self._enable = [self._bound(item) for item in binding.enable]

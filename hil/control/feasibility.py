@@ -39,6 +39,7 @@ CHUNK = 65_536  # instants looked at together
 # What a stage that this program is for can have; beyond, a unit is wrong far more often than the stage is strange.
 ACCELERATION = (0.05, 1e5)  # force limit over mass, m/s^2 (rad/s^2)
 TRAVEL = (1e-6, 20.0)  # m
+CROSSING = 1e-3  # s for the whole travel at the speed limit, at least
 COUNTS = 100  # of the encoder, within the travel
 
 
@@ -201,7 +202,17 @@ def unit_questions(rig: RigConfig) -> list[str]:
                 f"axes.{name}.model.coulomb = {axis.model.coulomb:g}: more than limits.force = {axis.limits.force:g}; "
                 "the axis could never move. Is it in millinewtons? It must be in N (N m)"
             )
+        if abs(axis.model.gravity) > axis.limits.force:
+            found.append(
+                f"axes.{name}.model.gravity = {axis.model.gravity:g}: more than limits.force = {axis.limits.force:g}; "
+                "the axis could not be held. Is it in millinewtons, or grams? It must be in N (N m)"
+            )
         travel = axis.limits.position[1] - axis.limits.position[0]
+        if travel / axis.limits.speed < CROSSING:
+            found.append(
+                f"axes.{name}.limits.speed = {axis.limits.speed:g}: the whole travel of {travel:g} in "
+                f"{travel / axis.limits.speed:.2g} s. Is it in mm/s? It must be in m/s (rad/s)"
+            )
         if axis.kind == "linear" and not TRAVEL[0] <= travel <= TRAVEL[1]:
             found.append(
                 f"axes.{name}.limits.position = {axis.limits.position}: a travel of {travel:g} m. Is it in "
@@ -211,6 +222,11 @@ def unit_questions(rig: RigConfig) -> list[str]:
             found.append(
                 f"axes.{name}.encoder_resolution = {axis.encoder_resolution:g}: fewer than {COUNTS} counts within the "
                 "travel. Is it in micrometres, or counts per metre? It must be in m (rad) per count"
+            )
+        elif axis.limits.following_error < axis.encoder_resolution:
+            found.append(
+                f"axes.{name}.limits.following_error = {axis.limits.following_error:g}: less than a count of the "
+                f"encoder, {axis.encoder_resolution:g}. Are both in m (rad)?"
             )
     return found
 

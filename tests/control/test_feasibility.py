@@ -47,6 +47,9 @@ def test_where_the_stage_stands_matters() -> None:
         ("axes.x.limits.position=[-26.0, 26.0]", "millimetres"),
         ("axes.x.encoder_resolution=0.02", "counts"),
         ("axes.x.model.coulomb=600", "newtons"),
+        ("axes.x.model.gravity=-600", "grams"),
+        ("axes.x.limits.speed=80", "mm/s"),
+        ("axes.x.limits.following_error=5e-10", "count"),
     ],
 )
 def test_a_unit_that_is_off_by_thousands_is_asked_back(change: str, word: str) -> None:
