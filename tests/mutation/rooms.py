@@ -7,6 +7,7 @@ its own does not take part, so that a mutant is killed or not whatever else the 
 from pathlib import Path
 from typing import NamedTuple
 
+_PAGES = "tests/project/test_docs.py"  # tables in code, with every range, are on generated pages
 _RUNS = ("tests/virtual/test_reference.py", "tests/virtual/test_lockstep.py")
 
 
@@ -24,7 +25,7 @@ class Room(NamedTuple):
 ROOMS = {
     "cycle": Room(
         ("hil/cycle",),
-        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", *_RUNS,
+        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", _PAGES, *_RUNS,
          "tests/virtual/test_replay.py"),
     ),
     "users' laws": Room(
@@ -36,7 +37,7 @@ ROOMS = {
          "hil/control/nominal_model.py"),
         ("tests/control/test_breakaway.py", "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
-         "tests/control/test_laws.py"),
+         "tests/control/test_laws.py", _PAGES),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
@@ -68,7 +69,8 @@ ROOMS = {
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
-        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", *_RUNS),
+        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES, *_RUNS,
+         "tests/drivers/protocols/test_mounting.py"),
     ),
 }  # fmt: skip
 
