@@ -62,7 +62,7 @@ ENDS: dict[str, tuple[list[Script], Fault]] = {
     "bus-off": ([Script(bus=BusState.BUS_OFF)] * 3, Fault.BUS_OFF),
     "interface down": ([Script(counted={"down": 1})], Fault.INTERFACE_DOWN),
     "late": ([LATE] * 3 + [WELL] * 12, Fault.OVERRUN_BURST),
-    "flood": ([Script(strangers=12)] + [WELL] * 12, Fault.RECEIVE_FLOOD),
+    "flood": ([Script(unknown=12)] + [WELL] * 12, Fault.RECEIVE_FLOOD),
     "enabled over a reset": (
         [
             operator(CommandKind.ESTOP),
@@ -84,7 +84,7 @@ def brush() -> Iterator[Script]:
     yield NO_ACK
     yield from [LATE] * 2
     yield Script(counts=10**6)  # a single glitch
-    yield Script(strangers=11)
+    yield Script(unknown=11)
     yield WELL
 
 

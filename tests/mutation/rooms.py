@@ -92,7 +92,7 @@ def python_files(root: Path, path: str) -> list[str]:
     return [str(file.relative_to(root)) for file in files if not file.name.endswith("_pb2.py")]
 
 
-def tests_for(root: Path, room: Room, source: str) -> list[str]:
+def files_to_run(root: Path, room: Room, source: str) -> list[str]:
     """The room's test files, each once: first those named after the source file or its folder, then in table order."""
     found = []
     for path in room.tests:

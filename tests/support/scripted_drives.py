@@ -22,7 +22,7 @@ class Script:
     """What a tick brings beyond healthy answers that obey.
 
     silent: axes whose answer is missing. status: bits axis 0 says besides. obeys: drives enable and disable as told.
-    damaged: frames with a wrong checksum. strangers: frames nobody knows. counted: growth of the port's counters.
+    damaged: frames with a wrong checksum. unknown: frames nobody knows. counted: growth of the port's counters.
     counts: how far the encoders have moved.
     """
 
@@ -31,7 +31,7 @@ class Script:
     status: int = 0
     obeys: bool = True
     damaged: int = 0
-    strangers: int = 0
+    unknown: int = 0
     counted: dict[str, int] = field(default_factory=dict)
     bus: BusState = BusState.ERROR_ACTIVE
     slots: int = 1
@@ -87,7 +87,7 @@ class ScriptedDrives:
 
     def _answers(self, script: Script) -> list[Frame]:
         """What the drives say to the latest command, and what else is on the bus."""
-        frames = [Frame(0x7F0, b"") for _ in range(script.strangers)]
+        frames = [Frame(0x7F0, b"") for _ in range(script.unknown)]
         command = self._command
         if command is None:
             return frames
