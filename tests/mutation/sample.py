@@ -30,7 +30,7 @@ from typing import NamedTuple
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer, Verdict
 from tests.mutation.mutants import Mutant, differs, mutants_of
-from tests.mutation.rooms import ROOMS, sources_of, files_to_run
+from tests.mutation.rooms import ROOMS, files_to_run, sources_of
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMANDED = 0.95

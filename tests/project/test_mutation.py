@@ -7,7 +7,7 @@ import pytest
 
 from tests.mutation.explained import Explained
 from tests.mutation.mutants import differs, mutants_of
-from tests.mutation.rooms import ROOMS, python_files, sources_of, files_to_run
+from tests.mutation.rooms import ROOMS, files_to_run, python_files, sources_of
 from tests.mutation.sample import DEMANDED, UNFAIR, Case, draw, most_survivors
 from tests.support.paths import ROOT
 
