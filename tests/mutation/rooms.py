@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 _PAGES = "tests/project/test_docs.py"  # tables in code, with every range, are on generated pages
-_RUNS = ("tests/virtual/test_reference.py", "tests/virtual/test_lockstep.py")
+_RUNS = ("tests/virtual/test_reference.py",)  # whole runs, each frame of them
+_LOCKSTEP = ("tests/virtual/test_lockstep.py",)
 
 
 # Seconds each, and whatever they see others see as well: left out, so that a mutant that lives costs no minutes.
@@ -26,7 +27,7 @@ ROOMS = {
     "cycle": Room(
         ("hil/cycle",),
         ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", _PAGES, *_RUNS,
-         "tests/virtual/test_replay.py"),
+         *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
     "users' laws": Room(
         ("hil/control/laws/users.py", "hil/control/law_registry.py"),
@@ -41,10 +42,10 @@ ROOMS = {
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS),
+        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
-        ("hil/control/estimator",), ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS)
+        ("hil/control/estimator",), ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP)
     ),
     "stability": Room(
         ("hil/control/stability.py", "hil/control/feasibility.py"),
