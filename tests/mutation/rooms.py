@@ -36,7 +36,8 @@ ROOMS = {
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
          "hil/control/nominal_model.py"),
-        ("tests/control/test_breakaway.py", "tests/control/test_structured_filter.py",
+        ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
+         "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
          "tests/control/test_laws.py", _PAGES),
     ),
@@ -45,7 +46,8 @@ ROOMS = {
         ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
-        ("hil/control/estimator",), ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP)
+        ("hil/control/estimator",),
+        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
         ("hil/control/stability.py", "hil/control/feasibility.py"),
