@@ -72,7 +72,8 @@ ROOMS = {
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
-        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES, *_RUNS,
+        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
+         "tests/control/test_task_paths.py", *_RUNS,
          "tests/drivers/protocols/test_mounting.py"),
     ),
 }  # fmt: skip
