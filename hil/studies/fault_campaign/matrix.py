@@ -160,6 +160,9 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
         return _release_failure(trial, run, seen)
     if fault not in trial.faults:
         return f"latched {fault.name}, which this trial must not cause"
+    exactly = trial.exactly(began) if due and trial.exactly and began is not State.STOPPING else fault
+    if fault is not exactly:
+        return f"latched {fault.name}, but this is {exactly.name}"
     within = ticks(trial.within, run.rig) + (state_ticks(run) if fault in _TOLD_BY_DRIVES else 0)
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
