@@ -2,11 +2,11 @@
 
     python -m tests.support.reference [traces | campaigns]     renew the file, or that half of it
 
-For a new law renew `traces` (a minute), for a new trial `campaigns` (ten); both after a change that is meant to change
-what runs do.
+For a new law renew `traces` (a minute), for a new trial `campaigns` (some minutes), and both after a change that is
+meant to change what runs do.
 
 `traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both rigs with every law.
-`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs over every layout asked for.
+`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs on their own layouts.
 """
 
 import argparse
