@@ -77,10 +77,15 @@ def test_every_fault_that_stops_the_stage_is_what_some_trial_asks_for() -> None:
     assert not without, "hil/studies/fault_campaign/catalogue.py has no trial for these"
 
 
-def test_trials_can_be_tried_by_name() -> None:
+def test_trials_can_be_tried_by_name(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     chunks = plan_chunks(rig_of("paper"), RIGS, only="jammed")
     assert {TRIALS[index].name for chunk in chunks for index, _ in chunk.cells} == {"axis jammed"}
     assert {len(chunk.cells) for chunk in chunks} == {2}, "on every axis"
+    monkeypatch.setattr("sys.argv", ["hil", "faults", "paper", "--only", "jamed"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "duplicates" in capsys.readouterr().err, "the names there are"
 
 
 @pytest.mark.slow
