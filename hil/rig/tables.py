@@ -64,6 +64,17 @@ class ModelConfig(BaseModel):
         return self
 
 
+class PushConfig(BaseModel):
+    """[axes.NAME.push]: the commissioning push before the first task (hil/cycle/commissioning.py)."""
+
+    model_config = STRICT
+    force: Positive = key(REQUIRED, "force beyond what holds the axis against gravity; above coulomb", "N (N m)")
+    distance: Positive = key(REQUIRED, "travel after which the push ends", "m (rad)")
+    tolerance: float = key(
+        2.0, "greatest ratio between the motion seen and the nominal model's, either way", "1", ge=1.2, le=10
+    )
+
+
 class AxisConfig(BaseModel):
     """[axes.NAME]: one axis of the stage. The order of these tables is the order of the axes on the bus."""
 
@@ -80,6 +91,9 @@ class AxisConfig(BaseModel):
         1.0, "force (torque) at the axis per unit the drive makes: 2 pi / lead for a ball screw", "1 or N/(N m)"
     )
     offset: float = key(0.0, "the axis' position where the drive's is 0", "m (rad)")
+    push: PushConfig | None = key(
+        None, "see by a small push that force and position have the stated sign and scale, before a task may run"
+    )
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
 

@@ -61,7 +61,15 @@ class Cell:
     lacking: str
 
 
-_TOLD_BY_DRIVES = frozenset({Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENCODER_FAULT})
+_TOLD_BY_DRIVES = frozenset(
+    {
+        Fault.DRIVE_FAULT,
+        Fault.DRIVE_WATCHDOG,
+        Fault.DRIVE_DISABLED,
+        Fault.ENCODER_FAULT,
+        Fault.DRIVE_STAYS_ENABLED,
+    }
+)
 
 
 def state_ticks(run: CampaignRun) -> int:
