@@ -275,13 +275,15 @@ def _playable(rig: RigConfig, trial: Trial) -> bool:
     return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
 
 
-def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Chunk]:
-    """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign."""
+def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = "") -> list[Chunk]:
+    """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign. only: what the
+    names of the trials contain.
+    """
     document = rig.model_dump(mode="json")
     cells = [
         (index, axis)
         for index, trial in enumerate(TRIALS)
-        if _playable(rig, trial)
+        if only in trial.name and _playable(rig, trial)
         for axis in range(len(rig.axes) if trial.per_axis else 1)
     ]
     result = []
