@@ -61,7 +61,8 @@ class MountedHost:
         self._mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
-        self.fd, self.echo_id = layout.fd, layout.echo_id
+        self.causes, self.state_ns = layout.causes, layout.state_ns
+        self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
         self.positions: Sequence[tuple[float, float]] = [
             (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))
             for mounting, ends in zip(mountings, layout.positions, strict=True)

@@ -44,6 +44,7 @@ class _Layout:
 
     name = "stage_classic"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = False
 
@@ -58,6 +59,8 @@ class _Layout:
         self.sequence_modulus = SEQUENCE_MODULUS
         self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.state_ns = 0
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         self._rated = list(rated_force)

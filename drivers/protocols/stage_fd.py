@@ -46,6 +46,7 @@ class _Layout:
 
     name = "stage_fd"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = True
 
@@ -55,6 +56,8 @@ class _Layout:
         self.sequence_modulus = SEQUENCE_MODULUS
         self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.state_ns = 0
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         # The largest force after rounding to single precision, so that a command of exactly the rated force passes.

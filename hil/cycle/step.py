@@ -70,7 +70,7 @@ class ControlCycle:
         self.axes = Axes(rig)
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints
         resolution = [axis.encoder_resolution for axis in axes]
-        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns)
+        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, self.protocol.acts_ns)
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
         self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
@@ -134,10 +134,14 @@ class ControlCycle:
         sampling, axes = self.sampling, self.axes
         sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
         found = not sampling.tracked and all(self.inbox.heard)
-        clocks, filters, measured = sampling.clocks, self.filters, []
+        clocks, filters, measured, shares = sampling.clocks, self.filters, [], sampling.shares
         for axis, x in enumerate(self.inputs):
-            motion = filters[axis]
-            motion.correct(axes.net_before[axis], x.sample_interval, x.position, x.fresh, clocks[axis].stretch)
+            motion, force, interval = filters[axis], axes.net_before[axis], x.sample_interval
+            share = shares[axis]
+            if share > 0.0:  # the force of the latest tick acted for a part of the interval, at its end
+                motion.correct(force, interval * (1.0 - share), x.position, 0.0)
+                force, interval = axes.net_last[axis], interval * share
+            motion.correct(force, interval, x.position, x.fresh, clocks[axis].stretch)
             if found:
                 motion.reseed(x.position)
             elif not x.fresh and sampling.tracked:

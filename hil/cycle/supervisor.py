@@ -147,6 +147,7 @@ class Supervisor:
             self._reconnect(reset=event is Event.RESET)  # what drives have latched, only the operator unlatches
         elif state is State.READY:
             self.fault = Fault.NONE
+            self._axes.hold()
         elif state in (State.ACTIVE, State.HOMING):
             self._engage()
         elif state is State.STOPPING:
@@ -165,6 +166,7 @@ class Supervisor:
         self.fault = Fault.NONE
         self._inbox.forget()
         self._monitor.restart()
+        self._axes.hold()
 
     def _engage(self) -> None:
         self._monitor.restart()

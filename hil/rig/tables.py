@@ -49,6 +49,19 @@ class ModelConfig(BaseModel):
     )
     mode_damping: float = key(0.02, "damping ratio of that mode", "1", ge=0, le=1)
     mode_load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
+    presliding: list[Positive] = key(
+        [],
+        "least and greatest Coulomb friction over its stiffness at rest, over which `hil check` tries the loop; an "
+        "empty list: none, friction as in the textbook",
+        "m (rad)",
+        max_length=2,
+    )
+
+    @model_validator(mode="after")
+    def _a_range(self) -> "ModelConfig":
+        if self.presliding and (len(self.presliding) != 2 or self.presliding[0] > self.presliding[1]):
+            raise ValueError(f"presliding = {self.presliding}: allowed: [least, greatest], or an empty list")
+        return self
 
 
 class AxisConfig(BaseModel):

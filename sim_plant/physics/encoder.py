@@ -8,8 +8,8 @@ signals (Heydemann, Applied Optics 20(19), 1981) in its first harmonic.
 
 from collections.abc import Sequence
 
-from sim_plant.physics.noise import ENCODER, Key, key_of, normal
-from sim_plant.physics.number import Number, anywhere, select, sincos
+from sim_plant.physics.noise import ENCODER, Key, Stream
+from sim_plant.physics.number import Number, anywhere, select, sine
 
 Point = tuple[float, Number, Number]  # time, s; position, m; velocity, m/s
 
@@ -26,7 +26,7 @@ class Encoder:
         self._error = error
         self._wavenumber: Number = 1.0 / period
         self._latency = latency
-        self._key = key_of(key[0], key[1], ENCODER)
+        self._stream = Stream(key[0], key[1], ENCODER)
         self._is_noisy = anywhere(noise != 0.0)
         self._is_periodic = anywhere(error != 0.0)
         self.is_late = anywhere(latency != 0.0)
@@ -41,9 +41,9 @@ class Encoder:
         """The next sample, m. past: earlier points, oldest first."""
         shown = _delayed([*past, now], self._latency) if self.is_late else now[1]
         if self._is_periodic:
-            shown = shown + self._error * sincos(shown * self._wavenumber)[0]
+            shown = shown + self._error * sine(shown * self._wavenumber)
         if self._is_noisy:
-            shown = shown + self._noise * normal(self._key, self.read)
+            shown = shown + self._noise * self._stream.at(self.read)
         self.read += 1
         return shown
 

@@ -15,6 +15,7 @@ import pytest
 from drivers.bus.port import BusState, Port
 from drivers.frame import ERROR, Frame, to_bytes
 from hil.cycle.fault_table import Fault
+from hil.cycle.tick import CommandKind
 from hil.live import run as daemon
 from hil.live.loop import ControlLoop
 from hil.live.miss_ledger import MissLedger
@@ -104,6 +105,23 @@ def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path
     assert loop.parts.cycle.fault is Fault.BUS_OFF
     assert loop.parts.port.counters().state is BusState.BUS_OFF
     assert drives.recalls == 0
+
+
+@pytest.mark.parametrize("kind", CommandKind, ids=lambda kind: kind.name)
+def test_after_bus_off_no_command_restarts_the_controller_but_reset(tmp_path, monkeypatch, kind):
+    drives = UnpoweredDrives(BUS_OFF, purges=[])
+    with loop_beside(drives, tmp_path, monkeypatch) as loop:
+        rebound = []
+        monkeypatch.setattr(loop._port, "rebind", lambda: rebound.append(1))
+        loop.pacer.start()
+        for tick in range(20):
+            if tick == 10:
+                loop.parts.mailbox.post(kind, 2**62)
+            loop._tick()
+            loop.ticks += 1
+        loop.parts.ring.close()
+    assert loop.parts.port.counters().state is BusState.BUS_OFF
+    assert (drives.recalls, len(rebound)) == ((1, 1) if kind is CommandKind.RESET else (0, 0))
 
 
 def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkeypatch):

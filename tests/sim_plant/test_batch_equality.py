@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -67,6 +68,46 @@ def test_a_batch_is_bit_for_bit_its_members_one_by_one(
             assert batch.position[row].tolist() == stage.positions
             assert batch.velocity[row].tolist() == stage.velocities
             assert batch.pierced[row].tolist() == stage.pierced.tolist()
+
+
+def equal_step_by_step(members: list[PlantConfig], pieces: list[tuple[float, float]], copies: int) -> Stage:
+    """The batch, once it has been held against its members over all pieces of a millisecond."""
+    truths = [Truth.from_config(plant, 2, ["x", "y"]) for plant in members]
+    batch, singles = Stage(Truth.stack(truths * copies)), [Stage(truth) for truth in truths]
+    for piece in pieces:
+        batch.advance(MS, np.broadcast_to(piece, batch.truth.shape))
+        shown = batch.read()  # once: the encoders' noise goes on with every reading
+        for row, stage in enumerate(singles):
+            stage.advance(MS, list(piece))
+            assert batch.position[row].tolist() == stage.positions
+            assert batch.velocity[row].tolist() == stage.velocities
+            assert batch.pierced[row].tolist() == stage.pierced.tolist()
+            assert shown[row].tolist() == stage.readings()
+    return batch
+
+
+def plant_with(*effects: str) -> PlantConfig:
+    base: dict[str, Any] = {"mass": [0.5, 0.3], "coulomb": [0.3, 0.4], "viscous": [1.0, 2.0], "quadratic": [0.1, 0.0]}
+    base["initial_position"] = [9e-6, 0.0]  # at rest, 7 um into the membrane
+    return PlantConfig(**base, **{name: EFFECTS[name] for name in effects})
+
+
+# A push that friction and membrane together just hold; then through the membrane, to a stop, and back again.
+THERE_AND_BACK = [(0.32, 0.0)] + [(2.0, -1.5)] * 4 + [(0.0, 0.0)] * 2 + [(-2.0, 1.5)] * 4
+
+
+@pytest.mark.parametrize("effect", sorted(EFFECTS))
+def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effect: str) -> None:
+    """Pairwise, by construction: a member for each pair this effect is in, and one without it for each, which differs:
+    a batch that lost the effect where the other one is on would not.
+    """
+    others = [other for other in sorted(EFFECTS) if other > effect]
+    pairs = [plant_with(effect, other) for other in others] + [plant_with(effect)]
+    plain = [plant_with(other) for other in others] + [plant_with()]
+    batch = equal_step_by_step(pairs + plain, THERE_AND_BACK, copies=1)
+    shown = np.concatenate([batch.position, batch.velocity, batch.pierced, batch.read()], axis=1)
+    same = [row for row in range(len(pairs)) if np.array_equal(shown[row], shown[row + len(pairs)])]
+    assert not same, [others[row] for row in same]
 
 
 @settings(max_examples=30, deadline=None)

@@ -25,7 +25,14 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.catalogue import TRIALS
-from hil.studies.fault_campaign.checkpoints import READY, RESTING, CampaignRun, Checkpoint, active, bring_to
+from hil.studies.fault_campaign.checkpoints import (
+    READY,
+    CampaignRun,
+    Checkpoint,
+    active,
+    bring_to,
+    outside_the_task,
+)
 from hil.studies.fault_campaign.layout_capabilities import Capability, fixed_capabilities
 from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, in_fork, plan_chunks, run_cell, run_chunk
 from sim_plant.drives.servo import ServoDrive
@@ -41,7 +48,8 @@ def rig_of(name: str, layout: str = "stage_fd") -> RigConfig:
 
 def thin(layout: str) -> list[Chunk]:
     """A slice of the microscope's start, rest and first motion."""
-    return plan_chunks(rig_of("microscope", layout), RIGS, stride=THIN)[: len(RESTING) + 2]
+    rig = rig_of("microscope", layout)
+    return plan_chunks(rig, RIGS, stride=THIN)[: len(outside_the_task(rig)) + 2]
 
 
 CHUNKS = [chunk for name in ("microscope", "paper") for chunk in plan_chunks(rig_of(name), RIGS, stride=STRIDE)]

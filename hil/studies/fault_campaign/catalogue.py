@@ -205,7 +205,7 @@ TRIALS: tuple[Trial, ...] = (
         armed=WATCHING,
         demand=Reaction.ZERO,
         needs=Capability.CAUSE,
-        instead=(Fault.DRIVE_FAULT,),
+        instead=(Fault.DRIVE_FAULT, Fault.DRIVE_DISABLED),
         unseen=False,
     ),
     Trial(
@@ -314,7 +314,7 @@ TRIALS: tuple[Trial, ...] = (
     ),
     Trial(
         "babbling node, more urgent than all others",
-        babble(0x001),
+        babble(0x001, 0x000),
         (Fault.RECEIVE_FLOOD, Fault.TRANSMIT_BLOCKED, *GONE),
         within=3,
         per_axis=False,
