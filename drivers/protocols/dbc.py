@@ -32,7 +32,7 @@ from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import UNHEALTHY, Command, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, BoundMessage
-from drivers.protocols.dbc_layout import ENABLED, EXACT, FAULT, DbcLayout
+from drivers.protocols.dbc_layout import COUNTS, ENABLED, FAULT, DbcLayout
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
@@ -104,7 +104,7 @@ class DbcHost(DbcLayout):
         if self._wrap[axis]:
             raw = self._unwrapped(axis, raw)
         counts = self._position[axis].place.value(raw)
-        if not -EXACT <= counts <= EXACT:  # also where it is not a number
+        if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
             return Reject.INVALID_VALUE
         if not self._note_state(message, values):
             return Reject.INVALID_VALUE

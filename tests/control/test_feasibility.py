@@ -186,3 +186,12 @@ def test_the_corners_are_within_the_travel() -> None:
         for value, axis in zip(start, rig.axes.values(), strict=True):
             assert axis.limits.position[0] < value < axis.limits.position[1]
     assert start_notes(rig_with({"task.kind": "hold"})) == []
+
+
+def test_a_violation_tells_the_first_moment_and_what_is_wanted_then() -> None:
+    rig = load_rig(RIGS / "paper.toml", ["axes.x.limits.speed=1.0"])
+    (found,) = [v for v in violations(rig, [0.0, 0.0]) if (v.axis, v.quantity) == ("x", "speed")]
+    trajectory = make_trajectory(rig.task, rig.axis_names, [0.0, 0.0], rig.period_ns)
+    at = round(found.time_s * 1e9)
+    assert abs(trajectory.at(0, at)[1]) > 0.95
+    assert max(abs(trajectory.at(0, t)[1]) for t in range(0, at, rig.period_ns)) <= 0.95
