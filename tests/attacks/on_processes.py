@@ -4,9 +4,11 @@ Whatever happens to the control process, the drives are at zero within their wat
 the control process goes on, or explains itself. What was recorded stays readable.
 """
 
+import contextlib
 import itertools
 import json
 import random
+import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +22,7 @@ from hil.live.ring import RingReader
 from hil.live.runtime_paths import runtime_paths_in
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.client import RigClient
+from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.recorder import Recording
@@ -29,6 +31,7 @@ from tests.attacks.target import NAME, PATIENCE_S, Target
 
 MOMENTS = 2
 SETTLED_TICKS = 25
+SILENCE_S = 1.2  # beyond safety.silent_stop_ticks and silent_zero_ticks of tests/support/live_rig.py
 LATEST_S = 0.03  # after the state was asked for
 WATCHDOG_NS = 500_000_000  # drives.watchdog_s of tests/support/live_rig.py
 _random = random.Random(24)
@@ -191,16 +194,23 @@ def _commands(target: Target) -> bool:
 
 
 def killed_sidecar(target: Target, situation: str) -> Iterator[str]:
+    """Its successor begins with what the ring still holds, so that what was not yet on disk is not lost either."""
     said = []
     for state in moments(target, situation):
         target.signal("sidecar", signal.SIGKILL)
         target.processes["sidecar"].wait()
-        left = ticks_of(Recording(newest_recording(target)))
-        assert left == list(range(left[0], left[0] + len(left)))
         goes = goes_on(target)
+        left = newest_recording(target)
         target.start("sidecar")
         target.until(lambda: _commands(target), "a new sidecar")
-        said.append(f"in {state.name}: the rig goes on in {goes}; {len(left)} ticks readable")
+        ticks = ticks_of(Recording(left))
+        assert ticks == list(range(ticks[0], ticks[0] + len(ticks))) if ticks else True
+        with RigClient(target.endpoint, rig=NAME) as client:
+            while not (status := client.wait_status(PATIENCE_S)).recording:
+                pass
+        on_disk = ticks[-1] + 1 if ticks else 0
+        assert status.dropped <= on_disk, (status.dropped, on_disk)  # overwritten in the ring, but not unrecorded
+        said.append(f"in {state.name}: the rig goes on in {goes}; {len(ticks)} ticks left readable, the next has all")
     yield "; ".join(said)
 
 
@@ -230,6 +240,7 @@ def stopped_emulator(target: Target, situation: str) -> Iterator[str]:
     said = []
     for state in moments(target, situation, 1):
         target.signal("emulate", signal.SIGSTOP)
+        time.sleep(SILENCE_S)
         try:
             said.append(f"in {state.name}: {explained(target)}")
         finally:
@@ -260,6 +271,34 @@ def struck_router(target: Target, situation: str, number: signal.Signals) -> Ite
     yield "; ".join(said)
 
 
+def limit_memory(target: Target, kind: str) -> None:
+    """It gets no more memory than it has."""
+    pid = target.processes[kind].pid
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
+    resource.prlimit(pid, resource.RLIMIT_AS, (pages * resource.getpagesize(), resource.RLIM_INFINITY))
+
+
+@attack("control process at its memory limit", "it goes on, and stops when it is told to", moving=True)
+def starved_control(target: Target) -> Iterator[str]:
+    limit_memory(target, "run")
+    time.sleep(1.0)
+    yield f"the rig goes on in {goes_on(target)}"
+    resource.prlimit(target.processes["run"].pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY,) * 2)
+
+
+@attack("sidecar at its memory limit", "the rig goes on, and stops when it is told to", moving=True)
+def starved_sidecar(target: Target) -> Iterator[str]:
+    limit_memory(target, "sidecar")
+    with contextlib.suppress(NoSidecarError), RigClient(target.endpoint, rig=NAME) as client:
+        client.wait_status(1.0)  # one more client wants buffers of its own
+    alive = target.processes["sidecar"].poll() is None
+    yield f"the rig goes on in {goes_on(target)}; the sidecar {'lives' if alive else 'ended'}"
+    target.processes["sidecar"].kill()
+    target.processes["sidecar"].wait()
+    target.start("sidecar")
+    target.until(lambda: _commands(target), "a new sidecar")
+
+
 Struck = Callable[[Target, str], Iterator[str]]
 RIG_GOES_ON = "the rig goes on; what was recorded is readable; commands are obeyed again"
 STRIKES: dict[tuple[str, str], tuple[Struck, str]] = {
@@ -267,8 +306,14 @@ STRIKES: dict[tuple[str, str], tuple[Struck, str]] = {
     ("control", "stopped and continued"): (stopped_control, "zero torque within the watchdog; then it says why"),
     ("sidecar", "killed"): (killed_sidecar, RIG_GOES_ON),
     ("sidecar", "stopped and continued"): (stopped_sidecar, RIG_GOES_ON),
-    ("emulator", "killed"): (killed_emulator, "no torque is asked for, and the fault named"),
-    ("emulator", "stopped and continued"): (stopped_emulator, "no torque is asked for, and the fault named"),
+    ("emulator", "killed"): (
+        killed_emulator,
+        "a state with torque is left, with the fault named; no torque is asked for",
+    ),
+    ("emulator", "stopped and continued"): (
+        stopped_emulator,
+        "a state with torque is left, with the fault named; no torque is asked for",
+    ),
     ("router", "killed"): (lambda target, at: struck_router(target, at, signal.SIGKILL), RIG_GOES_ON),
     ("router", "stopped and continued"): (lambda target, at: struck_router(target, at, signal.SIGSTOP), RIG_GOES_ON),
 }
