@@ -127,7 +127,7 @@ class Sidecar:
         if self._out is None:
             return None
         names = (self._out / f"run{f'-{number}' if number > 1 else ''}.mcap" for number in itertools.count(1))
-        return Recorder(next(path for path in names if not path.exists()), reader.metadata)  # nobody's earlier one
+        return Recorder(next(path for path in names if not path.is_file()), reader.metadata)  # nobody's earlier one
 
     def _leave(self) -> None:
         if self.attached:

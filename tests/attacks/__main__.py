@@ -34,7 +34,7 @@ def main(out: Path, only: str) -> int:
         target = Target(Path(directory))
         try:
             target.begin()
-            for listed in ATTACKS:
+            for listed in sorted(ATTACKS, key=lambda listed: listed.last):
                 if only in listed.name:
                     for result in tried(listed, target):
                         show(result)
