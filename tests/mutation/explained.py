@@ -10,7 +10,9 @@ class Explained:
 
     def __init__(self) -> None:
         text = (Path(__file__).parent / "explained.toml").read_text(encoding="utf-8")
-        self.rows: list[dict[str, str]] = tomllib.loads(text).get("survivor", [])
+        document = tomllib.loads(text)
+        self.rows: list[dict[str, str]] = document.get("survivor", [])
+        self.green: dict[str, str] = {row["test"]: row["why"] for row in document.get("green", [])}
         self._known = {(row["file"], row["line"], row["mutant"]) for row in self.rows}
 
     def covers(self, case: Any) -> bool:

@@ -1,6 +1,7 @@
 """A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
 
     python -m tests.mutation [--seed S] [--count N] [--room R ...] [--match TEXT] [--workers W] [--json OUT] [--all]
+    python -m tests.mutation --hollow [--room R ...]     tests that cannot fail: hollow.py
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
 same one. Exit status 1 where the kill rate is too low, 2 where a killing test also fails on the honest code.
@@ -29,6 +30,7 @@ from typing import NamedTuple
 
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer, Verdict
+from tests.mutation.hollow import green_tests
 from tests.mutation.mutants import Mutant, differs, mutants_of
 from tests.mutation.rooms import ROOMS, files_to_run, sources_of
 
@@ -147,8 +149,13 @@ def main() -> int:
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path)
+    parser.add_argument(
+        "--hollow", action="store_true", help="list tests that pass while their room's code does nothing"
+    )
     parser.add_argument("--all", action="store_true", help="every mutant of the rooms")
     arguments = parser.parse_args()
+    if arguments.hollow:
+        return _list_green(arguments.room or list(ROOMS), arguments.workers)
     seed = arguments.seed or _commit()
     cases = all_cases(arguments.room or list(ROOMS), arguments.match)
     chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
@@ -170,6 +177,29 @@ def main() -> int:
         print("These fail on the honest code too, so that what they killed says nothing:", *broken, sep="\n  ")
         return 2
     return _judge(outcomes, arguments.json, seed, exact=arguments.all)
+
+
+def _green(room: str) -> list[str]:
+    return green_tests(_server, room)
+
+
+def _list_green(rooms: Sequence[str], workers: int) -> int:
+    """The tests that stay green in a hollow room; exit status 1 where one of them is not explained."""
+    explained = Explained().green
+    scratch = tempfile.mkdtemp(prefix="m")
+    try:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, spawn, _start, (scratch,)) as pool:
+            found = dict(zip(rooms, pool.map(_green, rooms), strict=True))
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    left = 0
+    for room, tests in found.items():
+        unexplained = sorted({test.partition("[")[0] for test in tests} - set(explained))
+        left += len(unexplained)
+        print(f"{room}: {len(tests)} tests pass while its code does nothing, {len(unexplained)} of them unexplained")
+        print(*(f"    {test}" for test in unexplained), sep="\n")
+    return 1 if left else 0
 
 
 def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact: bool) -> int:
