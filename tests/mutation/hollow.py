@@ -1,22 +1,25 @@
-"""Tests that cannot fail: those of a room that stay green while its code does nothing.
+"""Tests that cannot fail: those that stay green while the product does nothing.
 
-    python -m tests.mutation --hollow [--room R ...]
+    python -m tests.mutation --hollow
 
-While a test's own body runs (not its fixtures, not imports), every function of the room's sources but the constructors
-returns None at once. A test that passes all the same asserts nothing about what the room does: it holds a table or a
-constant (then it says so in explained.toml, as [[green]]), or it is vacuous.
+While a test's own body runs (not its fixtures, not imports), every function of the product but the constructors returns
+None at once. A test that passes all the same asserts nothing about what is done: it holds a table or a text (then
+explained.toml says so, under [[green]]), or it is vacuous.
 """
 
 import ast
 import builtins
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.mutation.fork_server import ForkServer
-from tests.mutation.rooms import ROOMS, files_to_run, sources_of
+from tests.mutation.rooms import python_files
 
+PACKAGES = ("drivers", "sim_plant", "hil")
+FOLDERS = tuple(f"tests/{name}" for name in ("cycle", "control", "drivers", "sim_plant", "live", "telemetry", "rig"))
 SWITCH = "hollow_functions"
 _GUARD = f"if getattr(__import__('builtins'), {SWITCH!r}, False): return None"
 
@@ -56,33 +59,17 @@ class Switch:
             setattr(builtins, SWITCH, False)
 
 
-def green_tests(server: ForkServer, room: str) -> list[str]:
-    """Tests of the room that pass while its code does nothing."""
+def green_tests(server: ForkServer, folder: str) -> list[str]:
+    """Tests below a folder that pass while the product does nothing."""
     tree = server.tree
-    sources = {tree / path: (tree / path).read_bytes() for path in sources_of(tree, room)}
-    tests = list(dict.fromkeys(t for path in sources_of(tree, room) for t in files_to_run(tree, ROOMS[room], path)))
-    own = [test for test in tests if _is_own(tree, room, test)]
+    sources = [tree / path for package in PACKAGES for path in python_files(tree, package)]
+    honest = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in sources}
     try:
-        for file, text in sources.items():
+        for file, (text, _) in honest.items():
             file.write_text(hollowed(text.decode()), encoding="utf-8")
-        return sorted(server.run(own, everything=True, plugins=(Switch(),)).passed)
+        tests = [path for path in python_files(tree, folder) if Path(path).name.startswith("test_")]
+        return sorted(server.run(tests, everything=True, plugins=(Switch(),)).passed)
     finally:
-        for file, text in sources.items():
+        for file, (text, mtime_ns) in honest.items():
             file.write_bytes(text)
-
-
-def _mirror(source: str) -> Path:
-    """The folder of the tests that mirror a source: hil/cycle has tests/cycle, drivers/bus tests/drivers/bus."""
-    folder = Path(source) if not source.endswith(".py") else Path(source).parent
-    return Path("tests") / (folder.relative_to("hil") if folder.parts[0] == "hil" else folder)
-
-
-def _is_own(tree: Path, room: str, test: str) -> bool:
-    """Whether a test file mirrors the room, and is not of whole runs or neighbours that pass through it."""
-    for source in ROOMS[room].sources:
-        mirror = _mirror(source)
-        while not (tree / mirror).is_dir():
-            mirror = mirror.parent
-        if mirror in Path(test).parents:
-            return True
-    return False
+            os.utime(file, ns=(mtime_ns, mtime_ns))
