@@ -45,7 +45,7 @@ def main(out: Path, only: str) -> int:
     took_s = time.monotonic() - began
     summary = {"attacks": len(results), "held": held, "seconds": round(took_s, 1), "python": platform.python_version()}
     out.write_text(json.dumps({**summary, "results": [result._asdict() for result in results]}, indent=1) + "\n")
-    print(f"{held} of {len(results)} attacks held, {took_s:.0f} s; {out}")
+    print(f"ran: {len(results)} attacks, {held} held, {took_s:.0f} s; {out}")
     return 0 if held == len(results) and (only or held >= LEAST) else 1
 
 

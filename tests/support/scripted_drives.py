@@ -22,7 +22,7 @@ class Script:
     """What a tick brings beyond healthy answers that obey.
 
     silent: axes whose answer is missing. status: bits axis 0 says besides. obeys: drives enable and disable as told.
-    damaged: frames with a wrong checksum. unknown: frames nobody knows. counted: growth of the port's counters.
+    damaged: frames with a wrong checksum. unknown: frames that nobody knows. counted: growth of the port's counters.
     counts: how far the encoders have moved.
     """
 

@@ -14,6 +14,7 @@ from hil.control.laws.base import AxisLaws, LawInputs
 from hil.control.trajectories.displaced import Displaced
 from hil.studies.fault_campaign.trial import Step, axis_name, once
 from hil.virtual.lockstep import LockstepRun
+from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.object_dictionary import key_of
 
 
@@ -151,9 +152,10 @@ def says_enabled(run: LockstepRun, axis: int) -> None:
     """The drive says that it is enabled, whatever it is told."""
     drive = run.stage.drives[axis]
     drive.taps.append(lambda sample: replace(sample, status=sample.status | int(DriveStatus.ENABLED)))
-    if run.stage.nodes:  # they tell their own state
+    node = run.stage.nodes[axis] if run.stage.nodes else None
+    if isinstance(node, Cia402Drive):  # it tells its own state
         _, enabled = DriveState.OPERATION_ENABLED.value
-        run.stage.nodes[axis].dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
+        node.dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
 
 
 def jam(run: LockstepRun, axis: int) -> None:
@@ -171,11 +173,15 @@ def queue_full(run: LockstepRun, axis: int) -> None:
     run.host.queue_length = 0
 
 
-def babble(can_id: int) -> Step:
-    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47."""
+def babble(*can_ids: int) -> Step:
+    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47. With the first
+    of the identifiers that no message of the rig's has.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
+        taken = {message.can_id for message in run.cycle.protocol.messages(run.rig.period_ns)}
+        can_id = next(can_id for can_id in can_ids if can_id not in taken)
         run.wire.inject(WireFault(FaultKind.BABBLE, from_ns=now, can_id=can_id, period_ns=25_000, length=0))
 
     return once(act)
@@ -185,8 +191,9 @@ def drop_out(run: LockstepRun, axis: int) -> None:
     """The drive is enabled no more, and says so, without a fault."""
     drive = run.stage.drives[axis]
     drive.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
-    if run.stage.nodes:  # they tell their own state
-        run.stage.nodes[axis].switch_off()
+    node = run.stage.nodes[axis] if run.stage.nodes else None
+    if isinstance(node, Cia402Drive):  # it tells its own state
+        node.switch_off()
 
 
 def overruns(slots: int, last: int = 10_000) -> Step:
@@ -204,7 +211,8 @@ def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
         answers = run.cycle.protocol.messages(run.rig.period_ns)
-        can_id = next(m.can_id for m in answers if m.after is not None and m.sender == f"axis {axis}")
+        cyclic = [m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}"]
+        can_id = cyclic[0].can_id
         for frame in list(run.received):
             if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
                 run.received.append(make(frame))
