@@ -277,7 +277,7 @@ def test_every_way_of_changing_a_file_is_seen(tmp_path, how):
 
 def test_without_systemd_nothing_is_sent():
     notifier = Notifier({})
-    assert not notifier.send("READY=1")
+    assert notifier.send("READY=1") is False
     assert notifier.watchdog_s == 0
     notifier.close()
 

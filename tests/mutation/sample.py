@@ -156,6 +156,9 @@ def main() -> int:
         return _list_green(arguments.workers)
     seed = arguments.seed or _commit()
     cases = all_cases(arguments.room or list(ROOMS), arguments.match)
+    if not arguments.room and not arguments.match:
+        for line in Explained().stale(cases):
+            print(f"explained, but no longer there: {line}")
     chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
     print(f"seed {seed}: {len(chosen)} of {len(cases)} mutants", flush=True)
     scratch = tempfile.mkdtemp(prefix="m")
