@@ -50,8 +50,8 @@ proto: setup  ## renew the generated protobuf module
 docs: setup  ## renew the pages that are made from tables in code
 	@$(BIN)/python -m docs.make_pages
 
-mutants: setup  ## branch coverage and every mutant of the gate and the state machine
-	@tests/mutation/mutants.sh
+mutants: setup  ## every mutant of gate and state machine; ARGS="--count 100": a random sample of all rooms, or --help
+	@$(if $(ARGS),$(BIN)/python -m tests.mutation $(ARGS),tests/mutation/mutants.sh)
 
 hashes: setup  ## a run of TICKS (10^6) has one hash: idle, loaded, other hash seeds, old processors, Python 3.11 to 3.13
 	@$(BIN)/python -m tests.support.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"

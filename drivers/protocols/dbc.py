@@ -32,7 +32,7 @@ from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import UNHEALTHY, Command, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, BoundMessage
-from drivers.protocols.dbc_layout import ENABLED, FAULT, DbcLayout
+from drivers.protocols.dbc_layout import COUNTS, ENABLED, FAULT, DbcLayout
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
@@ -103,7 +103,7 @@ class DbcHost(DbcLayout):
         counts = self._position[axis].place.value(values[self._position[axis].place.at])
         if self._wrap[axis]:
             counts = self._unwrapped(axis, counts)
-        if not -(2.0**53) <= counts <= 2.0**53:  # also where it is not a number
+        if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
             return Reject.INVALID_VALUE
         if not self._note_state(message, values):
             return Reject.INVALID_VALUE

@@ -4,7 +4,8 @@ Rules:
 - In one tick, in this order: faults, the process's own end (SIGTERM), the operator's commands, and last what the state
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
-  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, RESET while its cause is still there.
+  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, ACTIVATE where the task from here would
+  break a limit (hil/control/start_ranges.py), RESET while its cause is still there.
   A refused event is counted and has no other effect.
 - The first fault whose reaction is STOP or more latches; later ones do not replace it. A latched fault is left by an
   operator's RESET alone.
@@ -20,6 +21,7 @@ from typing import Final
 
 from drivers.bus.counters import BusState
 from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.control.start_ranges import start_ranges
 from hil.control.trajectories import plan_task
 from hil.control.trajectories.homing import plan_homing
 from hil.cycle.axes import Axes
@@ -42,7 +44,7 @@ class Supervisor:
     """States, faults and commands of one control cycle. Raises ValueError naming a task that this rig cannot have.
 
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
-    torque, and none has taken it back.
+    torque, and none has taken it back. start_ranges: by axis, where the task may begin, m (rad).
     """
 
     def __init__(self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes) -> None:
@@ -58,6 +60,7 @@ class Supervisor:
         self._rig, self._monitor, self._inbox, self._sampling, self._axes = rig, monitor, inbox, sampling, axes
         # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
         self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
+        self.start_ranges = start_ranges(rig)
         self._reset_ticks = 0
         self._ready_ticks = 0
         self._waited_for_enable = 0
@@ -109,6 +112,8 @@ class Supervisor:
         """An operator's event, after the guards the table cannot express."""
         if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
             return False
+        if event is Event.ACTIVATE and not self._may_begin_here():
+            return False
         if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
             return False
         return self._handle(event, tick)
@@ -122,6 +127,14 @@ class Supervisor:
         heartbeat_ns = self.commands.heartbeat_ns
         alive = heartbeat_ns is not None and tick.now_ns - heartbeat_ns <= rig.safety.heartbeat_s * 1e9
         return not rig.safety.heartbeat_s or alive
+
+    def _may_begin_here(self) -> bool:
+        """The task keeps every limit from where each axis stands."""
+        for axis, position in enumerate(self._axes.measured):
+            low, high = self.start_ranges[axis]
+            if not low <= position <= high:
+                return False
+        return True
 
     # entering a state -------------------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from hil.rig.tables import (
     AXIS_NAME,
     LEAST_RATE_HZ,
     MAX_AXES,
+    TWO_AXES,
     AxisConfig,
     EstimatorConfig,
     InjectionConfig,
@@ -131,7 +132,7 @@ def _task_problems(rig: RigConfig) -> list[str]:
         problems.append(f"task.axes = {rig.task.axes}: an axis twice")
     if not problems:
         problems += _path_problems(rig)
-    if rig.task.kind in ("circle", "lissajous", "spiral") and len(rig.task.axes) != 2:
+    if rig.task.kind in TWO_AXES and len(rig.task.axes) != 2:
         problems.append(f"task.axes = {rig.task.axes}: a {rig.task.kind} needs two axes")
     return problems
 

@@ -160,6 +160,9 @@ class InjectionConfig(BaseModel):
     withdraw_s: Duration = key(0.6, "duration of the way back to q_s", "s")
 
 
+TWO_AXES = ("circle", "lissajous", "spiral")  # kinds of task that need exactly two
+
+
 class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
@@ -167,7 +170,7 @@ class TaskConfig(BaseModel):
     kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spiral"] = key(
         "hold", "the kind of motion"
     )
-    axes: list[str] = key([], "circle, lissajous, spiral: the two axes; others: those that move")
+    axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
     ratio: int = key(2, "lissajous: frequency of the second axis over that of the first", "1", ge=1, le=16)

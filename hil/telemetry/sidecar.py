@@ -81,7 +81,7 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig.safety.command_expiry_s, stop, self._note_command)
+        self._gateway = Gateway(rig, stop, self._note_command)
         self._noted = 0  # entries of this round
         self._out = out
         self._runs = 0

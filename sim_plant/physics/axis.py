@@ -15,16 +15,16 @@ machine.
 One source for floats and arrays (number.py).
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.number import Number, anywhere, root, select, sine
 
-ACCURACY = 0.04  # largest product of rate and step; the Runge-Kutta error per step is its fifth power over 120
-RIPPLE_WEIGHT = 0.5  # of a ripple's phase, and of the way through a Stribeck peak: measured to stay below 1 nm
-STRIBECK_WEIGHT = 0.5
-MAX_SUBSTEPS = 4096
+ACCURACY: Final = 0.04  # largest product of rate and step; the Runge-Kutta error per step is its fifth power over 120
+RIPPLE_WEIGHT: Final = 0.5  # of a ripple's phase, and of the way through a Stribeck peak: measured to stay below 1 nm
+STRIBECK_WEIGHT: Final = 0.5
+MAX_SUBSTEPS: Final = 4096
 
 
 class AxisValues(NamedTuple):

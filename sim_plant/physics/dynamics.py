@@ -18,6 +18,8 @@ the axis slides. Without presliding friction is set-valued, and a step is one sm
 One source for floats and arrays (number.py).
 """
 
+from typing import Final
+
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.number import (
@@ -33,13 +35,13 @@ from sim_plant.physics.number import (
 )
 from sim_plant.physics.structure import Motion, Structure
 
-MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
-BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
-TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
-BREAKING_LOOSE = 0.3  # of the dry friction, that may be gone within a piece
-MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
-LINE_STEP = 0.4  # rad of a sinusoid
-SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
+MODE_STEP: Final = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
+BRISTLE_STEP: Final = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
+TURN_STEP: Final = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
+MOST_TURN_STEPS: Final = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
+LINE_STEP: Final = 0.4  # rad of a sinusoid
+SLOPE_STEP: Final = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 
 
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
@@ -88,6 +90,7 @@ class Dynamics:
         self.floor: list[Triple] = [
             (s.floor_amplitude[i], s.floor_frequency[i], s.floor_phase[i]) for i in range(kind >> 11 & 7)
         ]
+        self._slowness: Number = s.slowness * (s.stribeck > 0.0)
         self._varying: list[Triple] = [(s.variation, s.variation_wavenumber, s.variation_phase)]
         self._lag_h = -1.0
         self._lag_weights: Triple = (motor, motor, motor)
@@ -134,8 +137,8 @@ class Dynamics:
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
-            slowness = s.slowness * (s.stribeck > 0.0)
-            work = greater(work, (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness)))
+            resolved = reach * self._slowness / (1.0 + nearest * self._slowness)
+            work = greater(work, (0.5 / SLOPE_STEP) * resolved)
         if self.has_bristle:
             towards = direction(at.velocity)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
@@ -165,7 +168,7 @@ class Dynamics:
         """Deflection (m) at which the bristle slides at this speed."""
         if not self.has_stribeck:
             return self.structure.presliding
-        ratio = velocity * self.structure.slowness
+        ratio = velocity * self._slowness
         return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
 
     def bend(self, at: Motion, before: Number, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
@@ -198,7 +201,7 @@ class Dynamics:
         else:
             dry = sign * s.coulomb
             if self.has_stribeck:
-                ratio = velocity * s.slowness
+                ratio = velocity * self._slowness
                 dry = sign * (s.coulomb + s.stribeck / (1.0 + ratio * ratio))
         if self.has_variation:
             dry = scale * dry

@@ -7,13 +7,14 @@ puncture of a membrane. An axis with presliding is smooth and is never interrupt
 
 from bisect import bisect_left
 from collections.abc import Callable
+from typing import Final
 
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.structure import Motion, Structure
 
-COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536)
-MAX_EVENTS = 8  # of one step
-MAX_ITERATIONS = 60
+COUNTS = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536]
+MAX_EVENTS: Final = 8  # of one step
+MAX_ITERATIONS: Final = 60
 
 
 def dynamics_of(structure: Structure, kind: int) -> Dynamics:

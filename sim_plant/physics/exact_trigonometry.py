@@ -5,13 +5,16 @@ the nearest integer, each of which IEEE 754 defines exactly. One turn is 2 pi ra
 absolute error is below 4e-16 for |x| < 2**51 turns.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TURN = 6.283185307179586  # rad, 2 pi rounded to double
-_TO_INTEGER = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
+TURN: Final = 6.283185307179586  # rad, 2 pi rounded to double
+# 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
+_TO_INTEGER: Final = 6755399441055744.0
 
 
 # of the Taylor series, highest power first: what _sine and _cosine have written out

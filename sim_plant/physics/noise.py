@@ -5,7 +5,7 @@ the count of ones among 64 bits, less 32, plus a uniform number: mean 0 and vari
 kurtosis -0.03, never beyond 8. It needs no logarithm, which C libraries round differently.
 """
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ Key = Any  # int, or an array of uint64
 Bits = Any  # an array of uint64; numpy says of its products that they are signed
 
 TORQUE, WALK, ENCODER = range(1, 4)  # effects
-BLOCK = 64
+BLOCK: Final = 64
 
 _MASK = 2**64 - 1
 _SCALE = 0.24935149047701485  # 1 / sqrt(16 + 1/12)

@@ -14,7 +14,7 @@ from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import KEPT, Point
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.ideal_batch import advance_ideal
-from sim_plant.physics.structure import LINES, Motion, Structure, rigid
+from sim_plant.physics.structure import LINES, Motion, Structure, rigid, with_walk
 from sim_plant.physics.truth import Truth
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ class RealPart:
             self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
             if self._disturbance:
                 force, walked = self._disturbance.draw(motion.walked, count + index, h)
-                external, motion = external + force, motion._replace(walked=walked)
+                external, motion = external + force, with_walk(motion, walked)
             if isinstance(self._engine, Dynamics):
                 motion = advance_dynamic(self._engine, motion, time, (external, command), h)
             else:

@@ -9,7 +9,7 @@ from sim_plant.physics.encoder import KEPT, Point
 from sim_plant.physics.events import advance_single
 from sim_plant.physics.noise import Key
 from sim_plant.physics.single_axis import SingleAxis
-from sim_plant.physics.structure import Motion, rigid
+from sim_plant.physics.structure import Motion, rigid, with_walk
 
 
 def disturbance_of(density: float, walk: float, seed: Key, axis: Key) -> Disturbance:
@@ -65,7 +65,7 @@ class RealAxis:
             disturbance = self._disturbance
             if disturbance is not None:
                 force, walked = disturbance.draw(motion.walked, count + index, h)
-                external, motion = external + force, motion._replace(walked=walked)
+                external, motion = external + force, with_walk(motion, walked)
             engine = self._engine
             if isinstance(engine, Dynamics):
                 self.motion = advance_single(engine, motion, time, (external, command), h)

@@ -5,10 +5,12 @@ the arithmetic. Events are stops, breakaways and punctures: integration restarts
 zero speed.
 """
 
+from typing import Final
+
 from sim_plant.physics.axis import ACCURACY, MAX_SUBSTEPS, Axis, AxisValues, State
 
-MAX_EVENTS = 8  # of one substep; more cannot happen under a constant force
-MAX_ITERATIONS = 60
+MAX_EVENTS: Final = 8  # of one substep; more cannot happen under a constant force
+MAX_ITERATIONS: Final = 60
 
 
 def axis_of(values: AxisValues) -> Axis:

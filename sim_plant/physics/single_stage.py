@@ -1,14 +1,15 @@
 """The axes of one stage, of floats, and their encoders: what a lockstep run and the live emulator advance."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from sim_plant.physics.encoder import Encoder
 from sim_plant.physics.noise import Key
 from sim_plant.physics.real_axis import RealAxis
 from sim_plant.physics.single_axis import SingleAxis
 
-IDEAL_PIECE_NS = 1_000_000  # of constant force, at most, for an ideal axis
-REAL_PIECE_NS = 500_000  # of constant noise for one that deviates; its steps are chosen anew for each
+IDEAL_PIECE_NS: Final = 1_000_000  # of constant force, at most, for an ideal axis
+REAL_PIECE_NS: Final = 500_000  # of constant noise for one that deviates; its steps are chosen anew for each
 
 
 def encoder_of(values: tuple[float, float, float, float], key: tuple[Key, Key], read: int) -> Encoder:

@@ -73,3 +73,9 @@ def rigid(motion: Motion, position: Number, velocity: Number, pierced: Number) -
     """The motion of an axis whose load is its motor; bristle, cable, force and walk as they were."""
     _, _, _, _, _, bristle, cable, force, _, walked = motion
     return Motion(position, velocity, pierced, position, velocity, bristle, cable, force, position, walked)
+
+
+def with_walk(motion: Motion, walked: Number) -> Motion:
+    """The same motion under a bias that has walked to `walked` (N)."""
+    q, v, pierced, y, u, bristle, cable, force, played, _ = motion
+    return Motion(q, v, pierced, y, u, bristle, cable, force, played, walked)

@@ -1,6 +1,7 @@
 """Trajectories: exact in time, smooth where they must be, the same bits for one instant or a thousand."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ CIRCLE = TaskConfig(kind="circle", axes=["x", "y"], radius=0.5, frequency_hz=0.5
 LISSAJOUS = TaskConfig(kind="lissajous", axes=["x", "y"], radius=0.01, frequency_hz=0.3, ratio=3, phase=0.7)
 MOVES = TaskConfig(kind="point_to_point", axes=["y"], target=[0.2], move_s=0.5, dwell_s=0.25)
 HOLD = TaskConfig()
+SPIRAL = TaskConfig(kind="spiral", axes=["x", "y"], radius=0.01, turns=2.0, move_s=4.0)
+WAYPOINTS = TaskConfig(kind="waypoints", axes=["x", "y"], waypoints=[[0.0, 0.0], [0.05, 0.02], [0.01, 0.0]])
+PATH = TaskConfig(kind="path", axes=["y"], samples=[[0.0, 0.0], [0.5, 0.01], [1.0, 0.03], [2.0, 0.0]])
 
 
 def injection_task() -> TaskConfig:
@@ -28,12 +32,17 @@ def injection_task() -> TaskConfig:
 
 def trajectories() -> list[Trajectory]:
     start = np.array([0.03, -0.02])
-    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in (CIRCLE, LISSAJOUS, MOVES, HOLD)]
+    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in TASKS]
     injection = make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
     return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
 
 
-NAMES = ["circle", "lissajous", "moves", "hold", "injection", "displaced"]
+TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, PATH]
+NAMES = [*(task.kind for task in TASKS), "injection", "displaced"]
+
+
+def test_every_kind_of_task_is_tried_here() -> None:
+    assert set(get_args(TaskConfig.model_fields["kind"].annotation)) <= set(NAMES)
 
 
 @pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)

@@ -1,6 +1,7 @@
 """Rows of the fault table that need more than an injection: grants, heartbeats, the age and number of a command."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -190,6 +191,19 @@ def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> No
     assert [drive.status & DriveStatus.ENABLED for drive in run.stage.drives] == [0, 0]
     run.stage.drives[0].stuck = False
     assert run.go(150).cycle.state is State.READY  # a reset clears it once the drive obeys again
+
+
+def test_a_drive_that_never_enables_ends_the_activation_in_time_and_latches() -> None:
+    rig = paper("safety.enable_timeout_ticks=40")
+    run = Posted(rig, activate_once())
+    bare = run.stage.drives[0]
+    bare.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
+    run.go(READY_BY + 39)
+    assert run.cycle.state is State.ACTIVE
+    assert run.cycle.setpoints.task_ns < 0, "no task begins before every drive is enabled"
+    run.go(1)
+    assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.ENABLE_TIMEOUT)
+    assert run.cycle.gate.force == [0.0, 0.0]
 
 
 def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> None:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer, Verdict
 from tests.mutation.mutants import Mutant, differs, mutants_of
-from tests.mutation.rooms import ROOMS, sources_of, tests_for
+from tests.mutation.rooms import ROOMS, files_to_run, sources_of
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMANDED = 0.95
@@ -67,7 +67,7 @@ def _try(case: Case) -> Outcome:
     began = time.monotonic()
     path = case.mutant.path
     mutated = case.mutant.apply((_server.tree / path).read_bytes())
-    verdict = _server.try_mutant(path, mutated, tests_for(_server.tree, ROOMS[case.room], path))
+    verdict = _server.try_mutant(path, mutated, files_to_run(_server.tree, ROOMS[case.room], path))
     killer = verdict.failed[0] if verdict.failed else ""
     return Outcome(case, killer, verdict.hung, time.monotonic() - began)
 
@@ -183,7 +183,7 @@ def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact:
         print(f"survived, unexplained: {case.mutant.path}:{case.mutant.line}\n    - {case.before}\n    + {case.after}")
     hung = sum(o.hung for o in outcomes)
     print(
-        f"ran: unit {len(outcomes)} mutants passed through, {len(outcomes) - len(survivors)} killed ({hung} by a time "
+        f"ran: {len(outcomes)} mutants, {len(outcomes) - len(survivors)} killed ({hung} by a time "
         f"limit), {len(survivors) - len(open_cases)} survivors explained, {len(open_cases)} not; at most {allowed}"
     )
     if json_path:
