@@ -13,7 +13,7 @@ KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["forces"]
 
 
 def test_there_is_a_hash_of_every_law() -> None:
-    assert set(KNOWN) == set(laws())
+    assert set(KNOWN) == set(laws()), "python -m tests.support.law_reference"
     assert len({hashes["stiff"] for hashes in KNOWN.values()}) > 0.9 * len(KNOWN), "they do differ"
 
 

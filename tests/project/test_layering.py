@@ -25,7 +25,7 @@ FILES = {
     ),
     "cycle": (
         "step supervisor commissioning axes record_builder record limits damped_stop sampling fault_monitor "
-        "fault_table inbox gate command_desk state_machine tick"
+        "oscillation fault_table inbox gate command_desk state_machine tick"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other
