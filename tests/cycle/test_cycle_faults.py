@@ -242,8 +242,10 @@ def test_one_drive_that_is_not_well_keeps_the_whole_rig_from_ready(axis: int) ->
     assert [bool(drive.status & DriveStatus.WATCHDOG) for drive in run.stage.drives] == [axis == 0, axis == 1]
 
 
-def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready() -> None:
-    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": 0}
+@pytest.mark.parametrize("from_tick", [0, 10], ids=["ever", "any more"])
+def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready(from_tick: int) -> None:
+    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": from_tick}
     run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [silent]}))
     assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
-    assert run.cycle.inbox.samples[0] is not None
+    heard = [sample is not None for sample in run.cycle.inbox.samples]
+    assert heard == [True, from_tick > 0]
