@@ -50,8 +50,9 @@ ROOMS = {
         ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
-        ("hil/control/stability.py", "hil/control/feasibility.py"),
-        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/virtual/test_microscope.py"),
+        ("hil/control",),
+        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/control/test_loop_corners.py",
+         "tests/control/test_start_ranges.py", "tests/virtual/test_microscope.py"),
     ),
     "live": Room(
         ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),
