@@ -25,7 +25,7 @@ run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 test: setup  ## unit, lockstep and live tests on this machine (about three minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
-attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about two minutes)
+attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
 lint: setup  ## ruff and mypy --strict

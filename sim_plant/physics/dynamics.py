@@ -35,11 +35,13 @@ from sim_plant.physics.number import (
 )
 from sim_plant.physics.structure import Motion, Structure
 
-MODE_STEP: Final = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
-BRISTLE_STEP: Final = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
-TURN_STEP: Final = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+MODE_STEP: Final = 0.28  # rad of the mode's ring a step, at most; ring-down is then off by x^4 / (120 damping) of it
+MODE_ERROR: Final = 3e-10  # m (rad), of the ring that is there
+LEAST_DAMPING: Final = 0.01  # of a mode, in that
+BRISTLE_STEP: Final = 0.22  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
+TURN_STEP: Final = 1e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
 BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
-MOST_TURN_STEPS: Final = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
+MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP: Final = 0.4  # rad of a sinusoid
 SLOPE_STEP: Final = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 
@@ -102,8 +104,14 @@ class Dynamics:
         rate = (abs(s.viscous) + s.drag) * self.inverse_mass + root(steepest * self.inverse_mass)
         rate = (rate + root(s.cable_stiffness * self.inverse_mass)) * (1.0 / SLOPE_STEP)
         self._ring_rate: Number = 0.0 * motor
+        self._ring_time: Number = 0.0 * motor
+        self._ring_scale: Number = 0.0 * motor
         if self.has_mode:
-            self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
+            softness = self.inverse_mass + self.inverse_load
+            ring = root(s.mode_stiffness * softness)
+            damping = greater(0.5 * s.mode_damping * softness / ring, LEAST_DAMPING)
+            self._ring_rate, self._ring_time = ring * (1.0 / MODE_STEP), 1.0 / ring
+            self._ring_scale = MODE_STEP**4 / (120.0 * MODE_ERROR) / damping
         per_speed, amplitudes = 0.0 * motor, abs(s.cable_hysteresis)
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
@@ -133,7 +141,10 @@ class Dynamics:
             pull = pull + abs(at.force - command)
         reach = h * (pull + self._amplitudes) * self.inverse_mass
         fastest = speed + reach
-        work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
+        work = h * (self._rate + fastest * self._speed_rate)
+        if self.has_mode:
+            swing = abs(at.load_position - at.position) + self._ring_time * abs(at.load_velocity - at.velocity)
+            work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, 1.0))))
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
@@ -171,12 +182,12 @@ class Dynamics:
         ratio = velocity * self._slowness
         return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
 
-    def bend(self, at: Motion, before: Number, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
+    def bend(self, begin: Triple, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
         """The bristle `span` seconds later, and its limit there; at most one reversal in between.
 
-        before: the limit at the start. arrived: metres moved, and the velocity then.
+        begin: the bristle, its limit and the velocity at the start. arrived: metres moved, and the velocity then.
         """
-        z, v0 = at.bristle, at.velocity
+        z, before, v0 = begin
         moved, velocity = arrived
         towards = direction(velocity)
         turned = velocity * v0 < 0.0
@@ -191,6 +202,21 @@ class Dynamics:
         limit = self.limit_at(velocity)  # a ramp over the distance
         left, mean = decay_with_mean(towards * moved * (0.5 / before + 0.5 / limit))
         return towards * (limit - (limit - before) * mean) + (z - towards * before) * left, limit
+
+    def _bent(self, begin: Triple, arrived: tuple[Number, Number], turn: Number, h: float) -> Number:
+        """The bristle at the end of a step. turn: how much the acceleration fell in it.
+
+        Where the limit changes with the speed, a step in one and in two halves together cancel the error of second
+        order that the ramp over the distance makes (Richardson's extrapolation).
+        """
+        z, _ = self.bend(begin, arrived, h)
+        if not self.has_stribeck:
+            return z
+        (moved, velocity), v0 = arrived, begin[2]
+        there, then = 0.5 * moved + 0.125 * h * (v0 - velocity), 0.5 * (v0 + velocity) + 0.125 * h * turn
+        middle, limit = self.bend(begin, (there, then), 0.5 * h)
+        halved, _ = self.bend((middle, limit, then), (moved - there, velocity), 0.5 * h)
+        return halved + (halved - z) * (1.0 / 3.0)
 
     def friction(self, velocity: Number, bristle: tuple[Number, Number], sign: Number, scale: Number) -> Number:
         """Force (N) against the motion. bristle: z, and its limit. sign: of the branch of set-valued friction."""
@@ -278,12 +304,15 @@ class Dynamics:
         q0, v0, y0, u0 = at.position, at.velocity, at.load_position, at.load_velocity
         q, v, y, u = q0, v0, y0, u0
         before: Number = self.limit_at(v0) if self.has_bristle else 0.0
+        start: Triple = (at.bristle, before, v0)
         bristle: tuple[Number, Number] = (at.bristle, before)
+        turn: Number = 0.0
         speeds = accelerations = load_speeds = load_accelerations = 0.0
         for stage in range(4):
             along = begin if stage == 0 else end if stage == 3 else middle
             a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, along)
             weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            turn = a if stage == 0 else turn - a if stage == 3 else turn
             speeds = speeds + weight * v
             accelerations = accelerations + weight * a
             if self.has_mode:
@@ -296,11 +325,11 @@ class Dynamics:
                 y, u = y0 + ahead * u, u0 + ahead * b
             q, v = q0 + ahead * v, v0 + ahead * a
             if self.has_bristle:
-                bristle = self.bend(at, before, (q - q0, v), ahead)
+                bristle = self.bend(start, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
-        z = self.bend(at, before, (q - q0, v), h)[0] if self.has_bristle else at.bristle
+        z = self._bent(start, (q - q0, v), turn, h) if self.has_bristle else at.bristle
         return self._arrived(at, (q, v, y, u, z), forces[1], h)
 
     def _accelerations(

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.control.laws.base import axis_inputs
+from hil.control.setpoints import Setpoints
 from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
 from hil.control.trajectories.displaced import Displaced
 from hil.control.trajectories.segments import Segments
@@ -168,3 +170,20 @@ def test_what_repeats_says_so() -> None:
     assert task_repeat(MOVES, ["x", "y"], PERIOD) == (1_500 * MS, 0)
     assert task_repeat(HOLD, ["x", "y"], PERIOD) is None
     assert task_repeat(injection_task(), ["x", "y", "z", "theta"], PERIOD) is None
+
+
+def test_setpoints_that_hold_rest_there_and_follow_nothing_any_more() -> None:
+    inputs = [axis_inputs(), axis_inputs()]
+    setpoints = Setpoints(inputs, PERIOD)
+    setpoints.follow(make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD), [0, 0])
+    setpoints.update([500 * MS] * 2, [501 * MS] * 2)
+    assert inputs[0].sample.velocity != 0.0
+    assert (setpoints.task_ns, inputs[0].task_ns) == (500 * MS, 501 * MS)
+    setpoints.hold([0.25, -0.5])
+    for _ in range(2):
+        for x, place in zip(inputs, (0.25, -0.5), strict=True):
+            rests = [(r.position, r.velocity, r.acceleration) for r in (x.sample, x.start, x.end)]
+            assert rests == [(place, 0.0, 0.0)] * 3
+            assert (x.mean_velocity, x.mean_acceleration, x.mean_sign, x.task_ns) == (0.0, 0.0, 0.0, -1)
+        assert setpoints.task_ns == -1
+        setpoints.update([600 * MS] * 2, [601 * MS] * 2)

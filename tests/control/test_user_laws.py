@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil import Law
 from hil.control import law_registry
 from hil.control.law_registry import LAWS, law_class
 from hil.control.laws import make_axis_laws, make_law, users
-from hil.control.laws.base import Law, axis_inputs
+from hil.control.laws.base import axis_inputs
 from hil.control.laws.coupled import gather
 from hil.control.laws.users import UserAxes
 from hil.control.nominal_model import rig_model

@@ -232,3 +232,18 @@ def test_a_restarted_process_leaves_to_the_operator_what_the_drives_latched(prot
     while run.index < 1500:
         assert run.go(1).cycle.state is State.CONNECTED
     assert run.go(1500).cycle.state is State.READY
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_drive_that_is_not_well_keeps_the_whole_rig_from_ready(axis: int) -> None:
+    run = Posted(paper(), lambda run, now: [])
+    run.stage.drives[axis].trip(0)
+    assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
+    assert [bool(drive.status & DriveStatus.WATCHDOG) for drive in run.stage.drives] == [axis == 0, axis == 1]
+
+
+def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready() -> None:
+    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": 0}
+    run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [silent]}))
+    assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
+    assert run.cycle.inbox.samples[0] is not None

@@ -317,6 +317,7 @@ def test_a_streak_that_breaks_off_begins_anew(case: Case) -> None:
         assert flagged(bench, case, case.at, case.ticks - 1) == [set()] * (case.ticks - 1)
         clear()
         assert flagged(bench, case, case.at, case.ticks - 1) == [set()] * (case.ticks - 1)
+        assert bench.show(case.at, resting=case.resting) == {case.fault, *case.others}, "and is as long as ever"
         bench.show(WELL, resting=case.resting)
 
 
@@ -365,6 +366,8 @@ def test_a_position_that_moves_by_one_count_is_not_stuck() -> None:
     for tick in range(3 * SAFETY.stuck_ticks):
         moved = 1e-9 * (tick // (SAFETY.stuck_ticks - 1))
         assert bench.show(Seen(force=LIMIT.stuck_force, q=moved)) == set()
+    stands = [bench.show(Seen(force=LIMIT.stuck_force, q=moved)) for _ in range(SAFETY.stuck_ticks)]
+    assert {Fault.ENCODER_STUCK} in stands, "until it stands still"
 
 
 def test_of_two_faults_the_graver_one_counts_and_among_equals_the_first() -> None:
