@@ -36,7 +36,7 @@ class PositionBinding(SignalBinding):
 
     wrap: float = key(
         0.0,
-        "raw values of one turn, after which it begins anew; turns are then counted here; 0: it does not",
+        "counts of one turn, after which it begins anew; turns are then counted here; 0: it does not",
         "1",
         ge=0,
     )

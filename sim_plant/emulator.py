@@ -225,10 +225,10 @@ class EmulatedStage:
                 self._run_physics()
         if not self._nodes:
             return []
-        sampling = self.speaks_ns <= self.now_ns
+        sampling = [node.servo.axis for node in self._nodes if node.next_ns <= self.now_ns]
         if sampling:
             self._run_physics()
-            self._note_sampling()
+            self._note_sampling_of(sampling)
         frames = [f for node in self._nodes for f in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
         if sampling:
             self._update()  # a drive may have entered operation
@@ -334,6 +334,14 @@ class EmulatedStage:
 
     def _note_sampling(self) -> None:
         self.sampled = self._stage.positions, self._stage.velocities
+
+    def _note_sampling_of(self, axes: Sequence[int]) -> None:
+        """Of drives that sample each in its own time."""
+        before, now = self.sampled, (self._stage.positions, self._stage.velocities)
+        positions, velocities = ([*quantity] for quantity in before)
+        for axis in axes:
+            positions[axis], velocities[axis] = now[0][axis], now[1][axis]
+        self.sampled = positions, velocities
 
     def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:
         """What leaves the drive in place of these frames."""

@@ -47,8 +47,8 @@ HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/
 
 # What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
-hil/cycle: axes command_desk damped_stop fault_monitor fault_table gate inbox limits record_builder sampling
-hil/cycle: state_machine step supervisor tick
+hil/cycle: axes command_desk commissioning damped_stop fault_monitor fault_table gate inbox limits record_builder
+hil/cycle: sampling state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
 sim_plant/physics: events real_axis single_axis single_stage
 """

@@ -32,7 +32,7 @@ from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import UNHEALTHY, Command, Reject, Sample
 from drivers.protocols.dbc_binding import Bound, BoundMessage
-from drivers.protocols.dbc_layout import ENABLED, FAULT, DbcLayout
+from drivers.protocols.dbc_layout import COUNTS, ENABLED, FAULT, DbcLayout
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
@@ -41,9 +41,9 @@ REPEAT_NS = 100_000_000  # after which an enabling or disabling message is sent 
 
 
 class Turns(NamedTuple):
-    """A position that begins anew after so many raw values: the last one, and the turns counted, as raw values."""
+    """Of a position that begins anew with every turn: the last one, and the counts of all turns since the first."""
 
-    raw: float
+    counts: float
     turned: float
 
 
@@ -100,11 +100,10 @@ class DbcHost(DbcLayout):
         if unfit is not None:
             return unfit
         values = message.codec.unpack(frame.data)
-        raw = values[self._position[axis].place.at]
+        counts = self._position[axis].place.value(values[self._position[axis].place.at])
         if self._wrap[axis]:
-            raw = self._unwrapped(axis, raw)
-        counts = self._position[axis].place.value(raw)
-        if not -(2.0**53) <= counts <= 2.0**53:  # also where it is not a number
+            counts = self._unwrapped(axis, counts)
+        if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
             return Reject.INVALID_VALUE
         if not self._note_state(message, values):
             return Reject.INVALID_VALUE
@@ -114,15 +113,14 @@ class DbcHost(DbcLayout):
         stamp_ns = clock.begun(axis, frame, self._feedback_ns) if own_time else clock.instant(axis, frame)
         return Sample(axis, round(counts), self._status_of(axis), sequence, stamp_ns)
 
-    def _unwrapped(self, axis: int, raw: float) -> float:
-        """The nearest of the positions that this raw value can mean."""
+    def _unwrapped(self, axis: int, counts: float) -> float:
+        """The nearest of the positions that these counts can mean."""
         wrap, last = self._wrap[axis], self._turns[axis]
-        if last is not None and raw == raw:  # a number
-            turned = last.turned + round((last.raw - raw) / wrap) * wrap
-            self._turns[axis] = Turns(raw, turned)
-            return raw + turned
-        self._turns[axis] = Turns(raw, 0.0) if raw == raw else last
-        return raw
+        if counts - counts != 0.0:  # no number
+            return counts
+        turned = 0.0 if last is None else last.turned + round((last.counts - counts) / wrap) * wrap
+        self._turns[axis] = Turns(counts, turned)
+        return counts + turned
 
     def _decode_state(self, message: BoundMessage, frame: Frame) -> Reject:
         unfit = message.fits(frame)
@@ -281,10 +279,8 @@ class DbcDevice(DbcLayout):
         message = self._feedback[axis]
         values: list[Any] = [0] * len(message.codec.names)
         place = self._position[axis].place
-        position = place.raw(sample.position)
-        if self._wrap[axis]:
-            position = place.raw(place.value((sample.position - place.offset) / place.gain % self._wrap[axis]))
-        values[place.at] = position
+        wrap = self._wrap[axis]
+        values[place.at] = place.raw(sample.position % wrap if wrap else sample.position)
         self._put_state(message, axis, sample.status, values)
         if self._echo:
             values[self._echo[axis].place.at] = sample.sequence % self.sequence_modulus

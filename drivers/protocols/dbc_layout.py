@@ -6,11 +6,12 @@ from pathlib import Path
 from drivers.arbitration import arbitration_key
 from drivers.config import BusConfig, DbcBinding, SignalBinding, StatusBinding
 from drivers.protocols.base import DriveStatus, LayoutError, Message
-from drivers.protocols.dbc_binding import Bound, bind_messages, bound_items, check_binding
+from drivers.protocols.dbc_binding import Bound, Place, bind_messages, bound_items, check_binding
 from drivers.protocols.dbc_codec import load_dbc
 
 PREFIX = "dbc:"
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
+COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
 OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
 
 
@@ -60,6 +61,8 @@ class DbcLayout:
                 raise LayoutError(f"bus.dbc.on_change: {name!r} is no bound command message")
         self._cyclic = [message for message in self._commands if message.can_id not in self._on_change]
         self._wrap = [item.wrap for item in binding.position]
+        ends = [_reach(at.place, wrap) for at, wrap in zip(self._position, self._wrap, strict=True)]
+        self.positions: Sequence[tuple[float, float]] = ends
         self._feedback_period_ns = round(binding.feedback_period_s * 1e9)
         if not {bound.message.can_id for bound in self._torque}.isdisjoint(self._on_change) or not self._cyclic:
             raise LayoutError("bus.dbc.on_change names a message with a torque, which is sent every tick")
@@ -148,3 +151,11 @@ def _status_map(binding: StatusBinding) -> dict[int, int] | None:
     if not binding.enabled and not binding.fault:
         return None
     return dict.fromkeys(binding.enabled, ENABLED) | dict.fromkeys(binding.fault, FAULT)
+
+
+def _reach(place: Place, wrap: float) -> tuple[float, float]:
+    """Least and greatest position (counts) that a signal can tell; one that wraps is unwrapped (dbc.py)."""
+    if wrap:
+        return -COUNTS, COUNTS
+    ends = place.value(place.low), place.value(place.high)
+    return max(min(ends), -COUNTS), min(max(ends), COUNTS)

@@ -91,6 +91,12 @@ class ControlCycle:
         return self.supervisor.fault
 
     @property
+    def problems(self) -> list[str]:
+        """Why drives were refused or an axis is not as stated, for people."""
+        push = self.supervisor.commissioning.problem
+        return [*self.protocol.problems, *([push] if push else [])]
+
+    @property
     def silent(self) -> bool:
         """Nothing is sent until a reset."""
         return self.supervisor.silent
@@ -201,6 +207,8 @@ class ControlCycle:
         """The force asked for, N per axis: of the damped stop, else of the law."""
         if self.supervisor.machine.state is State.STOPPING:
             return self.supervisor.damped_stop.force(self.axes.ahead_velocity())
+        if self.supervisor.commissioning.running:
+            return self.supervisor.commissioning.force(self.axes.ahead_velocity())
         try:
             return self.axes.law.force(self.inputs)
         except ArithmeticError:  # floats raise where arrays would say NaN; the gate knows what to do with that

@@ -18,6 +18,7 @@ from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
@@ -55,7 +56,7 @@ def check(
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
-        infeasible = task_problems(rig)
+        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
         stability = check_stability(rig, lowest_rate=True)
         corners = findings(rig, measured or (), frd) if stability.stable else []
     except ValueError as error:

@@ -4,6 +4,7 @@ Drains the ring; publishes on Zenoh; records; hands authorised commands on. It m
 process, and outlives any number of them: each gets a recording of its own.
 """
 
+import itertools
 import json
 import signal
 import socket
@@ -81,10 +82,9 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig.safety.command_expiry_s, stop, self._note_command)
+        self._gateway = Gateway(rig, stop, self._note_command)
         self._noted = 0  # entries of this round
         self._out = out
-        self._runs = 0
         self._status_due_ns = 0
         self._seen_run = -1
         self.attached: Attached | None = None
@@ -126,9 +126,8 @@ class Sidecar:
     def _new_recorder(self, reader: RingReader) -> Recorder | None:
         if self._out is None:
             return None
-        self._runs += 1
-        name = "run.mcap" if self._runs == 1 else f"run-{self._runs}.mcap"
-        return Recorder(self._out / name, reader.metadata)
+        names = (self._out / f"run{f'-{number}' if number > 1 else ''}.mcap" for number in itertools.count(1))
+        return Recorder(next(path for path in names if not path.is_file()), reader.metadata)  # nobody's earlier one
 
     def _leave(self) -> None:
         if self.attached:

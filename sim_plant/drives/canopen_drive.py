@@ -203,12 +203,13 @@ class Cia402Drive(CanopenNode):
         following = TRANSITIONS.get((self.state, power_command(value)))
         if following is None:
             return
-        self._enabling_ns = NEVER_NS
         if following is DriveState.QUICK_STOP and 0 <= self._quick_stop_option() <= _LAST_TRANSIT_OPTION:
             following = DriveState.SWITCH_ON_DISABLED
         if following is DriveState.OPERATION_ENABLED and self._quirks.enable_delay_ns:
-            self._enabling_ns = self.now_ns + self._quirks.enable_delay_ns
+            self._enabling_ns = min(self._enabling_ns, self.now_ns + self._quirks.enable_delay_ns)
             following = DriveState.SWITCHED_ON
+        else:
+            self._enabling_ns = NEVER_NS
         leaving = self.state is DriveState.OPERATION_ENABLED
         self.state = following
         if leaving or following is DriveState.OPERATION_ENABLED:

@@ -8,11 +8,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.attacks import on_commands, on_files, on_zenoh
+from tests.attacks import on_commands, on_files, on_processes, on_zenoh
 from tests.attacks.registry import ATTACKS, Result, tried
 from tests.attacks.target import Target
 
-MODULES = (on_zenoh, on_commands, on_files)
+MODULES = (on_zenoh, on_commands, on_processes, on_files)
 LEAST = 30
 
 
@@ -34,7 +34,7 @@ def main(out: Path, only: str) -> int:
         target = Target(Path(directory))
         try:
             target.begin()
-            for listed in ATTACKS:
+            for listed in sorted(ATTACKS, key=lambda listed: listed.last):
                 if only in listed.name:
                     for result in tried(listed, target):
                         show(result)

@@ -7,7 +7,9 @@ its own does not take part, so that a mutant is killed or not whatever else the 
 from pathlib import Path
 from typing import NamedTuple
 
-_RUNS = ("tests/virtual/test_reference.py", "tests/virtual/test_lockstep.py")
+_PAGES = "tests/project/test_docs.py"  # tables in code, with every range, are on generated pages
+_RUNS = ("tests/virtual/test_reference.py",)  # whole runs, each frame of them
+_LOCKSTEP = ("tests/virtual/test_lockstep.py",)
 
 
 # Seconds each, and whatever they see others see as well: left out, so that a mutant that lives costs no minutes.
@@ -24,8 +26,8 @@ class Room(NamedTuple):
 ROOMS = {
     "cycle": Room(
         ("hil/cycle",),
-        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", *_RUNS,
-         "tests/virtual/test_replay.py"),
+        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", _PAGES, *_RUNS,
+         *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
     "users' laws": Room(
         ("hil/control/laws/users.py", "hil/control/law_registry.py"),
@@ -34,16 +36,18 @@ ROOMS = {
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
          "hil/control/nominal_model.py"),
-        ("tests/control/test_breakaway.py", "tests/control/test_structured_filter.py",
+        ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
+         "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
-         "tests/control/test_laws.py"),
+         "tests/control/test_laws.py", _PAGES),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS),
+        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
-        ("hil/control/estimator",), ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS)
+        ("hil/control/estimator",),
+        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
         ("hil/control/stability.py", "hil/control/feasibility.py"),
@@ -68,7 +72,9 @@ ROOMS = {
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
-        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", *_RUNS),
+        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
+         "tests/control/test_task_paths.py", *_RUNS,
+         "tests/drivers/protocols/test_mounting.py"),
     ),
 }  # fmt: skip
 
@@ -90,7 +96,7 @@ def python_files(root: Path, path: str) -> list[str]:
     return [str(file.relative_to(root)) for file in files if not file.name.endswith("_pb2.py")]
 
 
-def tests_for(root: Path, room: Room, source: str) -> list[str]:
+def files_to_run(root: Path, room: Room, source: str) -> list[str]:
     """The room's test files, each once: first those named after the source file or its folder, then in table order."""
     found = []
     for path in room.tests:

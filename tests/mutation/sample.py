@@ -1,6 +1,7 @@
 """A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
 
     python -m tests.mutation [--seed S] [--count N] [--room R ...] [--match TEXT] [--workers W] [--json OUT] [--all]
+    python -m tests.mutation --hollow     tests that cannot fail: hollow.py
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
 same one. Exit status 1 where the kill rate is too low, 2 where a killing test also fails on the honest code.
@@ -29,8 +30,9 @@ from typing import NamedTuple
 
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer, Verdict
+from tests.mutation.hollow import FOLDERS, green_tests
 from tests.mutation.mutants import Mutant, differs, mutants_of
-from tests.mutation.rooms import ROOMS, sources_of, tests_for
+from tests.mutation.rooms import ROOMS, files_to_run, sources_of
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMANDED = 0.95
@@ -67,7 +69,7 @@ def _try(case: Case) -> Outcome:
     began = time.monotonic()
     path = case.mutant.path
     mutated = case.mutant.apply((_server.tree / path).read_bytes())
-    verdict = _server.try_mutant(path, mutated, tests_for(_server.tree, ROOMS[case.room], path))
+    verdict = _server.try_mutant(path, mutated, files_to_run(_server.tree, ROOMS[case.room], path))
     killer = verdict.failed[0] if verdict.failed else ""
     return Outcome(case, killer, verdict.hung, time.monotonic() - began)
 
@@ -147,10 +149,16 @@ def main() -> int:
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--hollow", action="store_true", help="list tests that pass while the product does nothing")
     parser.add_argument("--all", action="store_true", help="every mutant of the rooms")
     arguments = parser.parse_args()
+    if arguments.hollow:
+        return _list_green(arguments.workers)
     seed = arguments.seed or _commit()
     cases = all_cases(arguments.room or list(ROOMS), arguments.match)
+    if not arguments.room and not arguments.match:
+        for line in Explained().stale(cases):
+            print(f"explained, but no longer there: {line}")
     chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
     print(f"seed {seed}: {len(chosen)} of {len(cases)} mutants", flush=True)
     scratch = tempfile.mkdtemp(prefix="m")
@@ -172,6 +180,25 @@ def main() -> int:
     return _judge(outcomes, arguments.json, seed, exact=arguments.all)
 
 
+def _green(folder: str) -> list[str]:
+    return green_tests(_server, folder)
+
+
+def _list_green(workers: int) -> int:
+    """The tests that stay green in a hollow product; exit status 1 where one of them is not explained."""
+    scratch = tempfile.mkdtemp(prefix="m")
+    try:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, spawn, _start, (scratch,)) as pool:
+            found = [test.partition("[")[0] for tests in pool.map(_green, FOLDERS) for test in tests]
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    unexplained = sorted(set(found) - set(Explained().green))
+    print(f"{len(set(found))} tests pass while the product does nothing, {len(unexplained)} of them unexplained")
+    print(*unexplained, sep="\n")
+    return 1 if unexplained else 0
+
+
 def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact: bool) -> int:
     explained = Explained()
     survivors = [o.case for o in outcomes if not o.killer]
@@ -183,7 +210,7 @@ def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact:
         print(f"survived, unexplained: {case.mutant.path}:{case.mutant.line}\n    - {case.before}\n    + {case.after}")
     hung = sum(o.hung for o in outcomes)
     print(
-        f"ran: unit {len(outcomes)} mutants passed through, {len(outcomes) - len(survivors)} killed ({hung} by a time "
+        f"ran: {len(outcomes)} mutants, {len(outcomes) - len(survivors)} killed ({hung} by a time "
         f"limit), {len(survivors) - len(open_cases)} survivors explained, {len(open_cases)} not; at most {allowed}"
     )
     if json_path:

@@ -1,6 +1,6 @@
 """A batch of stages is bit for bit its members one by one, over every combination of what an axis can have."""
 
-from typing import Any
+import json
 
 import numpy as np
 import pytest
@@ -9,30 +9,17 @@ from hypothesis import strategies as st
 
 from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Stage, Truth
+from tests.support.plant_reference import (
+    EFFECTS,
+    FILE,
+    MS,
+    THERE_AND_BACK,
+    hash_of,
+    shown_by,
+    with_and_without,
+)
 
-MS = 1_000_000
-EFFECTS: dict[str, Any] = {
-    "presliding": [1e-6, 1e-5],
-    "torque_lag": [3e-4, 1e-4],
-    "torque_noise": [1e-3, 0.0],
-    "modes": [{"axis": "x", "frequency_hz": 200.0, "load": 0.3}],
-    "friction_variation": [0.1, 0.3],
-    "cogging": [{"amplitude": 0.02, "period": 0.024}, {"axis": "y", "amplitude": 0.01, "period": 0.004, "phase": 1.0}],
-    "cable_stiffness": [0.1, 5.0],
-    "cable_hysteresis": [0.05, 0.0],
-    "bias": [0.1, -0.2],
-    "bias_walk": [0.05, 0.1],
-    "vibration": [{"axis": "x", "acceleration": 0.05, "frequency_hz": 31.0}],
-    "backlash": [1e-6, 0.0],
-    "drift": [1e-7, 0.0],
-    "encoder_noise": [5e-9, 1e-9],
-    "encoder_periodic_error": [2e-8, 0.0],
-    "encoder_latency": [2e-5, 7e-4],
-    "stribeck_scale": [0.1, 0.2],
-    "ripple_amplitude": [0.03, 0.0],
-    "gravity": [0.0, -0.4],
-    "cells": [{"axis": "x", "surface": 2e-6, "direction": 1, "stiffness": 1e14, "puncture_depth": 1e-5, "drag": 2.0}],
-}
+KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["plants"]
 
 plants = st.builds(
     lambda chosen, mass, coulomb, seed: PlantConfig(
@@ -86,28 +73,21 @@ def equal_step_by_step(members: list[PlantConfig], pieces: list[tuple[float, flo
     return batch
 
 
-def plant_with(*effects: str) -> PlantConfig:
-    base: dict[str, Any] = {"mass": [0.5, 0.3], "coulomb": [0.3, 0.4], "viscous": [1.0, 2.0], "quadratic": [0.1, 0.0]}
-    base["initial_position"] = [9e-6, 0.0]  # at rest, 7 um into the membrane
-    return PlantConfig(**base, **{name: EFFECTS[name] for name in effects})
-
-
-# A push that friction and membrane together just hold; then through the membrane, to a stop, and back again.
-THERE_AND_BACK = [(0.32, 0.0)] + [(2.0, -1.5)] * 4 + [(0.0, 0.0)] * 2 + [(-2.0, 1.5)] * 4
-
-
 @pytest.mark.parametrize("effect", sorted(EFFECTS))
 def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effect: str) -> None:
-    """Pairwise, by construction: a member for each pair this effect is in, and one without it for each, which differs:
-    a batch that lost the effect where the other one is on would not.
+    """A batch that lost the effect where another one is on would show what the plant without it does; and what it shows
+    has not changed, to the bit (tests/support/plant_reference.py).
     """
-    others = [other for other in sorted(EFFECTS) if other > effect]
-    pairs = [plant_with(effect, other) for other in others] + [plant_with(effect)]
-    plain = [plant_with(other) for other in others] + [plant_with()]
-    batch = equal_step_by_step(pairs + plain, THERE_AND_BACK, copies=1)
-    shown = np.concatenate([batch.position, batch.velocity, batch.pierced, batch.read()], axis=1)
+    pairs, plain = with_and_without(effect)
+    shown = shown_by(equal_step_by_step([*pairs, *plain], THERE_AND_BACK, copies=1))
     same = [row for row in range(len(pairs)) if np.array_equal(shown[row], shown[row + len(pairs)])]
-    assert not same, [others[row] for row in same]
+    assert not same, same
+    assert hash_of(shown) == KNOWN[effect]
+
+
+def test_there_is_a_hash_for_every_effect() -> None:
+    assert set(KNOWN) == set(EFFECTS)
+    assert set(EFFECTS) <= set(PlantConfig.model_fields)
 
 
 @settings(max_examples=30, deadline=None)

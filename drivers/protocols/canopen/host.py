@@ -31,7 +31,7 @@ from drivers.protocols.canopen.master import HEARTBEAT_TICKS, SERVICE_TICKS, Mas
 from drivers.protocols.canopen.node import NodeMaster
 from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, FULL_SCALE, MASTER_ID, Axis, DrivePlan, plan_drives
 from drivers.protocols.sampling_clock import SamplingClock
-from drivers.protocols.stage_common import MAX_AXES, check_force, reject_id
+from drivers.protocols.stage_common import INT32, MAX_AXES, check_force, reject_id
 
 OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True)  # where a rig has no [bus.cia402]
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
@@ -111,6 +111,7 @@ class Cia402Host:
         if len(rated_force) != n_axes or not all(0 < force < 1e5 for force in rated_force):
             raise LayoutError(f"rated forces {list(rated_force)}: one per axis, above 0 and below 1e5, is needed")
         self.n_axes = n_axes
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes  # 6064h
         self._bus = bus
         self._rated = list(rated_force)
         self.plans = plan_rig(bus, rated_force, base_dir, period_ns)

@@ -9,6 +9,7 @@ from drivers.protocols.base import DriveStatus, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState
 from drivers.wire.faults import FaultKind, WireFault
+from hil.control.estimator.gains import design_gains
 from hil.control.laws.base import AxisLaws, LawInputs
 from hil.control.trajectories.displaced import Displaced
 from hil.studies.fault_campaign.trial import Step, axis_name, once
@@ -115,6 +116,21 @@ def set_to(value: float) -> Callable[[list[float], int], None]:
 def filter_nan(run: LockstepRun, axis: int) -> None:
     """The axis' estimated velocity is no number any more."""
     run.cycle.filters[axis].velocity = math.nan
+
+
+def disbelieve(run: LockstepRun, axis: int, k: int) -> None:
+    """The axis' filter expects each sample twice the limit beside where it is, to and fro; its state is set so that its
+    correction brings velocity and disturbance back to what they were: nothing else is to be seen of it.
+    """
+    motion, period = run.cycle.filters[axis], run.rig.period_ns * 1e-9
+    error = (-1) ** k * 2.0 * run.cycle.axes.innovation_limit[axis]
+    _, velocity_gain, disturbance_gain = design_gains(run.rig)[0][:, axis].tolist()
+    mass = run.cycle.axes.models[axis].mass
+    slowed = disturbance_gain * error * period / mass  # m/s, by the disturbance, in a period
+    faster = velocity_gain * error + slowed
+    motion.position += error - faster * period + 0.5 * slowed * period
+    motion.velocity += faster
+    motion.disturbance += disturbance_gain * error
 
 
 def bend(position_widths: float, speeds: float) -> Step:

@@ -61,7 +61,15 @@ class Cell:
     lacking: str
 
 
-_TOLD_BY_DRIVES = frozenset({Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENCODER_FAULT})
+_TOLD_BY_DRIVES = frozenset(
+    {
+        Fault.DRIVE_FAULT,
+        Fault.DRIVE_WATCHDOG,
+        Fault.DRIVE_DISABLED,
+        Fault.ENCODER_FAULT,
+        Fault.DRIVE_STAYS_ENABLED,
+    }
+)
 
 
 def state_ticks(run: CampaignRun) -> int:
@@ -152,6 +160,9 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
         return _release_failure(trial, run, seen)
     if fault not in trial.faults:
         return f"latched {fault.name}, which this trial must not cause"
+    exactly = trial.exactly(began) if due and trial.exactly and began is not State.STOPPING else fault
+    if fault is not exactly:
+        return f"latched {fault.name}, but this is {exactly.name}"
     within = ticks(trial.within, run.rig) + (state_ticks(run) if fault in _TOLD_BY_DRIVES else 0)
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
@@ -264,13 +275,15 @@ def _playable(rig: RigConfig, trial: Trial) -> bool:
     return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
 
 
-def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1) -> list[Chunk]:
-    """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign."""
+def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = "") -> list[Chunk]:
+    """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign. only: what the
+    names of the trials contain.
+    """
     document = rig.model_dump(mode="json")
     cells = [
         (index, axis)
         for index, trial in enumerate(TRIALS)
-        if _playable(rig, trial)
+        if only in trial.name and _playable(rig, trial)
         for axis in range(len(rig.axes) if trial.per_axis else 1)
     ]
     result = []

@@ -95,7 +95,7 @@ def test_a_drive_that_does_not_obey_is_told_again() -> None:
 
 
 def test_turns_are_counted_where_a_position_wraps() -> None:
-    wrapping = [{**item, "scale": 1.0, "wrap": 360.0} for item in both("Get_Encoder_Estimates", "Pos_Estimate")]
+    wrapping = [{**item, "scale": 2.0, "wrap": 360.0} for item in both("Get_Encoder_Estimates", "Pos_Estimate")]
     host, device = ends(position=wrapping)
     counts = []
     for place in (350, 10, 20, -5, -400, -700, -360, 0):
