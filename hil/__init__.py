@@ -24,6 +24,7 @@ _PUBLIC = {
     "RigError": "hil.rig.schema",
     "Run": "hil.runs",
     "Simulation": "hil.runs",
+    "accept_law": "hil.studies.acceptance.law",
     "load_rig": "hil.runs",
     "load_run": "hil.runs",
     "replay": "hil.runs",
