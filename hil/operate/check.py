@@ -16,16 +16,27 @@ from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
+from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
-def check_rig(rig_file: Path, overrides: Sequence[str], json_path: str | None, picture: Path | None) -> None:
+def check_rig(
+    rig_file: Path,
+    overrides: Sequence[str] = (),
+    *,
+    json_path: str | None = None,
+    picture: Path | None = None,
+    measured: Sequence[str] = (),
+    frd: Path | None = None,
+) -> None:
     """Print what was found of a rig, draw its tick, write JSON. Exit status 78 where the rig cannot run as it is.
 
-    json_path: "-" is standard output. picture: default runs/RIG-tick.png.
+    json_path: "-" is standard output. picture: default runs/RIG-tick.png. measured: AXIS=FILE, CSV with the axis'
+    measured frequency response. frd: where the loop's frequency response goes, JSON.
     """
     rig = load_rig(rig_file, overrides)
     messages = rig_messages(rig, rig_file.parent)
@@ -42,15 +53,20 @@ def check_rig(rig_file: Path, overrides: Sequence[str], json_path: str | None, p
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
-        infeasible = task_problems(rig)
+        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
         stability = check_stability(rig, lowest_rate=True)
+        corners = findings(rig, measured, frd) if stability.stable else []
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
+    console.print(corner_table(corners))
+    for note in corner_notes(corners):
+        console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
     for note in start_notes(rig):
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
-    found = [*found, *stability.problems(), *infeasible]
+    found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
+    document["corners"] = [corner.as_json() for corner in corners]
     if json_path:
         write_json(document, json_path)
     for line in found:

@@ -28,6 +28,10 @@ def check(
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
     ] = None,
+    measured: Annotated[
+        list[str] | None, typer.Option(metavar="AXIS=FILE", help="CSV with the axis' measured frequency response")
+    ] = None,
+    frd: Annotated[Path | None, typer.Option(metavar="FILE", help="write the loop's frequency response, JSON")] = None,
     law: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="accept this law: a name, ./file.py:Class, package.module:Class"),
@@ -40,14 +44,14 @@ def check(
         int, typer.Option(min=1, help="with --law: every n-th cell of the fault campaign")
     ] = _USUAL.stride,
 ) -> None:
-    """Worst-case response time of every frame, bus load, stability, and whether the task keeps the limits. Exit status
-    78 where one of them fails.
+    """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
+    keeps the limits. Exit status 78 where one of them fails.
 
     With --law: try that law on the rig's task, measure its ticks and its memory, compare two processes, take its
     margins, and a slice of the fault campaign. Exit status 1 where one of them fails.
     """
     if law is None:
-        check_rig(rig_file, overrides or (), json_path, picture)
+        check_rig(rig_file, overrides or (), json_path=json_path, picture=picture, measured=measured or (), frd=frd)
         return
     name = f"law.name={json.dumps(_found(law, rig_file))}"
     console = Console(stderr=json_path == "-")
