@@ -14,6 +14,7 @@ from hil.control.law_registry import law_class
 from hil.control.stability import AxisStability, check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.shipped import by_name
 from hil.studies.acceptance.law_cost import law_cost
 from hil.virtual.sim import simulate, usable
 
@@ -68,7 +69,7 @@ def accept_law(
     two processes. margins: of the law as it is, by a pulse on each axis' measurement. faults: a slice of the
     fault campaign, in processes of its own. Raises RigError where the rig itself cannot be used.
     """
-    path = Path(rig_file)
+    path = by_name("rigs", Path(rig_file))
     rig = load_rig(path, overrides)
     try:
         made = law_class(rig.law)
