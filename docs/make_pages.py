@@ -173,7 +173,8 @@ def python_page() -> str:
         "# hil in Python",
         "",
         "Made from the docstrings by `make docs`. Programs that use it: [examples/](../examples/README.md). Library "
-        "functions print nothing, end nothing and read no arguments; what is not here may change from one version to the next.",
+        "functions print nothing, end nothing and read no arguments; what is not here may change from one "
+        "version to the next.",
     ]
     for name in sorted(hil.__all__):
         found = getattr(hil, name)
