@@ -1,11 +1,11 @@
-"""What went into and came out of the control cycle, to the byte: ring records to Cycle messages (telemetry.proto) and back.
+"""Inputs and outputs of the control cycle, to the byte: ring records to Cycle messages (telemetry.proto) and back.
 
 Columns of differences, as neighbouring ticks resemble each other: compressed, a tick of four axes takes about a
 quarter of what the plain columns take. All arithmetic is modulo 2^64 or 2^32, so that any number survives.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -13,39 +13,26 @@ from numpy.typing import NDArray
 
 from drivers.frame import Frame
 from hil.cycle.record import FRAME, MAX_RECEIVED
-from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
+from hil.cycle.tick import BusState, PortCounters, Tick
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.codec import (
+    ESTOP,
+    N_PORT,
+    REALTIME_OK,
+    RECORDER_OK,
+    RIG_OK,
+    STOP,
+    RecordedTick,
+    counters,
+    taken_command,
+)
 
 Records = NDArray[np.void]
 Bytes = NDArray[np.uint8]
 
-STOP, RECORDER_OK, REALTIME_OK, RIG_OK, ESTOP = 1, 2, 4, 8, 32  # bits of record flags
 LONGEST_BATCH = 4096  # ticks; a recorder writes some hundred
-N_PORT = len(PortCounters._fields)
-_PORT = ("received", "sent", "refused", "overflow", "discarded", "bus_errors")  # the first of PortCounters
-_COUNTERS = (
-    "samples_lost",
-    "missed_own",
-    "missed_host",
-    "longest_streak",
-    "illegal_events",
-    "commands_refused",
-    "law_floors",
-)
 _CRC_BYTES = 4
 _DATA_BYTES: int = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
-
-
-def counters(record: np.void, n_axes: int) -> pb.Counters:
-    """The cumulative counters as one tick left them."""
-    message = pb.Counters(bus_state=int(record["port"][-1]))
-    for name, value in zip(_PORT, record["port"].tolist(), strict=False):
-        setattr(message, name, value)
-    for name in _COUNTERS:
-        setattr(message, name, int(record[name]))
-    message.saturations.extend(record["saturations"][:n_axes].tolist())
-    message.rejects.extend(record["rejects"].tolist())
-    return message
 
 
 def encode(records: Records, n_axes: int, *, first: int = 0, lost: int = 0) -> pb.Cycle:
@@ -134,15 +121,6 @@ def _from_planes(planes: bytes, length: int) -> Bytes:
     return data
 
 
-class RecordedTick(NamedTuple):
-    """One step of the cycle as it was recorded. `ring`: index in the ring; a gap there means ticks that are missing."""
-
-    ring: int
-    tick: Tick
-    received: list[Frame]
-    sent: list[Frame]
-
-
 def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
     """The steps in a Cycle message, in order. Raises ValueError where no recorder can have written it."""
     ticks = len(message.index)
@@ -165,7 +143,7 @@ def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
             scheduled_ns=due_ns,
             now_ns=now_ns[place],
             port=PortCounters._make((*counts, BusState(bus_state))),
-            commands=tuple(_command(next(commands)) for _ in range(message.command_count[place])),
+            commands=tuple(taken_command(next(commands)) for _ in range(message.command_count[place])),
             stop=bool(flags & STOP),
             recorder_ok=bool(flags & RECORDER_OK),
             realtime_ok=bool(flags & REALTIME_OK),
@@ -175,10 +153,6 @@ def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
         inputs = [next(received) for _ in range(message.received_count[place])]
         outputs = [next(sent) for _ in range(message.sent_count[place])]
         yield RecordedTick(message.first + place, tick, inputs, outputs)
-
-
-def _command(command: pb.Command) -> OperatorCommand:
-    return OperatorCommand(CommandKind(command.kind), command.sequence, command.expires_ns)
 
 
 def _decode_frames(message: pb.FrameColumns, expected: int) -> Iterator[Frame]:

@@ -31,7 +31,7 @@ class TickEncoder:
         motion = np.stack([records[name][:, :n] for name in MOTION_FIELDS], axis=1)
         rows = _rounded(motion, self._steps).transpose(0, 2, 1).tolist()
         lateness = _rounded((records["now_ns"] - records["scheduled_ns"]) * 1e-9, LATENESS_STEP).tolist()
-        starts = np.where(records["task_ns"] < 0, NO_TASK_NS, records["scheduled_ns"] - records["task_ns"]).tolist()
+        starts = np.where(records["task_ns"] == -1, NO_TASK_NS, records["scheduled_ns"] - records["task_ns"]).tolist()
         heads = zip(*(records[name].tolist() for name in ("index", "state", "fault", "faults_active")), strict=True)
         drives = zip(records["age_ticks"].tolist(), records["drive_status"].tolist(), strict=True)
         for place, ((index, state, fault, active), (ages, status)) in enumerate(zip(heads, drives, strict=True)):
@@ -80,7 +80,9 @@ def columns(messages: Iterable[Message], times_ns: Iterable[int], schema: TickSc
     for message, due_ns in zip(messages, times_ns, strict=True):
         tick: Any = message
         active = sum(1 << fault for fault in tick.faults_active)
-        heads.append((tick.tick, due_ns, round(tick.lateness * 1e9), tick.state, tick.fault, active, tick.task_start_ns))
+        heads.append(
+            (tick.tick, due_ns, round(tick.lateness * 1e9), tick.state, tick.fault, active, tick.task_start_ns)
+        )
         parts = [getattr(tick, field) for field in fields]
         motion.append([getattr(part, name) for name in MOTION_FIELDS for part in parts])
         drives.append([getattr(part, name) for name in ("age_ticks", "drive_status") for part in parts])

@@ -17,12 +17,12 @@ import zenoh
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
 from hil.operate.monitor import silence
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, Verdict, local_client
-from hil.telemetry.recorder import Recording
+from hil.telemetry.recording import Recording
 from hil.telemetry.session import client_config
 from tests.support.paths import ROOT
 
@@ -119,8 +119,8 @@ def obeyed(bench: Bench, kind: CommandKind) -> Verdict:
 
 def recorded(path: Path) -> tuple[list[codec.RecordedTick], Recording]:
     recording = Recording(path)
-    messages = (pb.Traffic.FromString(item.data) for item in recording if item.topic == "traffic")
-    return [tick for message in messages for tick in codec.recorded_ticks(message)], recording
+    messages = (pb.Cycle.FromString(item.data) for item in recording if item.topic == "cycle")
+    return [tick for message in messages for tick in cycle_codec.recorded_ticks(message)], recording
 
 
 @pytest.mark.live
