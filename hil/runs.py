@@ -308,8 +308,10 @@ class Simulation(Run):
 
 class Recording(Run):
     """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
-    exact: the motion is what the cycle wrote, bit for bit: the file has it rounded (docs/recording.md), and the cycle is
-    run again, as `hil replay` does. Where ticks are missing, or this version comes to other frames, the rounded values stay.
+
+    exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
+    the cycle is run again, as `hil replay` does; where ticks are missing, or this version comes to other frames, the
+    rounded values stay.
 
     Raises RecordingError where the file is none.
     """

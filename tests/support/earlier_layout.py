@@ -41,5 +41,5 @@ def write_earlier(path: Path, metadata: dict[str, Any], records: np.ndarray, cha
             traffic = change(codec.traffic(batch, first=first), number)
             if traffic is not None:
                 writer.add_message(channels["traffic"], at, traffic.SerializeToString(), at, number)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
