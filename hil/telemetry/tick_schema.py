@@ -114,7 +114,7 @@ class TickSchema:
 
 
 def _file(axes: list[str]) -> descriptor_pb2.FileDescriptorProto:
-    file = descriptor_pb2.FileDescriptorProto(name="hil/telemetry/tick.proto", package=PACKAGE, syntax="proto3")
+    file = descriptor_pb2.FileDescriptorProto(name="tick.proto", package=PACKAGE, syntax="proto3")
     _add_enum(file, State)
     _add_enum(file, Fault)
     axis = file.message_type.add(name="Axis")
