@@ -150,6 +150,23 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
 
 
 @pytest.mark.live
+def test_a_subscriber_without_this_package_decodes_every_tick(bench: Bench, tmp_path: Path) -> None:
+    bench.sidecar()
+    bench.control()
+    script = ROOT / "tests" / "support" / "plain_subscriber.py"
+    arguments = [sys.executable, str(script), bench.endpoint, "300"]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines() if "gap" not in line]
+    assert len(lines) == 300
+    assert [line[1] for line in lines] == ["READY"] * 300
+    assert [word.partition("=")[0] for word in lines[0][2:]] == ["x", "y", "z", "theta"]
+    sequence = [int(line[0]) for line in lines]
+    gaps = sum(int(line.split()[2]) for line in done.stdout.splitlines() if "gap" in line)
+    assert sequence[-1] - sequence[0] == 299 + gaps
+
+
+@pytest.mark.live
 def test_a_killed_control_process_is_reported_and_its_last_tick_is_recorded(bench: Bench) -> None:
     bench.sidecar()
     control = bench.control()
