@@ -25,7 +25,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError
 from hil.telemetry.credentials import Credentials
-from hil.telemetry.recorder import Recording
+from hil.telemetry.recording import Recording
 from tests.attacks.registry import attack
 from tests.attacks.target import NAME, PATIENCE_S, Target
 
