@@ -16,7 +16,20 @@ import pytest
 
 from tests.support.paths import ROOT
 
-ROOMS = ("__main__", "studies", "runs", "operate", "virtual", "telemetry", "live", "cycle", "control", "cli", "rig")
+ROOMS = (
+    "__main__",
+    "connection",
+    "studies",
+    "runs",
+    "operate",
+    "virtual",
+    "telemetry",
+    "live",
+    "cycle",
+    "control",
+    "cli",
+    "rig",
+)
 PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
