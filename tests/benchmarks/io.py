@@ -34,7 +34,7 @@ from hil.operate.bench.blocks import (
     spread,
     values_of,
 )
-from hil.operate.bench.live_runs import BenchError, private_bus
+from hil.operate.bench.live_runs import BenchError, bench_bus
 from tests.benchmarks.c_programs import build_reference
 
 C_SOURCE = Path(__file__).with_name("io.c")
@@ -51,11 +51,8 @@ def io(
     as_json_to: JsonTarget = None,
 ) -> None:
     """One tick's I/O through the bus layer: against python-can and against C, in one run."""
-    try:
-        with private_bus(), tempfile.TemporaryDirectory() as build:
-            measured = measure(build_reference(C_SOURCE, Path(build)), blocks, ticks)
-    except BenchError as error:
-        raise typer.BadParameter(str(error)) from None
+    with bench_bus("bench io"), tempfile.TemporaryDirectory() as build:
+        measured = measure(build_reference(C_SOURCE, Path(build)), blocks, ticks)
     result = summarise(measured)
     table = block_table("CPU per tick, 4 frames received and 1 sent, us", measured, ["cpu_us"], digits=2)
     publish(result, [table], as_json_to, _lines(result))

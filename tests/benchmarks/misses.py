@@ -21,7 +21,7 @@ from hil.operate.bench.blocks import (
     publish,
     values_of,
 )
-from hil.operate.bench.live_runs import BenchError, Run, local, private_bus, run_control
+from hil.operate.bench.live_runs import Run, bench_bus, local, run_control
 from hil.rig.file import load_rig
 from tests.benchmarks.c_programs import build_reference
 from tests.benchmarks.walking import C_SOURCE, NAME, walking
@@ -41,16 +41,13 @@ def misses(
     sets = overrides or []
     config = load_rig(rig, local(sets))
     runs: list[Run] = []
-    try:
-        with private_bus(), tempfile.TemporaryDirectory() as build:
-            program = build_reference(C_SOURCE, Path(build))
-            cases = [
-                Case(SUBJECT, lambda: _control(rig, sets, ticks, runs)),
-                Case(NAME, lambda: walking(program, config, ticks, _work_ns(runs[-1]))),
-            ]
-            measured = interleave(cases, blocks)
-    except BenchError as error:
-        raise SystemExit(f"bench misses: {error}") from None
+    with bench_bus("bench misses"), tempfile.TemporaryDirectory() as build:
+        program = build_reference(C_SOURCE, Path(build))
+        cases = [
+            Case(SUBJECT, lambda: _control(rig, sets, ticks, runs)),
+            Case(NAME, lambda: walking(program, config, ticks, _work_ns(runs[-1]))),
+        ]
+        measured = interleave(cases, blocks)
     result = _result(measured, runs, ticks)
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

@@ -46,7 +46,7 @@ from hil.operate.bench.blocks import (
     ratios,
     spread,
 )
-from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, cores, emulator, private_bus, run_control
+from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, bench_bus, cores, emulator, run_control
 from hil.rig.schema import TimingConfig
 from sim_plant.process import promote
 
@@ -79,11 +79,8 @@ def peers(
         Case(CANOPEN, partial(in_child, "canopen", ticks)),
         Case(MOTEUS, partial(in_child, "moteus", ticks)),
     ]
-    try:
-        with private_bus():
-            measured = interleave(cases, blocks)
-    except BenchError as error:
-        raise SystemExit(f"bench peers: {error}") from None
+    with bench_bus("bench peers"):
+        measured = interleave(cases, blocks)
     against = {case: spread(ratios(measured, OURS, case, "p50")) for case in (PYTHON_CAN, CANOPEN, MOTEUS)}
     result = {"ratio_p50": {case: r._asdict() for case, r in against.items()}, "blocks": as_json(measured)}
     lines = [f"hil's whole tick / {case}: {ratio.median:.2f}" for case, ratio in against.items()]

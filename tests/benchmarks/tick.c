@@ -26,6 +26,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "real_time.h"
+
 #define MAX_AXES 4
 #define MAX_LINKS 8
 #define SECOND 1000000000LL
@@ -135,24 +137,6 @@ static int join_bus(const char *directory, int *links)
     ++*joined;
     flock(lock, LOCK_UN);
     return count;
-}
-
-static void become_real_time(int cpu, int priority)
-{
-    cpu_set_t set;
-    CPU_ZERO(&set);
-    CPU_SET(cpu, &set);
-    if (sched_setaffinity(0, sizeof set, &set))
-        perror("sched_setaffinity");
-    struct sched_param parameter = {.sched_priority = priority};
-    if (priority && sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &parameter))
-        perror("sched_setscheduler");
-    if (mlockall(MCL_CURRENT | MCL_FUTURE))
-        perror("mlockall");
-    int fd = open("/dev/cpu_dma_latency", O_RDWR); /* held until exit */
-    int32_t zero = 0;
-    if (fd < 0 || write(fd, &zero, sizeof zero) < 0)
-        perror("/dev/cpu_dma_latency");
 }
 
 static void set_up(struct axis *axes, int n, double period, double limit)

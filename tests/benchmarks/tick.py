@@ -38,10 +38,10 @@ from hil.operate.bench.live_runs import (
     BenchError,
     DisturbedError,
     Run,
+    bench_bus,
     cores,
     emulator,
     local,
-    private_bus,
     run_control,
     undisturbed,
 )
@@ -69,12 +69,9 @@ def tick(
     config = load_rig(rig, local(sets))
     if config.bus.protocol != "stage_fd":
         raise typer.BadParameter("the C program speaks stage_fd only")
-    try:
-        with private_bus(), tempfile.TemporaryDirectory() as build:
-            programs = [build_reference(source, Path(build)) for source in (C_SOURCE, WALK_SOURCE)]
-            measured, runs, calls = _measure(rig, sets, config, programs, blocks, ticks)
-    except BenchError as error:
-        raise SystemExit(f"bench tick: {error}") from None
+    with bench_bus("bench tick"), tempfile.TemporaryDirectory() as build:
+        programs = [build_reference(source, Path(build)) for source in (C_SOURCE, WALK_SOURCE)]
+        measured, runs, calls = _measure(rig, sets, config, programs, blocks, ticks)
     result = _result(measured, runs, calls, allocations_per_tick(config, rig.parent))
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

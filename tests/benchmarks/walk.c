@@ -19,6 +19,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "real_time.h"
+
 #define SECOND 1000000000LL
 #define TRIALS 500
 #define PAGES 600
@@ -82,24 +84,6 @@ static int ascending(const void *a, const void *b)
 {
     long x = *(const long *)a, y = *(const long *)b;
     return (x > y) - (x < y);
-}
-
-static void become_real_time(int cpu, int priority)
-{
-    cpu_set_t set;
-    CPU_ZERO(&set);
-    CPU_SET(cpu, &set);
-    if (sched_setaffinity(0, sizeof set, &set))
-        perror("sched_setaffinity");
-    struct sched_param parameter = {.sched_priority = priority};
-    if (priority && sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &parameter))
-        perror("sched_setscheduler");
-    if (mlockall(MCL_CURRENT | MCL_FUTURE))
-        perror("mlockall");
-    int fd = open("/dev/cpu_dma_latency", O_RDWR); /* held until exit */
-    int32_t latency = 0;
-    if (fd < 0 || write(fd, &latency, sizeof latency) != sizeof latency)
-        perror("/dev/cpu_dma_latency");
 }
 
 struct period {

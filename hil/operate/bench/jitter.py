@@ -33,7 +33,7 @@ from hil.operate.bench.blocks import (
     spread,
     values_of,
 )
-from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, Run, cores, local, private_bus, run_control
+from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, Run, bench_bus, cores, local, run_control
 from hil.operate.doctor import RT_TESTS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -65,11 +65,8 @@ def jitter(
     ]
     if telemetry:
         cases.append(Case(RECORDED, lambda: _control(rig, sets, ticks, runs, telemetry=True)))
-    try:
-        with private_bus():
-            measured = interleave(cases, blocks)
-    except BenchError as error:
-        raise SystemExit(f"hil bench jitter: {error}") from None
+    with bench_bus("hil bench jitter"):
+        measured = interleave(cases, blocks)
     result = _result(measured, runs, telemetry)
     publish(result, [_table(measured)], as_json_to, _lines(result))
 

@@ -98,6 +98,16 @@ def private_bus() -> Iterator[Path]:
                 os.environ["HIL_RUNTIME_DIR"] = before
 
 
+@contextlib.contextmanager
+def bench_bus(command: str) -> Iterator[None]:
+    """A private bus for the length of a benchmark; what keeps it from running ends the program with its reason."""
+    try:
+        with private_bus():
+            yield
+    except BenchError as error:
+        raise SystemExit(f"{command}: {error}") from None
+
+
 def local(overrides: Sequence[str]) -> list[str]:
     """The overrides of every live benchmark: the local bus, and no end of the run because the host stalls.
 
