@@ -189,6 +189,7 @@ class Supervisor:
             self.enabled = True
             self._begin(tick)
         elif self._waited_for_enable >= self._rig.safety.enable_timeout_ticks:
+            self._monitor.flag_not_enabled(self._waited_for_enable, self._inbox)
             self.latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
 
     def _begin(self, tick: Tick) -> None:
