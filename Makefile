@@ -25,7 +25,7 @@ run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 test: setup  ## unit, lockstep and live tests on this machine (about three minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
-attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about two minutes)
+attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
 lint: setup  ## ruff and mypy --strict
@@ -50,8 +50,8 @@ proto: setup  ## renew the generated protobuf module
 docs: setup  ## renew the pages that are made from tables in code
 	@$(BIN)/python -m docs.make_pages
 
-mutants: setup  ## branch coverage and every mutant of the gate and the state machine
-	@tests/mutation/mutants.sh
+mutants: setup  ## every mutant of gate and state machine; ARGS="--count 100": a random sample of all rooms, or --help
+	@$(if $(ARGS),$(BIN)/python -m tests.mutation $(ARGS),tests/mutation/mutants.sh)
 
 hashes: setup  ## a run of TICKS (10^6) has one hash: idle, loaded, other hash seeds, old processors, Python 3.11 to 3.13
 	@$(BIN)/python -m tests.support.hashes --everywhere --build --ticks $(or $(TICKS),1000000) --runs "$(or $(RUNS),microscope)"

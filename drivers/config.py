@@ -31,6 +31,17 @@ class SignalBinding(BaseModel):
     scale: float = key(1.0, "encoder counts (position) or N (torque) per physical unit of the DBC file", "1", gt=0)
 
 
+class PositionBinding(SignalBinding):
+    """An encoder position, which may tell a part of a turn alone."""
+
+    wrap: float = key(
+        0.0,
+        "counts of one turn, after which it begins anew; turns are then counted here; 0: it does not",
+        "1",
+        ge=0,
+    )
+
+
 class SwitchBinding(SignalBinding):
     """A signal that switches something; by default one bit (or a bit per axis)."""
 
@@ -58,19 +69,35 @@ class DbcBinding(BaseModel):
     """[bus.dbc]: how an arbitrary DBC file carries the rig. Lists are in the order of [axes]."""
 
     model_config = STRICT
-    position: Signals = key(REQUIRED, "encoder position of each axis")
+    position: list[PositionBinding] = key(REQUIRED, "encoder position of each axis")
     status: list[StatusBinding] = key([], "state of each axis' drive; may be in another message than its position")
     error: Signals = key([], "error code of each axis' drive, beside its status: anything but 0 is a fault")
     torque: Signals = key(REQUIRED, "force (torque) demanded of each axis")
     enable: list[SwitchBinding] = key(
         [], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis"
     )
-    reset: list[SwitchBinding] = key([], "clears a latched drive fault; one for all axes, or one per axis")
+    reset: list[SwitchBinding] = key(
+        [], "clears a latched drive fault; one for all axes, or one per axis; `on` = `off`: the message alone does it"
+    )
     constant: list[ConstantBinding] = key([], "signals of command messages that never change")
     feedback: Literal["triggered", "cyclic"] = key(
         "triggered", "triggered: drives sample when they receive the last command; cyclic: in their own time"
     )
-    on_change: list[str] = key([], "command messages that are sent at the start and when a value in them changes")
+    feedback_period_s: float = key(
+        0.0, "cyclic: period in which a drive sends its position", "s", derived="the control period", ge=0, le=1
+    )
+    state_period_s: float = key(
+        0.01,
+        "period of the messages with `status` or `error` alone; what drives say of themselves is seen so much later",
+        "s",
+        ge=1e-3,
+        le=0.25,
+    )
+    on_change: list[str] = key(
+        [],
+        "command messages that are sent when a value in them changes: at the start too, and before every enabling; one "
+        "with nothing but `reset` when a reset is asked for",
+    )
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")
     checksum: Signals = key([], "checksums in the payload, besides CAN's own")

@@ -25,6 +25,7 @@ _PUBLIC = {
     "Run": "hil.runs",
     "Simulation": "hil.runs",
     "load_rig": "hil.runs",
+    "load_run": "hil.runs",
     "replay": "hil.runs",
     "simulate": "hil.runs",
 }

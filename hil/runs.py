@@ -26,7 +26,9 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
-from hil.operate.summary import RunData, load_run, steady_from
+from hil.operate import run_files
+from hil.operate.summary import RunData, steady_from
+from hil.operate.summary import load_run as read_run
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import build_rig, rig_hash
 from hil.rig.file import load_rig as read_rig
@@ -49,6 +51,9 @@ _HEAD = np.dtype(
      "itemsize": _USED}
 )  # fmt: skip
 _NO_CHANGES: Sequence[str] = ()
+_TABLED = ("setpoint", "measured", "estimate", "error", "requested", "force")
+EXPORTS = (".csv", ".npz", ".parquet")
+RECORDING = "run.mcap"  # in the folder of a run
 
 
 @dataclass(frozen=True)
@@ -225,27 +230,80 @@ class Run:
         tracking_picture(Path(path), self.rig, self)
         return Path(path)
 
+    def report(self, path: str | os.PathLike[str]) -> Path:
+        """Write the run as one HTML file that needs nothing else: figures, pictures, events, law and rig."""
+        from hil.operate.run_report import Story, report_page
+
+        events = [(event.time, event.text) for event in self.events]
+        story = Story(self.summary(), events, {"rig hash": rig_hash(self.rig), **self._facts()}, self._failure())
+        Path(path).write_text(report_page(self.rig, self, story), encoding="utf-8")
+        return Path(path)
+
+    def _facts(self) -> dict[str, Any]:
+        """What else is known of the run, for people."""
+        return {}
+
+    def _failure(self) -> str:
+        return ""
+
+    def export(self, path: str | os.PathLike[str]) -> Path:
+        """Write the columns, by the suffix: .csv and .parquet as `table` has them, .npz whole, for `load_run`.
+
+        Raises ValueError for another suffix, ImportError where .parquet lacks pandas or pyarrow, OSError.
+        """
+        path = Path(path)
+        if path.suffix == ".csv":
+            run_files.write_csv(path, self.table())
+        elif path.suffix == ".npz":
+            run_files.write_npz(path, self.rig, self.columns, self.true)
+        elif path.suffix == ".parquet":
+            self.to_pandas().to_parquet(path)
+        else:
+            raise ValueError(f"{path}: the name must end in {', '.join(EXPORTS)}")
+        return path
+
+    def table(self) -> dict[str, NDArray[Any]]:
+        """Columns (ticks,) by name: time_s, state, and for every axis such as x_setpoint, x_error, x_force."""
+        found: dict[str, NDArray[Any]] = {"time_s": self.time, "state": np.array(self.state, dtype=str)}
+        for i, name in enumerate(self.axes):
+            found |= {f"{name}_{key}": getattr(self, key)[:, i] for key in _TABLED}
+            if self.true is not None:
+                found[f"{name}_true"] = self.true[:, i]
+        return found
+
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame, a row a tick, indexed by time; columns such as x_error. Raises ImportError without it."""
+        """`table` as a pandas.DataFrame, a row a tick, indexed by time_s. Raises ImportError without pandas."""
         import pandas
 
-        keys = ("setpoint", "measured", "estimate", "error", "requested", "force")
-        table = {f"{name}_{key}": getattr(self, key)[:, i] for i, name in enumerate(self.axes) for key in keys}
+        return pandas.DataFrame(self.table()).set_index("time_s")
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: setpoint, error, ... over (time_s, axis), state over time_s. Raises ImportError."""
+        import xarray
+
+        found = {key: (("time_s", "axis"), getattr(self, key)) for key in _TABLED}
         if self.true is not None:
-            table |= {f"{name}_true": self.true[:, i] for i, name in enumerate(self.axes)}
-        return pandas.DataFrame({**table, "state": self.state}, index=pandas.Index(self.time, name="time_s"))
+            found["true"] = (("time_s", "axis"), self.true)
+        state = {"state": (("time_s",), np.array(self.state, dtype=str))}
+        return xarray.Dataset({**found, **state}, coords={"time_s": self.time, "axis": self.axes})
 
 
 class Simulation(Run):
-    """A run of `simulate`. report: the figures `hil sim` shows, by the true error. law_failure: why a user's law no
+    """A run of `simulate`. figures: those `hil sim` shows, by the true error. law_failure: why a user's law no
     longer counted, with file and line; empty where all was well. trace_sha256: over every frame sent and received.
     """
 
     def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array, report: sim.SimReport) -> None:
         super().__init__(rig, columns, true)
-        self.report = report
+        self.figures = report
         self.law_failure = report.law_failure
         self.trace_sha256 = report.trace_sha256
+
+    def _facts(self) -> dict[str, Any]:
+        return {"trace_sha256": self.trace_sha256, "simulated": "in virtual time, against the emulated stage"}
+
+    def _failure(self) -> str:
+        return self.law_failure
 
 
 class Recording(Run):
@@ -255,10 +313,26 @@ class Recording(Run):
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        data = load_run(Path(path))
+        data = read_run(Path(path))
         super().__init__(data.rig, data.columns)
         self.path, self.metadata = Path(path), data.metadata
         self.truncated, self.lost = data.truncated, data.lost
+
+    def _facts(self) -> dict[str, Any]:
+        known = {"recording": self.path.name, **{key: self.metadata.get(key, "") for key in ("version", "realtime")}}
+        if self.truncated or self.lost:
+            known["incomplete"] = f"{self.lost} ticks lost" + (", cut short or damaged" if self.truncated else "")
+        return {key: value for key, value in known.items() if value}
+
+
+def load_run(path: str | os.PathLike[str]) -> Run:
+    """A run that was recorded or exported: a recording (run.mcap), the folder that holds one, or an exported .npz.
+
+    Raises RecordingError where it is none of these, RigError where its rig is of another version.
+    """
+    path = Path(path)
+    path = path / RECORDING if path.is_dir() else path
+    return Run(*run_files.read_npz(path)) if path.suffix == ".npz" else Recording(path)
 
 
 def simulate(

@@ -74,6 +74,54 @@ class VibrationConfig(BaseModel):
     phase: Angle = key(0.0, "phase at the emulated stage's start", "rad")
 
 
+NodeNumber = Annotated[int, Field(ge=0, le=254)]
+ObjectPlace = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")]
+Turn = Annotated[float, Field(ge=-1e3, le=1e3)]
+Interval = Annotated[float, Field(ge=0, le=10)]  # s
+_OF_KIND = {
+    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits"},
+    "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
+    "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
+}
+
+
+class EmulatedDriveConfig(BaseModel):
+    """[plant.drive]: the emulated drives as their maker documents them, not as the rig's binding has them.
+
+    Lists are in the order of [axes].
+    """
+
+    model_config = STRICT
+    kind: Literal["cia402", "odrive", "vesc"] = key(REQUIRED, "what they are")
+    nodes: list[NodeNumber] = key([], "odrive, vesc: their numbers", "1", derived="0, 1, ...")
+    turn: list[Turn] = key(
+        [], "odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round", "m (rad)"
+    )
+    feedback_s: float = key(0.001, "odrive, vesc: period in which they send their position", "s", ge=1e-4, le=1)
+    heartbeat_s: float = key(0.02, "odrive, vesc: period in which they send their state", "s", ge=1e-3, le=1)
+    torque_constant: Positive = key(0.05, "vesc: torque of the motor per ampere", "N m/A")
+    pole_pairs: int = key(7, "vesc: electrical per mechanical revolutions", "1", ge=1, le=100)
+    enable_delay_s: Interval = key(0.0, "cia402, odrive: from the command to torque", "s")
+    missing: list[ObjectPlace] = key([], 'cia402: objects of the EDS that the drive has not, as "1029h:01"')
+    aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
+    answer_delay_s: Interval = key(0.0, "cia402: delay of its SDO answers", "s")
+    dummy_mapping: bool = key(True, "cia402: RPDOs may map dummy objects, where the EDS says so")
+    status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)
+
+    @model_validator(mode="after")
+    def _every_key_acts(self) -> "EmulatedDriveConfig":
+        fields = type(self).model_fields
+        stated = {name for name, value in self if value != fields[name].default}
+        ignored = sorted(stated - {"kind"} - _OF_KIND[self.kind])
+        if ignored:
+            raise ValueError(f"{', '.join(ignored)}: no key of kind = {self.kind!r}")
+        if self.status_bits & ~0xC100:
+            raise ValueError(f"status_bits = {self.status_bits:#x}: only bits 8, 14 and 15 are the maker's")
+        if self.kind != "cia402" and (not self.turn or 0.0 in self.turn):
+            raise ValueError(f"kind = {self.kind!r} needs `turn`, other than 0, for every axis")
+        return self
+
+
 class PlantConfig(BaseModel):
     """[plant]: what the emulated stage is really like; only emulation and simulation read it.
 
@@ -115,6 +163,9 @@ class PlantConfig(BaseModel):
     stribeck_velocity: Positive | list[Positive] = key(0.01, "velocity at which half of it is gone", "m/s (rad/s)")
     initial_position: Position | list[Position] = key(0.0, "true position at the start", "m (rad)")
     cells: list[CellConfig] = key([], "cells in front of the pipette")
+    drive: EmulatedDriveConfig | None = key(
+        None, "the emulated drives as their maker has them; without: as the frame layout says"
+    )
     brake_force: Positive | list[Positive] = key(100.0, "force the brakes of [drives] hold", "N (N m)")
     seed: int = key(1, "of the noise in force and encoders", "1", ge=0, lt=2**32)
 

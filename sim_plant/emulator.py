@@ -8,7 +8,6 @@ from collections.abc import Callable, Container, Iterable, Sequence
 from functools import partial
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,9 @@ from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
+from sim_plant.drives.installed import DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.physics.stage import Stage, Truth, per_axis_array
-
-if TYPE_CHECKING:
-    from sim_plant.drives.canopen_drive import Cia402Drive
 
 Array = NDArray[np.float64]
 FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
@@ -74,6 +71,7 @@ class EmulatedStage:
         mountings: Sequence[Mounting] = (),
     ) -> None:
         n_axes = len(axis_names)
+        mountings = installed_mountings(plant.drive, n_axes) or mountings
         self._mountings = [] if is_straight(mountings) else list(mountings)
         if self._mountings:
             rated_force = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
@@ -83,8 +81,8 @@ class EmulatedStage:
         self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
         self.frame_taps: list[FrameTap] = []
-        canopen = bus.protocol == "cia402"
-        self._protocol = None if canopen else device_protocol(bus, n_axes, rated_force, base_dir)
+        nodes = bus.protocol == "cia402" or plant.drive is not None
+        self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
         self._encode_status = getattr(self._protocol, "encode_status", _nothing_more)
         self._stage = Stage(
@@ -92,7 +90,8 @@ class EmulatedStage:
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
         self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
-        self._nodes = self._make_nodes(bus.node_id) if canopen else []
+        positions = [partial(self._position_at_drive, axis) for axis in range(n_axes)]
+        self._nodes = installed_drives(bus, plant.drive, base_dir, self.drives, positions, start_ns) if nodes else []
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
         self._jam = [0.0] * n_axes
         self._push = [0.0] * n_axes
@@ -115,14 +114,6 @@ class EmulatedStage:
         return [
             ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
             for axis in range(n_axes)
-        ]
-
-    def _make_nodes(self, first_id: int) -> "list[Cia402Drive]":
-        from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
-
-        return [
-            Cia402Drive(first_id + drive.axis, drive, partial(self._position_at_drive, drive.axis), self.now_ns)
-            for drive in self.drives
         ]
 
     # what is true ----------------------------------------------------------------------------------------------------
@@ -151,19 +142,24 @@ class EmulatedStage:
         return forces
 
     @property
-    def nodes(self) -> "Sequence[Cia402Drive]":
-        """The drives as CANopen nodes, in axis order; empty under the other layouts."""
+    def nodes(self) -> Sequence[DriveNode]:
+        """The drives that are nodes of their own, in axis order; empty where they are as the layout says."""
         return self._nodes
 
     @property
     def speaks_unasked(self) -> bool:
-        """Whether `advance` may return frames: CANopen nodes."""
+        """Whether `advance` may return frames: drives that are nodes of their own."""
         return bool(self._nodes)
 
     @property
+    def speaks_ns(self) -> int:
+        """When a drive that sends in its own time has something to say; NEVER_NS where there is none."""
+        return min((node.next_ns for node in self._nodes), default=NEVER_NS)
+
+    @property
     def deadline_ns(self) -> int:
-        """When the next drive watchdog expires or planned action is due; NEVER_NS where nothing is."""
-        return self._deadline_ns
+        """When the next drive watchdog expires, planned action or frame is due; NEVER_NS where nothing is."""
+        return min(self._deadline_ns, self.speaks_ns)
 
     def _truth_now(self) -> tuple[Array, Array, Array]:
         return self._stage.peek(self.now_ns - self._physics_ns, self._force)
@@ -229,7 +225,14 @@ class EmulatedStage:
                 self._run_physics()
         if not self._nodes:
             return []
-        return [frame for node in self._nodes for frame in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
+        sampling = [node.servo.axis for node in self._nodes if node.next_ns <= self.now_ns]
+        if sampling:
+            self._run_physics()
+            self._note_sampling_of(sampling)
+        frames = [f for node in self._nodes for f in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
+        if sampling:
+            self._update()  # a drive may have entered operation
+        return frames
 
     def _run_physics(self) -> None:
         """Integrate up to now, before anything that acts on the stage changes."""
@@ -331,6 +334,14 @@ class EmulatedStage:
 
     def _note_sampling(self) -> None:
         self.sampled = self._stage.positions, self._stage.velocities
+
+    def _note_sampling_of(self, axes: Sequence[int]) -> None:
+        """Of drives that sample each in its own time."""
+        before, now = self.sampled, (self._stage.positions, self._stage.velocities)
+        positions, velocities = ([*quantity] for quantity in before)
+        for axis in axes:
+            positions[axis], velocities[axis] = now[0][axis], now[1][axis]
+        self.sampled = positions, velocities
 
     def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:
         """What leaves the drive in place of these frames."""

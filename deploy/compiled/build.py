@@ -33,21 +33,24 @@ LINKED = ("tests", "deploy", "docs")
 # campaign replace or inherit from (hil/virtual/lockstep.py, drivers/wire/faults.py), which compiled
 # classes do not allow; what runs once a run.
 
-# Written once for floats and arrays (hil/control/number.py). The build has them twice: compiled for a rig as
-# hil/floats, where `Number` is `float`, because numbers of any type are Python's objects even in compiled code; and for
-# batches as they are, interpreted, because their time is numpy's. *: all of the folder, so that a new law is compiled
-# with the others.
+# Written once for floats and arrays (number.py of either package). The build has them twice: compiled for a rig as
+# hil/floats and sim_plant/floats, where `Number` is `float`, because numbers of any type are Python's objects even in
+# compiled code; and for batches as they are, interpreted, because their time is numpy's. *: all of the folder, so that
+# a new law is compiled with the others.
 FOR_BOTH = """
 hil/control: number setpoints
 hil/control/estimator: motion_filter
 hil/control/laws: *
+sim_plant/physics: number axis disturbance dynamics encoder membrane structure
 """
+HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/"}  # of the sources, and the copies
 
-# What works for one rig alone, and so imports those modules from hil/floats.
+# What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
-hil/cycle: axes command_desk damped_stop fault_monitor fault_table gate inbox limits record_builder sampling
-hil/cycle: state_machine step supervisor tick
+hil/cycle: axes command_desk commissioning damped_stop fault_monitor fault_table gate inbox limits record_builder
+hil/cycle: sampling state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
+sim_plant/physics: events real_axis single_axis single_stage
 """
 
 OTHERS = """
@@ -60,16 +63,22 @@ drivers/protocols: base checksum sampling_clock stage_common stage_classic stage
 drivers/wire: node segment wire
 sim_plant: emulator
 sim_plant/drives: servo
-sim_plant/physics: axis_floats exact_trigonometry
+sim_plant/physics: exact_trigonometry noise
 """
 
 # There once, interpreted, with the laws for arrays: what makes arrays of floats, and what runs the laws of users.
 SEAM = ("hil/control/laws/coupled.py", "hil/control/laws/users.py")
-IMPORT = re.compile(
-    r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.(?:coupled|users)\b|\w)"
-)  # of FOR_BOTH
+# Imports of FOR_BOTH, and what leads to the copies
+IMPORTS = (
+    (
+        r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.(?:coupled|users)\b|\w)",
+        r"hil.floats.\1",
+    ),
+    (r"\bsim_plant\.physics\.(number|axis|disturbance|dynamics|encoder|membrane|structure)\b", r"sim_plant.floats.\1"),
+)
 HIDDEN_IMPORT = re.compile(
-    r"^from hil(\.control(\.estimator|\.laws)?)? import .*\b(control|motion_filter|number|setpoints|laws|coupled)\b",
+    r"^from (?:hil(?:\.control(?:\.estimator|\.laws)?)?|sim_plant(?:\.physics)?) import "
+    r".*\b(?:control|motion_filter|number|setpoints|laws|coupled|physics|axis|dynamics|encoder|structure)\b",
     re.MULTILINE,
 )
 
@@ -99,7 +108,8 @@ def listed(table: str) -> list[str]:
 
 def on_floats(name: str) -> str:
     """Path of a module's copy for floats."""
-    return name.replace("hil/control/", "hil/floats/", 1)
+    home = next(home for home in HOMES if name.startswith(home))
+    return name.replace(home, HOMES[home], 1)
 
 
 def modules() -> list[str]:
@@ -128,19 +138,22 @@ def copy_sources() -> None:
 
 
 def instantiate() -> None:
-    """Add hil/floats to the copies, and let what works for one rig import it."""
+    """Add the second copy, of floats, and let what works for one rig import it."""
     for name in listed(FOR_BOTH):
         copy = WORK / on_floats(name)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(WORK / name, copy)
         for folder in (copy.parent, copy.parent.parent):
             (folder / "__init__.py").touch()
-    change(WORK / "hil/floats/number.py", r"^Number = Any\b", "Number = float")
+    for home in HOMES.values():
+        change(WORK / home / "number.py", r"^Number = Any\b", "Number = float")
     for name in [*map(on_floats, listed(FOR_BOTH)), *listed(ONE_RIG)]:
         text = (WORK / name).read_text()
         if HIDDEN_IMPORT.search(text):
-            sys.exit(f"compiled: {name}: `from hil import ...` is not led to hil/floats; import from the module itself")
-        (WORK / name).write_text(IMPORT.sub(r"hil.floats.\1", text))
+            sys.exit(f"compiled: {name}: `from hil import ...` is not led to the copies; import from the module itself")
+        for imported, copied in IMPORTS:
+            text = re.sub(imported, copied, text)
+        (WORK / name).write_text(text)
 
 
 def make_flags_ints() -> None:

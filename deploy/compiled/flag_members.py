@@ -16,38 +16,27 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-Known = dict[tuple[str, str], frozenset[str]]  # members, by module and class name
+from deploy.compiled.classes import Key, all_classes, bases, classes_in
+
+Known = dict[Key, frozenset[str]]  # members of each flag
 
 
 def find_flags(root: Path, packages: tuple[str, ...]) -> Known:
     """Every IntFlag defined in the packages below `root`."""
     found = {}
-    for package in packages:
-        for path in sorted((root / package).rglob("*.py")):
-            module = ".".join(path.relative_to(root).with_suffix("").parts)
-            for node in ast.parse(path.read_text()).body:
-                bases = {ast.unparse(base) for base in node.bases} if isinstance(node, ast.ClassDef) else set()
-                if isinstance(node, ast.ClassDef) and "IntFlag" in bases:
-                    targets = [item.targets[0] for item in node.body if isinstance(item, ast.Assign)]
-                    found[module, node.name] = frozenset(item.id for item in targets if isinstance(item, ast.Name))
+    for key, node in all_classes(root, packages):
+        if "IntFlag" in bases(node):
+            targets = [item.targets[0] for item in node.body if isinstance(item, ast.Assign)]
+            found[key] = frozenset(item.id for item in targets if isinstance(item, ast.Name))
     return found
 
 
 def hoist(text: str, module: str, known: Known) -> str:
     """The source of a module with its flags as plain ints."""
     tree = ast.parse(text)
-    flags: dict[str, frozenset[str]] = {}
-    behind: dict[str, int] = {}  # line after which a class is there
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom):
-            names = [(alias.asname or alias.name, (node.module or "", alias.name)) for alias in node.names]
-        elif isinstance(node, ast.ClassDef):
-            names = [(node.name, (module, node.name))]
-        else:
-            continue
-        for name, key in names:
-            if key in known:
-                flags[name], behind[name] = known[key], node.end_lineno or 0
+    classes = classes_in(tree, module, known)
+    flags = {name: members for name, (members, _) in classes.items()}
+    behind = {name: line for name, (_, line) in classes.items()}
     lines = text.encode().splitlines(keepends=True)  # ast counts columns in bytes
     uses = [use for function in _functions(tree) for use in _uses(function, flags)]
     for use in sorted(uses, key=lambda use: (use.lineno, use.col_offset), reverse=True):

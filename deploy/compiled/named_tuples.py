@@ -13,41 +13,28 @@ import io
 import tokenize
 from pathlib import Path
 
+from deploy.compiled.classes import Key, all_classes, bases, classes_in
+
 Fields = list[ast.expr | None]  # default of each field, None where it has none
 
 _NEW = "_tuple_new"
 
 
-def find_named_tuples(root: Path, packages: tuple[str, ...]) -> dict[tuple[str, str], Fields]:
+def find_named_tuples(root: Path, packages: tuple[str, ...]) -> dict[Key, Fields]:
     """Fields of every NamedTuple defined in the packages below `root`, by module and class name."""
-    found = {}
-    for package in packages:
-        for path in sorted((root / package).rglob("*.py")):
-            module = ".".join(path.relative_to(root).with_suffix("").parts)
-            for node in ast.parse(path.read_text()).body:
-                if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "NamedTuple" for base in node.bases):
-                    found[module, node.name] = [item.value for item in node.body if isinstance(item, ast.AnnAssign)]
-    return found
+    classes = all_classes(root, packages)
+    tuples = ((key, node.body) for key, node in classes if "NamedTuple" in bases(node))
+    return {key: [item.value for item in body if isinstance(item, ast.AnnAssign)] for key, body in tuples}
 
 
-def rewrite(text: str, module: str, known: dict[tuple[str, str], Fields]) -> str:
+def rewrite(text: str, module: str, known: dict[Key, Fields]) -> str:
     """The source of a module with its NamedTuples made directly."""
     tree = ast.parse(text)
-    classes: dict[str, Fields] = {}
-    behind: dict[str, int] = {}  # line after which a class is defined
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom):
-            names = [(alias.asname or alias.name, (node.module or "", alias.name)) for alias in node.names]
-        elif isinstance(node, ast.ClassDef):
-            names = [(node.name, (module, node.name))]
-        else:
-            continue
-        for name, key in names:
-            if key in known:
-                classes[name], behind[name] = known[key], node.end_lineno or 0
+    classes = classes_in(tree, module, known)
+    behind = {name: line for name, (_, line) in classes.items()}
     lines = text.splitlines(keepends=True)
-    used = _rewrite_calls(tree, lines, classes)
-    for name in sorted(used, key=lambda name: -behind[name]):
+    used = _rewrite_calls(tree, lines, {name: fields for name, (fields, _) in classes.items()})
+    for name in sorted(used, key=lambda name: (-behind[name], name)):
         lines.insert(behind[name], f"_new_{name}: _Final = {name}\n")
     if used:
         last = max(node.end_lineno or 0 for node in tree.body if _goes_first(node))

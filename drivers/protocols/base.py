@@ -103,8 +103,14 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     checksum: bool  # its frames carry one besides CAN's own
+    causes: bool  # every answer says what is wrong with its drive, not only that something is
     fd: bool
+    positions: Sequence[tuple[float, float]]  # by axis, the least and greatest count that a sample can carry
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)
+    # ns per axis from the tick's start until a drive that samples in its own time applies its torque; empty where what
+    # triggers sampling applies the torque too.
+    acts_ns: Sequence[int]
+    state_ns: int  # period in which drives tell their state; 0: with every position
 
     @property
     def problems(self) -> Sequence[str]:

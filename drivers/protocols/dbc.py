@@ -9,7 +9,10 @@ Rules. What the binding (drivers.config.DbcBinding) means:
 - status: per axis, raw value = DriveStatus bits, or lists of values that mean enabled and fault. Without it a drive
   counts as enabled while it is told to be. It may come in a message of its own; it is then believed for half a second.
 - error: per axis; anything but 0 is a fault.
-- constant: signals of command messages that never change. on_change: command messages that are not sent every tick.
+- constant: signals of command messages that never change. on_change: command messages that are not sent every tick,
+  but when a value in them changes, and all anew before drives are enabled, which may have restarted since: constants
+  first. One that enables or disables is sent again while its drive's state is another than it was told. A message with
+  nothing but reset signals is sent when a reset is asked for, and never else.
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
 - checksum: any bound message's 8-bit checksum over its other bytes.
@@ -22,127 +25,26 @@ time, so sampling_clock.py estimates it.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from drivers.arbitration import arbitration_key
-from drivers.config import BusConfig, DbcBinding, SignalBinding, StatusBinding
+from drivers.config import BusConfig
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
-from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
-from drivers.protocols.dbc_binding import Bound, BoundMessage, bind_messages, bound_items, check_binding
-from drivers.protocols.dbc_codec import load_dbc
+from drivers.frame_length import INTERMISSION, frame_bits
+from drivers.protocols.base import UNHEALTHY, Command, Reject, Sample
+from drivers.protocols.dbc_binding import Bound, BoundMessage
+from drivers.protocols.dbc_layout import COUNTS, ENABLED, FAULT, DbcLayout
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import STATUS_MASK, check_force
 
-PREFIX = "dbc:"
-ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
-STATE_PERIOD_NS = 10_000_000  # least period of what is not sent every tick, for the schedulability analysis
 STATE_TIMEOUT_NS = 500_000_000  # after which a state that came in such a message is no longer believed
+REPEAT_NS = 100_000_000  # after which an enabling or disabling message is sent again that was not obeyed
 
 
-class DbcLayout:
-    """What both ends share: the bound messages. Raises LayoutError naming every signal that is not there."""
+class Turns(NamedTuple):
+    """Of a position that begins anew with every turn: the last one, and the counts of all turns since the first."""
 
-    name = "dbc"
-    problems: Sequence[str] = ()
-
-    def __init__(self, bus: BusConfig, n_axes: int, rated_force: Sequence[float], base_dir: Path) -> None:
-        binding = bus.dbc
-        if binding is None:
-            raise LayoutError(f"bus.protocol = {bus.protocol!r} needs a table [bus.dbc] that binds its signals")
-        path = base_dir / bus.protocol.removeprefix(PREFIX)
-        check_binding(binding, n_axes)
-        self.n_axes = n_axes
-        self._rated = list(rated_force)
-        self._messages = bind_messages(load_dbc(path), binding, path.name)
-        for key, item in bound_items(binding):
-            if not key.startswith(("bus.dbc.position", "bus.dbc.torque")):
-                self._messages[item.message].whole(key, item)
-        for checksum in binding.checksum:
-            self._messages[checksum.message].protect(checksum)
-        self._free_running = binding.feedback == "cyclic"
-        self._position = [self._bound(item) for item in binding.position]
-        self._torque = [self._bound(item) for item in binding.torque]
-        self._status = [self._bound(item) for item in binding.status]
-        self._enable = [self._bound(item) for item in binding.enable]
-        self._reset = [self._bound(item) for item in binding.reset]
-        self._error = [self._bound(item) for item in binding.error]
-        self._constant = [(self._bound(item), item.value) for item in binding.constant]
-        self._switch = [(item.on, item.off) for item in binding.enable]
-        self._bit_per_axis = len(self._enable) == 1 and self._enable[0].place.bits > 1 and self._switch[0] == (1, 0)
-        self._reset_switch = [(item.on, item.off) for item in binding.reset]
-        self._maps = [_status_map(item) for item in binding.status]
-        self._echo = [self._bound(item) for item in binding.feedback_counter]
-        self._counters = [self._bound(item) for item in binding.command_counter]
-        self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
-        bound_commands = [*self._torque, *self._enable, *self._reset, *self._counters]
-        commands = [bound.message for bound in [*bound_commands, *(bound for bound, _ in self._constant)]]
-        self._commands = sorted(dict.fromkeys(commands), key=lambda message: arbitration_key(message.can_id))
-        self._on_change = {message.can_id for message in self._commands if message.name in binding.on_change}
-        names = {message.name for message in self._commands}
-        for name in binding.on_change:
-            if name not in names:
-                raise LayoutError(f"bus.dbc.on_change: {name!r} is no bound command message")
-        self._cyclic = [message for message in self._commands if message.can_id not in self._on_change]
-        if not {bound.message.can_id for bound in self._torque}.isdisjoint(self._on_change) or not self._cyclic:
-            raise LayoutError("bus.dbc.on_change names a message with a torque, which is sent every tick")
-        self._feedback = [bound.message for bound in self._position]
-        carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
-        self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
-        self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
-        self.fd = any(message.fd for message in self._messages.values())
-        self._check_places(binding, path.name)
-
-    def _bound(self, binding: SignalBinding) -> Bound:
-        message = self._messages[binding.message]
-        return Bound(message, message.place(binding))
-
-    def _check_places(self, binding: DbcBinding, file: str) -> None:
-        """Feedback signals of one axis share a message; each axis has its own; counters echo; torques reach."""
-        for key, group in (("feedback_counter", self._echo),):
-            for axis, bound in enumerate(group):
-                if bound.message is not self._feedback[axis]:
-                    raise LayoutError(
-                        f"bus.dbc.{key}[{axis}] is in message {bound.message.name}; it has to be in "
-                        f"{self._feedback[axis].name}, which carries position[{axis}]"
-                    )
-        if len({message.can_id for message in self._feedback}) != self.n_axes:
-            raise LayoutError(f"{file}: two positions in one message; each axis needs a message of its own")
-        for message in [*self._feedback, *self._state_only]:
-            if message in self._commands:
-                raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
-        if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
-            raise LayoutError("bus.dbc: command_counter and feedback_counter have signals of different lengths")
-        for axis, (bound, rated) in enumerate(zip(self._torque, self._rated, strict=True)):
-            place = bound.place
-            reach = min(abs(place.value(place.low)), abs(place.value(place.high)))
-            if reach < rated * (1 - 1e-9) or not place.low <= -place.offset / place.gain <= place.high:
-                raise LayoutError(
-                    f"bus.dbc.torque[{axis}]: {bound.message.name}.{binding.torque[axis].signal} reaches +-{reach:g}; "
-                    f"the rated force is {rated:g}: check its scale"
-                )
-        if self._bit_per_axis and self._enable[0].place.bits < self.n_axes:
-            raise LayoutError(f"bus.dbc.enable has {self._enable[0].place.bits} bits; 1, or one per axis, is needed")
-
-    def messages(self, period_ns: int) -> list[Message]:
-        """All commands, then the feedbacks, which the last command triggers, and what is sent less often."""
-        trigger = None if self._free_running else self._cyclic[-1].name
-        slow_ns = max(period_ns, STATE_PERIOD_NS)
-        return [
-            *(Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, "host") for m in self._cyclic),
-            *(
-                Message(m.name, m.can_id, m.length, m.fd, period_ns, period_ns, 0, f"axis {axis}", trigger)
-                for axis, m in enumerate(self._feedback)
-            ),
-            *(
-                Message(m.name, m.can_id, m.length, m.fd, slow_ns, slow_ns, 0, f"axis {axis}")
-                for m, axis in self._state_only.items()
-            ),
-            *(
-                Message(m.name, m.can_id, m.length, m.fd, slow_ns, slow_ns, 0, "host")
-                for m in self._commands
-                if m not in self._cyclic
-            ),
-        ]
+    counts: float
+    turned: float
 
 
 class DbcHost(DbcLayout):
@@ -158,12 +60,32 @@ class DbcHost(DbcLayout):
         self._known = {*self._axis, *self._states}
         self._own = {message.can_id for message in self._commands}
         self.echo_id: int | None = None if self._free_running else self._cyclic[-1].can_id
+        self.acts_ns: Sequence[int] = self._find_acts(bus) if self._free_running else []
         self._enabled = 0
         self._state, self._fault = [0] * n_axes, [0] * n_axes
         self._told_tick = [-STATE_TIMEOUT_NS] * n_axes  # when a message with a state alone came
         self._tick = 0
         self._state_ticks = STATE_TIMEOUT_NS // period_ns
-        self._sent: dict[int, list[Any]] = {}
+        self._sent: dict[int, list[Any] | None] = {}
+        self._turns: list[Turns | None] = [None] * n_axes
+        self._feedback_ns = self._feedback_period_ns or period_ns
+        self._repeat_ticks = max(1, REPEAT_NS // period_ns)
+        self._switched_tick = [0] * n_axes  # when each axis was last told its enable
+        constant = {bound.message.can_id for bound, _ in self._constant}
+        self._occasional = sorted(
+            (m for m in self._commands if m.can_id in self._on_change), key=lambda m: m.can_id not in constant
+        )
+
+    def _find_acts(self, bus: BusConfig) -> list[int]:
+        """When each axis' torque has been sent, on a bus that is free at the tick's start: the frames of every tick
+        follow each other.
+        """
+        out_ns, sent_ns = {}, 0.0
+        for message in self._cyclic:
+            nominal, data = frame_bits(message.frame([0] * len(message.codec.names)))
+            sent_ns += (nominal + INTERMISSION) * 1e9 / bus.bitrate + data * 1e9 / bus.data_bitrate
+            out_ns[message.can_id] = round(sent_ns)
+        return [out_ns[bound.message.can_id] for bound in self._torque]
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback message; its stamp is an estimate (sampling_clock.py). SERVICE for a state alone."""
@@ -179,14 +101,26 @@ class DbcHost(DbcLayout):
             return unfit
         values = message.codec.unpack(frame.data)
         counts = self._position[axis].place.value(values[self._position[axis].place.at])
-        if not -(2.0**53) <= counts <= 2.0**53:  # also where it is not a number
+        if self._wrap[axis]:
+            counts = self._unwrapped(axis, counts)
+        if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
             return Reject.INVALID_VALUE
         if not self._note_state(message, values):
             return Reject.INVALID_VALUE
         sequence = int(values[self._echo[axis].place.at]) if self._echo else -1
         clock = self._clock
-        stamp_ns = clock.begun(frame) if self._free_running else clock.instant(axis, frame)
+        own_time = self._free_running
+        stamp_ns = clock.begun(axis, frame, self._feedback_ns) if own_time else clock.instant(axis, frame)
         return Sample(axis, round(counts), self._status_of(axis), sequence, stamp_ns)
+
+    def _unwrapped(self, axis: int, counts: float) -> float:
+        """The nearest of the positions that these counts can mean."""
+        wrap, last = self._wrap[axis], self._turns[axis]
+        if counts - counts != 0.0:  # no number
+            return counts
+        turned = 0.0 if last is None else last.turned + round((last.counts - counts) / wrap) * wrap
+        self._turns[axis] = Turns(counts, turned)
+        return counts + turned
 
     def _decode_state(self, message: BoundMessage, frame: Frame) -> Reject:
         unfit = message.fits(frame)
@@ -220,8 +154,14 @@ class DbcHost(DbcLayout):
     def encode(self, command: Command) -> list[Frame]:
         """All command messages that are due. Raises ValueError for a force not finite or beyond its rated force."""
         check_force(command.force, self._rated)
-        self._enabled = enable = command.enable
+        enable = command.enable
         self._tick += 1
+        if enable & ~self._enabled:
+            self._sent.clear()  # a drive that has restarted since has forgotten
+        for axis in range(self.n_axes):
+            if (enable ^ self._enabled) >> axis & 1:
+                self._switched_tick[axis] = self._tick
+        self._enabled = enable
         self._clock.trigger()
         values = {message.can_id: [0] * len(message.codec.names) for message in self._commands}
         for (message, place), raw in self._constant:
@@ -239,15 +179,32 @@ class DbcHost(DbcLayout):
             values[message.can_id][place.at] = on if command.reset else off
         for message, place in self._counters:
             values[message.can_id][place.at] = command.sequence % self.sequence_modulus
-        due = self._changed(values) + self._cyclic if self._on_change else self._commands
+        due = self._due(values, reset=command.reset) + self._cyclic if self._on_change else self._commands
         return [message.frame(values[message.can_id]) for message in due]
 
-    def _changed(self, values: dict[int, list[Any]]) -> list[BoundMessage]:
-        """The messages that are sent on a change, and have one."""
-        candidates = [message for message in self._commands if message.can_id in self._on_change]
-        changed = [message for message in candidates if values[message.can_id] != self._sent.get(message.can_id)]
-        self._sent |= {message.can_id: values[message.can_id] for message in changed}
-        return changed
+    def _due(self, values: dict[int, list[Any]], *, reset: bool) -> list[BoundMessage]:
+        """The messages that are not sent every tick and are now: constants first."""
+        for axis, told in enumerate(self._switched_tick):
+            if self._disobeyed(axis) and (self._tick - told) % self._repeat_ticks == 0:
+                bound = self._enable[axis] if len(self._enable) == self.n_axes else self._enable[0]
+                self._sent.pop(bound.message.can_id, None)
+        due = []
+        for message in self._occasional:
+            can_id = message.can_id
+            now: list[Any] | None = values[can_id]
+            if can_id in self._resets_alone:
+                now = values[can_id] if reset else None
+            if now != self._sent.get(can_id):
+                self._sent[can_id] = now
+                if now is not None:
+                    due.append(message)
+        return due
+
+    def _disobeyed(self, axis: int) -> bool:
+        """Whether a drive says that its state is another than it was told."""
+        if not self._enable or not self._status or not self._told_tick[axis] >= 0:
+            return False
+        return bool(self._state[axis] & ENABLED) != bool(self._enabled >> axis & 1)
 
 
 class DbcDevice(DbcLayout):
@@ -277,11 +234,21 @@ class DbcDevice(DbcLayout):
             return Reject.SERVICE
         received = self._received
         self._received = {can_id: values for can_id, values in received.items() if can_id in self._on_change}
-        if len(received) != len(self._commands):
+        reset = self._reset_asked(received)
+        for can_id in self._resets_alone:
+            self._received.pop(can_id, None)
+        if len(received.keys() - self._resets_alone) != len(self._commands) - len(self._resets_alone):
             return Reject.STALE
-        return self._assemble(received)
+        return self._assemble(received, reset=reset)
 
-    def _assemble(self, received: dict[int, Sequence[Any]]) -> Command | Reject:
+    def _reset_asked(self, received: dict[int, Sequence[Any]]) -> bool:
+        for (message, place), (on, _) in zip(self._reset, self._reset_switch, strict=True):
+            values = received.get(message.can_id)
+            if values is not None and (values[place.at] == on if on != 1 else values[place.at]):
+                return True
+        return False
+
+    def _assemble(self, received: dict[int, Sequence[Any]], *, reset: bool) -> Command | Reject:
         def raw(bound: Bound) -> Any:
             return received[bound.message.can_id][bound.place.at]
 
@@ -296,8 +263,6 @@ class DbcDevice(DbcLayout):
         if len(counters) > 1:
             return Reject.STALE  # parts of two commands
         force = [max(-rated, min(rated, value)) for value, rated in zip(force, self._rated, strict=True)]
-        resets = zip(self._reset, self._reset_switch, strict=True)
-        reset = any(raw(bound) == on if on != 1 else raw(bound) for bound, (on, _) in resets)
         return Command(max(counters, default=0), force, enable, reset)
 
     def _enabled(self, raw: Sequence[int]) -> int:
@@ -314,7 +279,8 @@ class DbcDevice(DbcLayout):
         message = self._feedback[axis]
         values: list[Any] = [0] * len(message.codec.names)
         place = self._position[axis].place
-        values[place.at] = place.raw(sample.position)
+        wrap = self._wrap[axis]
+        values[place.at] = place.raw(sample.position % wrap if wrap else sample.position)
         self._put_state(message, axis, sample.status, values)
         if self._echo:
             values[self._echo[axis].place.at] = sample.sequence % self.sequence_modulus
@@ -335,18 +301,11 @@ class DbcDevice(DbcLayout):
             meanings = self._maps[axis]
             raw = status & STATUS_MASK
             if meanings is not None:
-                meant = FAULT if status & FAULT else ENABLED if status & ENABLED else 0
+                meant = FAULT if status & UNHEALTHY else ENABLED if status & ENABLED else 0
                 raw = next((raw for raw, bits in meanings.items() if bits == meant), _unused(meanings))
             values[self._status[axis].place.at] = raw
         if self._error and self._error[axis].message is message:
-            values[self._error[axis].place.at] = int(bool(status & FAULT))
-
-
-def _status_map(binding: StatusBinding) -> dict[int, int] | None:
-    """DriveStatus bits by raw value; None where the raw value is the bits."""
-    if not binding.enabled and not binding.fault:
-        return None
-    return dict.fromkeys(binding.enabled, ENABLED) | dict.fromkeys(binding.fault, FAULT)
+            values[self._error[axis].place.at] = int(bool(status & UNHEALTHY))
 
 
 def _unused(meanings: dict[int, int]) -> int:

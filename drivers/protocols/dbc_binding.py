@@ -127,6 +127,10 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
         raise LayoutError(
             f"bus.dbc.enable has {len(binding.enable)} signals for {n_axes} axes; it may also have one or none"
         )
+    if binding.feedback_period_s and binding.feedback != "cyclic":
+        raise LayoutError("bus.dbc.feedback_period_s: triggered drives answer commands and have no period of their own")
+    if binding.checksum_algorithm != DbcBinding.model_fields["checksum_algorithm"].default and not binding.checksum:
+        raise LayoutError("bus.dbc.checksum_algorithm: no bus.dbc.checksum is bound that it would act on")
     if bool(binding.feedback_counter) != bool(binding.command_counter):
         raise LayoutError("bus.dbc: feedback_counter echoes command_counter; bind both or neither")
 

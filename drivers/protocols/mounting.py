@@ -36,6 +36,10 @@ class Mounting(NamedTuple):
         """The axis' position where the drive's is `count`."""
         return self.direction * count + self.offset
 
+    def counts_at_axis(self, ends: tuple[float, float]) -> tuple[float, float]:
+        """The same for both ends of a range, in the order of the drive's."""
+        return self.direction * ends[0] + self.offset, self.direction * ends[1] + self.offset
+
     def count_at_drive(self, count: int) -> int:
         """The drive's position where the axis' is `count`."""
         return self.direction * (count - self.offset)
@@ -57,7 +61,12 @@ class MountedHost:
         self._mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
-        self.fd, self.echo_id = layout.fd, layout.echo_id
+        self.causes, self.state_ns = layout.causes, layout.state_ns
+        self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
+        self.positions: Sequence[tuple[float, float]] = [
+            (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))
+            for mounting, ends in zip(mountings, layout.positions, strict=True)
+        ]
 
     @property
     def problems(self) -> Sequence[str]:

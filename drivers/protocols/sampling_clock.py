@@ -2,7 +2,8 @@
 
 All drives sample when the frame that triggers them ends. Where the bus gives its sender that frame back, its stamp is
 the instant. Where it does not: the drives' answers follow it back to back, so the instant is the reception of the first
-answer less the time it took on the wire, which its bits tell exactly.
+answer less the time it took on the wire, which its bits tell exactly. Drives that sample in their own time each have
+their own instant, which their steady period tells from the delays on the bus.
 """
 
 from drivers.frame import Frame
@@ -27,6 +28,7 @@ class SamplingClock:
         self._current_ns = -1  # of this tick
         self._last_ns = -1
         self._first_axis = 0
+        self._begun_ns = [-1] * n_axes  # of drives that send in their own time
         self._usual_ns = -1  # lower envelope of the estimates, as the host triggers them once a period
 
     def trigger(self) -> None:
@@ -43,15 +45,24 @@ class SamplingClock:
             self._current_ns = self._estimate(axis, frame)
         return self._current_ns
 
-    def begun(self, frame: Frame) -> int:
-        """When the frame began on the wire; -1 where it has no reception time.
+    def begun(self, axis: int, frame: Frame, feedback_ns: int) -> int:
+        """When a drive that samples and sends in its own time, every feedback_ns, has sampled; -1 where the frame has
+        no reception time.
 
-        A drive that sends in its own time sampled no later.
+        The frame began on the wire no earlier, and later where others went first: of these delays the least that the
+        steady period allows is believed, so that a busy bus does not look like a drive that samples unevenly.
         """
         if frame.timestamp_ns <= 0:
             return -1
         nominal, data = frame_bits(frame)
-        return frame.timestamp_ns - round(nominal * self._nominal_ns + data * self._data_ns)
+        begun = frame.timestamp_ns - round(nominal * self._nominal_ns + data * self._data_ns)
+        usual = self._begun_ns[axis]
+        if usual >= 0:
+            usual += (begun - usual + feedback_ns // 2) // feedback_ns * feedback_ns + DELAY_LEAK_NS
+        if usual < 0 or begun < usual or begun - usual > feedback_ns // 2 - DELAY_LEAK_NS:
+            usual = begun
+        self._begun_ns[axis] = usual
+        return usual
 
     def _estimate(self, axis: int, frame: Frame) -> int:
         """From the first answer. Where another axis than before is first, the usual one may be lost: then as many

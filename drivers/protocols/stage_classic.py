@@ -13,7 +13,15 @@ from drivers.frame import FD, Frame
 from drivers.protocols.base import Command, LayoutError, Message, Reject, Sample
 from drivers.protocols.checksum import IdentifiedCrc8
 from drivers.protocols.dbc_codec import compile_codec, load_dbc
-from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
+from drivers.protocols.stage_common import (
+    INT32,
+    MAX_AXES,
+    STATUS_MASK,
+    check_force,
+    check_ids,
+    cyclic_messages,
+    reject_id,
+)
 
 DBC = Path(__file__).with_name("stage_classic.dbc")
 COMMAND_NAMES = ("torque_0", "torque_1", "torque_2", "torque_3", "sequence", "reset", "reserved", "checksum")
@@ -36,6 +44,7 @@ class _Layout:
 
     name = "stage_classic"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = False
 
@@ -48,7 +57,10 @@ class _Layout:
             raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 8 and 8")
         self.n_axes = n_axes
         self.sequence_modulus = SEQUENCE_MODULUS
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.state_ns = 0
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         self._rated = list(rated_force)

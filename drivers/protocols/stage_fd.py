@@ -13,7 +13,15 @@ from zlib import crc32 as _crc32
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Command, Message, Reject, Sample
-from drivers.protocols.stage_common import MAX_AXES, STATUS_MASK, check_force, check_ids, cyclic_messages, reject_id
+from drivers.protocols.stage_common import (
+    INT32,
+    MAX_AXES,
+    STATUS_MASK,
+    check_force,
+    check_ids,
+    cyclic_messages,
+    reject_id,
+)
 
 DBC = Path(__file__).with_name("stage_fd.dbc")
 COMMAND: Final = Struct("<ffffHHI")  # force_0 to force_3, sequence, flags, checksum
@@ -38,6 +46,7 @@ class _Layout:
 
     name = "stage_fd"
     checksum = True
+    causes = True
     problems: Sequence[str] = ()
     fd = True
 
@@ -45,7 +54,10 @@ class _Layout:
         check_ids(bus, n_axes, rated_force)
         self.n_axes = n_axes
         self.sequence_modulus = SEQUENCE_MODULUS
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
         self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.state_ns = 0
         self._command_id = bus.host_id
         self._feedback_id = bus.feedback_id
         # The largest force after rounding to single precision, so that a command of exactly the rated force passes.

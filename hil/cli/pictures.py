@@ -1,7 +1,9 @@
 """Pictures of a run: setpoint, following error and applied force over time."""
 
+import io
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -13,6 +15,13 @@ from hil.rig.schema import RigConfig
 
 _BUCKETS = 1500  # per drawn line; each keeps its lowest and highest value, so that no peak is lost
 _UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
+_STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 0.8,
+    "svg.hashsalt": "hil",
+}
 
 
 class Tracked(Protocol):
@@ -35,23 +44,36 @@ def tracking_picture(path: Path, rig: RigConfig, run: Tracked, lateness: NDArray
     """One column per axis: position, error and force over time (s); below, where known, tick lateness (s, per tick)."""
     n_axes = len(rig.axes)
     rows = 3 + (lateness is not None)
-    with mpl.rc_context({"font.size": 8, "axes.grid": True, "grid.alpha": 0.3, "lines.linewidth": 0.8}):
+    with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(3.4 * max(n_axes, 2), 2.0 * rows), layout="constrained")
         grid = figure.add_gridspec(rows, n_axes)
-        setpoint, error, force = run.setpoint, run.error, run.force
-        for axis, (name, config) in enumerate(rig.axes.items()):
-            panels = [figure.add_subplot(grid[row, axis]) for row in range(3)]
-            long, to_long, short, to_short, force_unit = _UNITS[config.kind]
-            panels[0].set_title(name, fontweight="bold")
-            _line(panels[0], rig, setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
-            _line(panels[1], rig, error[:, axis] * to_short, f"following error, {short}", "C3")
-            _line(panels[2], rig, force[:, axis], f"force, {force_unit}", "C2")
+        for axis in range(n_axes):
+            _axis_panels([figure.add_subplot(grid[row, axis]) for row in range(3)], rig, run, axis)
         if lateness is not None:
             panel = figure.add_subplot(grid[3, :])
             _line(panel, rig, lateness * 1e6, "tick lateness, µs", "C4")
         figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110)
+
+
+def axis_svg(rig: RigConfig, run: Tracked, axis: int) -> str:
+    """Position, error and force of one axis over time, one below the other: SVG, the same text every time."""
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(6.0, 6.0), layout="constrained")
+        _axis_panels(figure.subplots(3, 1), rig, run, axis)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
+
+
+def _axis_panels(panels: Sequence[Axes], rig: RigConfig, run: Tracked, axis: int) -> None:
+    name, config = list(rig.axes.items())[axis]
+    long, to_long, short, to_short, force_unit = _UNITS[config.kind]
+    panels[0].set_title(name, fontweight="bold")
+    _line(panels[0], rig, run.setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
+    _line(panels[1], rig, run.error[:, axis] * to_short, f"following error, {short}", "C3")
+    _line(panels[2], rig, run.force[:, axis], f"force, {force_unit}", "C2")
 
 
 def _line(panel: Axes, rig: RigConfig, values: NDArray[np.float64], label: str, colour: str) -> None:

@@ -39,6 +39,7 @@ CHUNK = 65_536  # instants looked at together
 # What a stage that this program is for can have; beyond, a unit is wrong far more often than the stage is strange.
 ACCELERATION = (0.05, 1e5)  # force limit over mass, m/s^2 (rad/s^2)
 TRAVEL = (1e-6, 20.0)  # m
+CROSSING = 1e-3  # s for the whole travel at the speed limit, at least
 COUNTS = 100  # of the encoder, within the travel
 
 
@@ -67,7 +68,7 @@ def violations(rig: RigConfig, start: Sequence[float]) -> list[Violation]:
     """
     trajectory = plan_task(rig.task, rig.axis_names, rig.period_ns)(start)
     found: dict[tuple[str, str], Violation] = {}
-    for violation in [*_too_quick(rig, trajectory), *_along(rig, trajectory)]:
+    for violation in [*too_quick(rig, trajectory), *_along(rig, trajectory)]:
         found.setdefault((violation.axis, violation.quantity), violation)
     return sorted(found.values(), key=lambda violation: (rig.axis_names.index(violation.axis), violation.quantity))
 
@@ -75,7 +76,7 @@ def violations(rig: RigConfig, start: Sequence[float]) -> list[Violation]:
 def corner_starts(rig: RigConfig) -> dict[str, list[float]]:
     """Where a task may have to begin, by what people call it: home, and the ends of the travel less the margin."""
     limits = [axis.limits for axis in rig.axes.values()]
-    reserves = [_travel_margin(li) * (1.0 + 1e-9) for li in limits]  # standing there is feasible
+    reserves = [travel_margin(li) * (1.0 + 1e-9) for li in limits]  # standing there is feasible
     return {
         "home": home_position(rig),
         "the lower ends of the travel": [li.position[0] + r for li, r in zip(limits, reserves, strict=True)],
@@ -83,12 +84,13 @@ def corner_starts(rig: RigConfig) -> dict[str, list[float]]:
     }
 
 
-def _travel_margin(limits: LimitsConfig) -> float:
+def travel_margin(limits: LimitsConfig) -> float:
+    """What is kept from either end of the travel, m (rad)."""
     travel = limits.position[1] - limits.position[0]
     return min(limits.following_error * TRAVEL_MARGIN, travel * MOST_TRAVEL_MARGIN)
 
 
-def _horizon(trajectory: Trajectory) -> int:
+def horizon(trajectory: Trajectory) -> int:
     """Task time after which nothing new comes, ns."""
     if trajectory.duration_ns is not None:
         return trajectory.duration_ns
@@ -97,7 +99,7 @@ def _horizon(trajectory: Trajectory) -> int:
 
 def _chunks(trajectory: Trajectory, n_axes: int, period_ns: int) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Instants (s), positions, velocities, accelerations (instants, axes); neighbouring chunks share an instant."""
-    count = _horizon(trajectory) // period_ns + 2
+    count = horizon(trajectory) // period_ns + 2
     for first in range(0, count - 1, CHUNK):
         instants = np.arange(first, min(first + CHUNK + 1, count)) * period_ns
         reference = trajectory.sample(np.repeat(instants[:, None], n_axes, axis=1))
@@ -112,39 +114,59 @@ def _along(rig: RigConfig, trajectory: Trajectory) -> Iterator[Violation]:
             yield from _axis_violations(name, axis, times, (q, v, a), rig.period_ns * 1e-9)
 
 
-def _axis_violations(
-    name: str, axis: AxisConfig, times: Array, motion: tuple[Array, Array, Array], period: float
-) -> Iterator[Violation]:
+class Measure(NamedTuple):
+    """A quantity of a motion beside its limit. values: (instants[, starts]), to be at most `limit`; sign: of both, for
+    people. limit: what remains after the margin, in `unit`.
+    """
+
+    quantity: str
+    values: Array
+    limit: float
+    sign: float
+    unit: str
+    key: str
+
+
+def measures(name: str, axis: AxisConfig, motion: tuple[Array, Array, Array], period: float) -> list[Measure]:
+    """What is held against the limits of an axis. motion: position, velocity, acceleration, each of the shape
+    (instants, ...) in m, m/s, m/s^2 (rad); instants one `period` (s) apart.
+    """
     position, velocity, acceleration = motion
     limits, model = axis.limits, axis.model
     unit, force_unit = ("m", "N") if axis.kind == "linear" else ("rad", "N m")
     key = f"axes.{name}.limits"
     stop = position + velocity * np.abs(velocity) * model.mass / limits.force
-    margin = _travel_margin(limits)
+    margin = travel_margin(limits)
     low, high = limits.position[0] + margin, limits.position[1] - margin
     smooth = model.mass * acceleration + velocity * (model.viscous + model.quadratic * np.abs(velocity)) - model.gravity
     force = np.abs(smooth + model.coulomb * np.sign(velocity))
-    change = np.abs(np.diff(smooth)) / period
-    travel, speed = f"[task] or {key}.position = {limits.position}", limits.speed * (1 - SPEED_MARGIN)
-    checks: list[tuple[str, Array, float, str, str]] = [
-        ("position", np.maximum(position, stop), high, unit, travel),
-        ("position", -np.minimum(position, stop), -low, unit, travel),
-        ("speed", np.abs(velocity), speed, f"{unit}/s", f"[task] or {key}.speed = {limits.speed}"),
-        ("force", force, limits.force * (1 - FORCE_MARGIN), force_unit, f"[task] or {key}.force = {limits.force}"),
-        (
-            "force rate", change, limits.force_rate * (1 - RATE_MARGIN), f"{force_unit}/s",
-            f"[task] or {key}.force_rate = {limits.force_rate}",
+    change = np.abs(np.diff(smooth, axis=0)) / period
+    travel = f"[task] or {key}.position = {limits.position}"
+    force_key, rate_key = (f"[task] or {key}.{limit} = {getattr(limits, limit)}" for limit in ("force", "force_rate"))
+    rate = limits.force_rate * (1 - RATE_MARGIN)
+    return [
+        Measure("position", np.maximum(position, stop), high, 1.0, unit, travel),
+        Measure("position", -np.minimum(position, stop), -low, -1.0, unit, travel),
+        Measure(
+            "speed", np.abs(velocity), limits.speed * (1 - SPEED_MARGIN), 1.0, f"{unit}/s",
+            f"[task] or {key}.speed = {limits.speed}",
         ),
+        Measure("force", force, limits.force * (1 - FORCE_MARGIN), 1.0, force_unit, force_key),
+        Measure("force rate", change, rate, 1.0, f"{force_unit}/s", rate_key),
     ]  # fmt: skip
-    for number, (quantity, values, limit, of, remedy) in enumerate(checks):
+
+
+def _axis_violations(
+    name: str, axis: AxisConfig, times: Array, motion: tuple[Array, Array, Array], period: float
+) -> Iterator[Violation]:
+    for quantity, values, limit, sign, unit, key in measures(name, axis, motion, period):
         beyond = np.flatnonzero(~(values <= limit))
         if beyond.size:
-            sign = -1.0 if number == 1 else 1.0
             at = int(beyond[0])
-            yield Violation(name, quantity, float(times[at]), sign * float(values[at]), sign * limit, of, remedy)
+            yield Violation(name, quantity, float(times[at]), sign * float(values[at]), sign * limit, unit, key)
 
 
-def _too_quick(rig: RigConfig, trajectory: Trajectory) -> Iterator[Violation]:
+def too_quick(rig: RigConfig, trajectory: Trajectory) -> Iterator[Violation]:
     """What a loop of this rate cannot sample finely enough."""
     task, least = rig.task, SAMPLES_A_PERIOD
     if task.kind in ("circle", "lissajous"):
@@ -180,7 +202,17 @@ def unit_questions(rig: RigConfig) -> list[str]:
                 f"axes.{name}.model.coulomb = {axis.model.coulomb:g}: more than limits.force = {axis.limits.force:g}; "
                 "the axis could never move. Is it in millinewtons? It must be in N (N m)"
             )
+        if abs(axis.model.gravity) > axis.limits.force:
+            found.append(
+                f"axes.{name}.model.gravity = {axis.model.gravity:g}: more than limits.force = {axis.limits.force:g}; "
+                "the axis could not be held. Is it in millinewtons, or grams? It must be in N (N m)"
+            )
         travel = axis.limits.position[1] - axis.limits.position[0]
+        if travel / axis.limits.speed < CROSSING:
+            found.append(
+                f"axes.{name}.limits.speed = {axis.limits.speed:g}: the whole travel of {travel:g} in "
+                f"{travel / axis.limits.speed:.2g} s. Is it in mm/s? It must be in m/s (rad/s)"
+            )
         if axis.kind == "linear" and not TRAVEL[0] <= travel <= TRAVEL[1]:
             found.append(
                 f"axes.{name}.limits.position = {axis.limits.position}: a travel of {travel:g} m. Is it in "
@@ -190,6 +222,11 @@ def unit_questions(rig: RigConfig) -> list[str]:
             found.append(
                 f"axes.{name}.encoder_resolution = {axis.encoder_resolution:g}: fewer than {COUNTS} counts within the "
                 "travel. Is it in micrometres, or counts per metre? It must be in m (rad) per count"
+            )
+        elif axis.limits.following_error < axis.encoder_resolution:
+            found.append(
+                f"axes.{name}.limits.following_error = {axis.limits.following_error:g}: less than a count of the "
+                f"encoder, {axis.encoder_resolution:g}. Are both in m (rad)?"
             )
     return found
 

@@ -1,37 +1,30 @@
 """Is the sampled loop stable? The rig's own filter and law around the nominal mass, with the real one-period delay.
 
-The law's code is not transcribed into equations: a unit pulse is added to one axis' measured position and the loop (rig
-filter, law, zero-order hold, double integrator of the nominal mass) answers. From that answer the poles are realised
-(eigensystem realisation: Juang and Pappa, J. Guidance 8(5), 1985) and, as it is the impulse response of the sensitivity
-S, the loop gain L = 1/S - 1 and its margins follow. Friction is left out: what it does to a loop is damp it.
+A unit pulse is added to one axis' measured position and the loop answers (pulse_loop.py). From that answer the poles
+are realised (eigensystem realisation: Juang and Pappa, J. Guidance 8(5), 1985) and, as it is the impulse response of
+the sensitivity S, the loop gain L = 1/S - 1 and its margins follow. Friction is left out: what it does to a loop is
+damp it. The same around the axis a stage really has is in loop_corners.py.
 """
 
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hil.control.estimator.gains import design_gains
-from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.laws import make_law
-from hil.control.laws.base import Array, LawInputs, Model, Reference
-from hil.control.nominal_model import blank_inputs, rig_model
+from hil.control.laws.base import Array
+from hil.control.pulse_loop import DECAYED, GROWN, pulse_response
 from hil.rig.schema import RigConfig, RigError
 
-PULSE = 1e-8  # m: small enough for every law's linear range
-SETTLE = 400  # ticks until time-varying filters have settled
 REALISED = 240  # ticks of the answer from which poles are realised
 ANSWER = 4000  # ticks of the answer from which margins are taken
 STABLE_RADIUS = 1.0 - 1e-6
-DECAYED = 0.5  # of its peak: the last quarter of a stable loop's answer
 NEGLIGIBLE = 1e-5  # singular values below this fraction of the greatest are rounding, or drift of a settling filter
 RATES_HZ = (50.0, 10_000.0)  # looked at
 RATE_TOLERANCE = 1e-3
-CRUISE = 2.0**-5  # m/s: friction's sign is known, as in motion; a power of two keeps rounding out of the answer
-GROWN = 1e3  # an answer beyond this many pulses has left the linear range
 
 
 @dataclass(frozen=True)
@@ -102,122 +95,6 @@ class StabilityReport:
         }
 
 
-class _Loop:
-    """Filter and law as in the cycle, around m a = force - (what the reference needs); plants (rows, n_axes): all axes
-    of the first to pulse, or each axis of one of its own where the law looks at all of them; the last is left alone.
-    """
-
-    def __init__(self, rig: RigConfig, model: Model) -> None:
-        n = model.mass.size
-        self.mass = model.mass  # of the plant
-        self._period = rig.period_ns * 1e-9
-        gains, _ = design_gains(rig)
-        self._filter = MotionFilter(list(gains), model.mass)
-        limit = np.array([axis.limits.force for axis in rig.axes.values()])
-        plain = rig.law.model_copy(update={"iterative_learning": False})
-        self._law = make_law(plain, model, self._period, limit)
-        self.pulsed = np.arange(n) if self._law.coupled else np.zeros(n, dtype=int)  # the plant, for each axis
-        self.shape = shape = (int(self.pulsed.max()) + 2, n)
-        self._inputs: LawInputs = blank_inputs(shape)
-        self._inputs.fresh = np.ones(n)
-        self._inputs.sample_interval = self._inputs.ahead = np.full(n, self._period)
-        self._speed = np.full(n, CRUISE)
-        self._inputs.mean_velocity = self._speed
-        self._inputs.mean_sign = np.ones(n)
-        self._needed = (
-            model.coulomb + model.viscous * self._speed + model.quadratic * (self._speed * self._speed) + model.gravity
-        )  # N, friction along the reference
-        self._error, self._rate = np.zeros(shape), np.zeros(shape)
-        self._net = [np.zeros(shape) for _ in range(2)]  # force less what the reference needs: last, before
-        self._index = 0
-        self._filter.reseed(np.zeros(shape))
-        self._law.reset(np.zeros(shape), model.gravity)
-
-    def _reference(self) -> None:
-        inputs, k = self._inputs, self._index
-        for reference, instant in ((inputs.sample, k - 1), (inputs.start, k), (inputs.end, k + 1)):
-            reference.position = self._speed * self._period * instant
-            reference.velocity = self._speed.copy()
-            reference.acceleration = np.zeros(self._needed.shape)
-        if self._law.preview:
-            still = np.zeros(self._needed.shape)
-            inputs.preview = [
-                Reference(self._speed * self._period * (k + ahead), self._speed.copy(), still.copy())
-                for ahead in range(self._law.preview + 1)
-            ]
-
-    def step(self, pulse: Array) -> Array:
-        """One tick with `pulse` (m) added to the measured error; the measured error."""
-        inputs, motion = self._inputs, self._filter
-        self._reference()
-        last, before = self._net
-        seen = self._error + pulse
-        inputs.position = inputs.sample.position + seen
-        # The rig's filter works on the error here: the loop is linear, and the reference moves without acceleration.
-        motion.correct(before, inputs.sample_interval, seen)
-        motion.look_ahead(last, inputs.ahead)
-        inputs.position_estimate = motion.ahead_position + inputs.start.position
-        inputs.velocity_estimate = motion.ahead_velocity + inputs.start.velocity
-        inputs.disturbance_estimate = motion.disturbance
-        inputs.force_last, inputs.force_before = last + self._needed, before + self._needed
-        asked = self._law.force(inputs) - self._needed
-        # The sample is from the start of the last period: its force moves the plant to the next sample.
-        change = last / self.mass * self._period
-        self._error = self._error + (self._rate + 0.5 * change) * self._period
-        self._rate = self._rate + change
-        self._net = [asked.copy(), last]
-        self._index += 1
-        return seen
-
-    def motion(self) -> Array:
-        """True error after the latest tick, moved on by one period at its rate (m)."""
-        return self._error + self._rate * self._period
-
-
-def pulse_response(rig: RigConfig, ticks: int, plant_gain: float | Array = 1.0) -> tuple[Array, Array]:
-    """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, n_axes).
-
-    The motion is the true error moved on by one period at its rate: a force that alternates from tick to tick shows in
-    the speed alone, as every sample falls on a node of the position. plant_gain: nominal mass over the true one, for
-    all axes or each (n_axes,), from the pulse on: before, the loop settles from a start that no rig has, at full speed.
-    Both less those of a loop without the pulse: an integrator or an observer that has not settled yet still moves.
-    """
-    model = rig_model(rig)
-    n = model.mass.size
-    loop = _Loop(rig, model)
-    own = (loop.pulsed, np.arange(n))
-    quiet, pulse = np.zeros(loop.shape), np.zeros(loop.shape)
-    pulse[own] = PULSE
-
-    def beyond(errors: Array) -> Array:
-        """Of every axis where it is pulsed, beyond the plant left alone, in pulses."""
-        answer: Array = (errors[own] - errors[-1]) / PULSE
-        return answer
-
-    with np.errstate(all="ignore"):
-        for _ in range(SETTLE):
-            loop.step(quiet)
-        loop.mass = model.mass / plant_gain
-        answer, motion, alone = np.empty((3, ticks, n))
-        for k in range(ticks):
-            errors = loop.step(pulse if k == 0 else quiet)
-            answer[k], alone[k] = beyond(errors), errors[-1]
-            motion[k] = beyond(loop.motion())
-    unseen = _circles(alone) & (np.abs(motion).max(axis=0) < GROWN)
-    answer[:, unseen] = motion[:, unseen] = np.inf
-    return answer, motion
-
-
-def _circles(error: Array) -> Any:
-    """Axes (n_axes,) whose loop moves to and fro by itself, of its errors (ticks, n_axes): a limit cycle forgets a
-    pulse as a stable loop does. Second differences, for a slow integrator may still be on its way.
-    """
-    swing = np.abs(np.diff(error, 2, axis=0))
-    quarter = max(len(swing) // 4, 1)
-    bearable = np.maximum(PULSE, DECAYED * swing[:quarter].max(axis=0))
-    return np.logical_not(swing[-quarter:].max(axis=0) <= bearable)
-
-
 def realise_poles(answer: Array) -> list[complex]:
     """Poles of the system whose impulse response is `answer` (ticks,), largest first."""
     grown = np.flatnonzero(~(np.abs(answer) < GROWN))
@@ -233,9 +110,26 @@ def realise_poles(answer: Array) -> list[complex]:
     return sorted((complex(z) for z in np.linalg.eigvals(a)), key=lambda z: (-abs(z), z.real, z.imag))
 
 
-def margins(answer: Array) -> tuple[float | None, float | None, float | None]:
-    """Gain margin up and down (factors) and phase margin (degrees) from the pulse response of S; None: none met."""
-    loop = 1.0 / np.fft.rfft(answer)[1:] - 1.0
+class LoopMargins(NamedTuple):
+    """Gain margin up and down (factors), phase margin (degrees), None where none is met; and where the margins are
+    smallest: cycles per sample, 0 where none is met.
+    """
+
+    gain_up: float | None
+    gain_down: float | None
+    phase_deg: float | None
+    gain_at: float = 0.0
+    phase_at: float = 0.0
+
+
+def margins(answer: Array) -> LoopMargins:
+    """From the pulse response of the sensitivity S, (ticks,)."""
+    spectrum = np.fft.rfft(answer)
+    return margins_of_loop(1.0 / spectrum[1:] - 1.0, np.arange(1, len(spectrum)) / len(answer))
+
+
+def margins_of_loop(loop: NDArray[np.complex128], frequency: Array) -> LoopMargins:
+    """Of the loop gain L, (k,), at these rising frequencies, (k,), in whose unit the answer's are."""
     imag = loop.imag
     crossing = np.flatnonzero((np.sign(imag[:-1]) != np.sign(imag[1:])) & (loop.real[:-1] < 0))
     share = imag[crossing] / (imag[crossing] - imag[crossing + 1])
@@ -245,10 +139,13 @@ def margins(answer: Array) -> tuple[float | None, float | None, float | None]:
     unity = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) <= 0)
     angles = np.abs(np.degrees(np.angle(-loop[unity])))
     up, down = factors[factors > 1.0], factors[(factors > 0.0) & (factors < 1.0)]
-    return (
+    met = np.where(factors > 0.0, np.abs(np.log(np.abs(factors))), np.inf)
+    return LoopMargins(
         float(up.min()) if up.size else None,
         float(down.max()) if down.size else None,
         float(angles.min()) if angles.size else None,
+        float(frequency[crossing[met.argmin()]]) if met.size and met.min() < np.inf else 0.0,
+        float(frequency[unity[angles.argmin()]]) if angles.size else 0.0,
     )
 
 
@@ -285,7 +182,8 @@ def _lowest(stable: Callable[[float], bool], rate: float) -> float:
     return high
 
 
-def _is_stable(answer: Array, poles: list[complex]) -> bool:
+def is_stable(answer: Array, poles: list[complex]) -> bool:
+    """Of an axis' motion after a pulse, (ticks,), and its poles: it neither grows nor circles for ever."""
     size = np.abs(answer)
     if not np.all(size < GROWN) or size[-(len(size) // 4) :].max() > DECAYED * size[1:].max():
         return False  # grows, or circles for ever
@@ -298,7 +196,7 @@ def refuse_unstable(rig: RigConfig) -> None:
     axes = {}
     for index, name in enumerate(rig.axes):
         poles = realise_poles(motion[:, index])
-        axes[name] = AxisStability(_is_stable(motion[:, index], poles), poles, None, None, None)
+        axes[name] = AxisStability(is_stable(motion[:, index], poles), poles, None, None, None)
     problems = StabilityReport(rig.law.name, rig.rate_hz, axes).problems()
     if problems:
         raise RigError(problems)
@@ -306,7 +204,7 @@ def refuse_unstable(rig: RigConfig) -> None:
 
 def _stable_axes(rig: RigConfig) -> Array:
     _, motion = pulse_response(rig, REALISED)
-    return np.array([_is_stable(column, realise_poles(column)) for column in motion.T])
+    return np.array([is_stable(column, realise_poles(column)) for column in motion.T])
 
 
 def _lowest_rates(rig: RigConfig) -> list[float]:
@@ -344,7 +242,7 @@ def check_stability(rig: RigConfig, *, lowest_rate: bool = False, ticks: int = A
     axes = {}
     for index, name in enumerate(rig.axes):
         poles = realise_poles(motion[:REALISED, index])
-        stable = _is_stable(motion[:, index], poles)
-        found = margins(answer[:, index]) if stable else (None, None, None)
-        axes[name] = AxisStability(stable, poles, *found, rates[index], differences[index])
+        stable = is_stable(motion[:, index], poles)
+        found = margins(answer[:, index]) if stable else LoopMargins(None, None, None)
+        axes[name] = AxisStability(stable, poles, *found[:3], rates[index], differences[index])
     return StabilityReport(rig.law.name, rig.rate_hz, axes)

@@ -49,6 +49,10 @@ class Axes:
         self.setpoints.hold(self.measured)
         self.law.reset(self.measured, [model.gravity for model in self.models])
 
+    def hold(self) -> None:
+        """No task runs any more. Else its setpoints would go on, and the filters expect the friction of that motion."""
+        self.setpoints.hold(self.measured)
+
     def ahead_velocity(self) -> list[float]:
         """Estimated velocity where the next force begins to act, m/s per axis."""
         return [motion.ahead_velocity for motion in self.filters]

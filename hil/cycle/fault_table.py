@@ -54,6 +54,7 @@ class Fault(IntEnum):
     RECORDER_LOST = 32
     RIG_CHANGED = 33
     DRIVE_STAYS_ENABLED = 34
+    AXIS_NOT_AS_STATED = 35
 
 
 MOVING = TORQUE_STATES
@@ -140,5 +141,11 @@ RULES: dict[Fault, Rule] = {
         Reaction.SILENT,
         RESTING,
         True,
+    ),
+    Fault.AXIS_NOT_AS_STATED: Rule(
+        "the commissioning push moved the axis the wrong way, too far or too little ([axes.NAME.push])",
+        "a push",
+        Reaction.ZERO,
+        MOVING,
     ),
 }

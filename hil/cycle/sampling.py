@@ -85,15 +85,29 @@ class Sampling:
     """The sample clocks of all axes.
 
     instants: of the filters' state, integer ns on the samples' clock. starts: expected start of the coming force's
-    interval. tracked: there is a position to start from.
+    interval. tracked: there is a position to start from. shares: part of the interval between two samples in which the
+    force of the latest tick acted already, per axis: 0, but for drives that sample in their own time.
+
+    acts_ns: of those drives, from the tick's start until the force acts, ns per axis; empty for all others, which
+    sample when it does.
     """
 
-    def __init__(self, inputs: Sequence[LawInputs], inbox: Inbox, resolution: Sequence[float], period_ns: int) -> None:
+    def __init__(
+        self,
+        inputs: Sequence[LawInputs],
+        inbox: Inbox,
+        resolution: Sequence[float],
+        period_ns: int,
+        acts_ns: Sequence[int] = (),
+    ) -> None:
         self._inputs = list(inputs)
         self._inbox = inbox
         self.clocks = [SampleClock(x, r, period_ns) for x, r in zip(self._inputs, resolution, strict=True)]
         self.instants = [0] * len(self.clocks)
         self.starts = [0] * len(self.clocks)
+        self.shares = [0.0] * len(self.clocks)
+        self._acts_ns = list(acts_ns)
+        self._period_ns = period_ns
         self.tracked = False
 
     def restart(self) -> None:
@@ -118,5 +132,16 @@ class Sampling:
             instants[axis] = instant = clock.instant
             starts[axis] = start = now_ns + clock.latency
             inputs[axis].ahead = (start - instant) * 1e-9
+        if self._acts_ns:
+            self._separate(now_ns)
         for x in inputs:
             x.answered = answered
+
+    def _separate(self, now_ns: int) -> None:
+        """Sampling and the force's beginning are two instants."""
+        period = self._period_ns
+        for axis, clock in enumerate(self.clocks):
+            acts_ns = self._acts_ns[axis]
+            self.starts[axis] = start = now_ns + acts_ns
+            self._inputs[axis].ahead = max(0, start - self.instants[axis]) * 1e-9
+            self.shares[axis] = min(max(clock.latency - acts_ns, 0), period) / period

@@ -70,7 +70,7 @@ class ControlCycle:
         self.axes = Axes(rig)
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints
         resolution = [axis.encoder_resolution for axis in axes]
-        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns)
+        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, self.protocol.acts_ns)
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
         self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
@@ -89,6 +89,12 @@ class ControlCycle:
     def fault(self) -> Fault:
         """The fault that latched."""
         return self.supervisor.fault
+
+    @property
+    def problems(self) -> list[str]:
+        """Why drives were refused or an axis is not as stated, for people."""
+        push = self.supervisor.commissioning.problem
+        return [*self.protocol.problems, *([push] if push else [])]
 
     @property
     def silent(self) -> bool:
@@ -134,10 +140,14 @@ class ControlCycle:
         sampling, axes = self.sampling, self.axes
         sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
         found = not sampling.tracked and all(self.inbox.heard)
-        clocks, filters, measured = sampling.clocks, self.filters, []
+        clocks, filters, measured, shares = sampling.clocks, self.filters, [], sampling.shares
         for axis, x in enumerate(self.inputs):
-            motion = filters[axis]
-            motion.correct(axes.net_before[axis], x.sample_interval, x.position, x.fresh, clocks[axis].stretch)
+            motion, force, interval = filters[axis], axes.net_before[axis], x.sample_interval
+            share = shares[axis]
+            if share > 0.0:  # the force of the latest tick acted for a part of the interval, at its end
+                motion.correct(force, interval * (1.0 - share), x.position, 0.0)
+                force, interval = axes.net_last[axis], interval * share
+            motion.correct(force, interval, x.position, x.fresh, clocks[axis].stretch)
             if found:
                 motion.reseed(x.position)
             elif not x.fresh and sampling.tracked:
@@ -197,6 +207,8 @@ class ControlCycle:
         """The force asked for, N per axis: of the damped stop, else of the law."""
         if self.supervisor.machine.state is State.STOPPING:
             return self.supervisor.damped_stop.force(self.axes.ahead_velocity())
+        if self.supervisor.commissioning.running:
+            return self.supervisor.commissioning.force(self.axes.ahead_velocity())
         try:
             return self.axes.law.force(self.inputs)
         except ArithmeticError:  # floats raise where arrays would say NaN; the gate knows what to do with that

@@ -4,12 +4,13 @@ Rules:
 - In one tick, in this order: faults, the process's own end (SIGTERM), the operator's commands, and last what the state
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
-  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, RESET while its cause is still there.
+  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, ACTIVATE where the task from here would
+  break a limit (hil/control/start_ranges.py), RESET while its cause is still there.
   A refused event is counted and has no other effect.
 - The first fault whose reaction is STOP or more latches; later ones do not replace it. A latched fault is left by an
   operator's RESET alone.
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
-  applies torque.
+  applies torque; where the rig asks for a commissioning push, behind that.
 
 Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`,
 which asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions.
@@ -20,10 +21,12 @@ from typing import Final
 
 from drivers.bus.counters import BusState
 from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.control.start_ranges import start_ranges
 from hil.control.trajectories import plan_task
 from hil.control.trajectories.homing import plan_homing
 from hil.cycle.axes import Axes
 from hil.cycle.command_desk import CommandDesk
+from hil.cycle.commissioning import Commissioning
 from hil.cycle.damped_stop import DampedStop
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
@@ -41,7 +44,7 @@ class Supervisor:
     """States, faults and commands of one control cycle. Raises ValueError naming a task that this rig cannot have.
 
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
-    torque, and none has taken it back.
+    torque, and none has taken it back. start_ranges: by axis, where the task may begin, m (rad).
     """
 
     def __init__(self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes) -> None:
@@ -51,10 +54,13 @@ class Supervisor:
         self.silent = False
         self.enabled = False
         speed = [axis.limits.speed for axis in rig.axes.values()]
-        self.damped_stop = DampedStop(axes.models, speed, rig.period_ns * 1e-9, rig.safety.stop_s)
+        period_s = rig.period_ns * 1e-9
+        self.damped_stop = DampedStop(axes.models, speed, period_s, rig.safety.stop_s)
+        self.commissioning = Commissioning(rig.axes, axes.models, period_s, self.damped_stop, rig.safety.stop_s)
         self._rig, self._monitor, self._inbox, self._sampling, self._axes = rig, monitor, inbox, sampling, axes
         # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
         self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
+        self.start_ranges = start_ranges(rig)
         self._reset_ticks = 0
         self._ready_ticks = 0
         self._waited_for_enable = 0
@@ -106,6 +112,8 @@ class Supervisor:
         """An operator's event, after the guards the table cannot express."""
         if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
             return False
+        if event is Event.ACTIVATE and not self._may_begin_here():
+            return False
         if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
             return False
         return self._handle(event, tick)
@@ -119,6 +127,14 @@ class Supervisor:
         heartbeat_ns = self.commands.heartbeat_ns
         alive = heartbeat_ns is not None and tick.now_ns - heartbeat_ns <= rig.safety.heartbeat_s * 1e9
         return not rig.safety.heartbeat_s or alive
+
+    def _may_begin_here(self) -> bool:
+        """The task keeps every limit from where each axis stands."""
+        for axis, position in enumerate(self._axes.measured):
+            low, high = self.start_ranges[axis]
+            if not low <= position <= high:
+                return False
+        return True
 
     # entering a state -------------------------------------------------------------------------------------------------
 
@@ -134,12 +150,15 @@ class Supervisor:
             self._reconnect(reset=event is Event.RESET)  # what drives have latched, only the operator unlatches
         elif state is State.READY:
             self.fault = Fault.NONE
+            self._axes.hold()
         elif state in (State.ACTIVE, State.HOMING):
             self._engage()
         elif state is State.STOPPING:
             self._stopping_since_ns = tick.now_ns
         if state not in TORQUE_STATES:
             self.enabled = False
+        if state not in (State.ACTIVE, State.HOMING):
+            self.commissioning.cancel()
 
     def _reconnect(self, *, reset: bool) -> None:
         self.silent = False
@@ -152,6 +171,7 @@ class Supervisor:
         self.fault = Fault.NONE
         self._inbox.forget()
         self._monitor.restart()
+        self._axes.hold()
 
     def _engage(self) -> None:
         self._monitor.restart()
@@ -168,6 +188,8 @@ class Supervisor:
         elif state is State.ACTIVE or state is State.HOMING:
             if not self.enabled:
                 self._await_enable(tick)
+            elif self.commissioning.running:
+                self._push(tick)
             elif state is State.HOMING and self._at_home():
                 self._handle(Event.HOMED, tick)
         elif state is State.STOPPING:
@@ -187,10 +209,24 @@ class Supervisor:
         self._waited_for_enable += 1
         if all(s is not None and s.status & DriveStatus.ENABLED for s in self._inbox.samples):
             self.enabled = True
-            self._begin(tick)
+            if self.commissioning.done:
+                self._begin(tick)
+            else:
+                self.commissioning.start(self._axes.measured)
         elif self._waited_for_enable >= self._rig.safety.enable_timeout_ticks:
             self._monitor.flag_not_enabled(self._waited_for_enable, self._inbox)
             self.latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
+
+    def _push(self, tick: Tick) -> None:
+        """The commissioning push; the task begins at rest behind it."""
+        commissioning = self.commissioning
+        commissioning.advance(self._axes.measured, self._axes.ahead_velocity())
+        if commissioning.problem:
+            self._monitor.flag(Fault.AXIS_NOT_AS_STATED)
+            self.latch(Fault.AXIS_NOT_AS_STATED, Reaction.ZERO, tick)
+        elif commissioning.done:
+            self._axes.rest()
+            self._begin(tick)
 
     def _begin(self, tick: Tick) -> None:
         """The task, or the way home, from where the axes are held."""

@@ -204,7 +204,7 @@ class ControlLoop:
         self._stop_line.tell(state.name, self.pacer.index)
         problems = self.parts.problems
         if state not in TORQUE_STATES:  # printing may wait
-            problems.tell(self._cycle.protocol.problems)
+            problems.tell(self._cycle.problems)
         if (state, problems.told) == self._told:
             self.parts.notifier.send("WATCHDOG=1")
             return

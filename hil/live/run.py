@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from drivers.bus.port import PortError, open_port
-from drivers.protocols import host_protocol
 from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
+from hil.control.feasibility import unit_questions
 from hil.control.stability import refuse_unstable
 from hil.live.drive_problems import DriveProblems
 from hil.live.loop import ControlLoop, Parts, TimedCycle
@@ -32,6 +32,7 @@ from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
 from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.former_keys import show_former_keys
 from hil.rig.provenance import describe_run
@@ -99,10 +100,11 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
     """The rig, with everything checked that can be checked before a bus is touched. Raises RigError."""
     config = load_rig(path, overrides)
     try:
-        rated = [axis.rated_force for axis in config.axes.values()]
-        host_protocol(config.bus, len(config.axes), rated, path.parent, config.period_ns, config.mountings)
+        wrapping = encoder_range_problems(config, path.parent)
     except (ValueError, OSError) as error:
         raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
+    if doubtful := [*wrapping, *unit_questions(config)]:
+        raise RigError([f"{path}: {problem}" for problem in doubtful])
     try:
         refuse_unschedulable(config, path.parent)
         refuse_unstable(config)

@@ -14,7 +14,7 @@ import stat
 import struct
 import time
 
-from drivers.runtime_path import runtime_path, trusted_owner
+from drivers.runtime_path import named_directory, runtime_path, trusted_owner
 from hil.live.file_lock import is_locked
 
 NAME = "stop"
@@ -97,9 +97,11 @@ def open_page(path: str) -> "Page | None":
 
 
 def live_pages(rig: str) -> "list[Page]":
-    """Pages of every living control process of that name: in this user's runtime directory, those of demos in it, and,
-    where there is none, held open by any process this user may look into. The last way finds those whose directory was
-    removed, or is named by an environment that is not ours.
+    """Pages of every living control process of that name: in this user's runtime directory and those of demos in it.
+
+    Where there is none, those that a process which this user may look into holds open, because the directory may have
+    been removed, or the process was given another one (systemd). Only where the environment names a runtime directory,
+    no other counts: whoever names one means the rigs in it, and not their namesakes elsewhere.
     """
     if not rig or rig.startswith(".") or "/" in rig:
         return []
@@ -127,7 +129,7 @@ def _trusted(directory: str) -> bool:
 
 
 def _held_pages(rig: str) -> "list[Page]":
-    """Those of our own runtime directory, or, where none is held, those of any."""
+    """As above; those that were in our own runtime directory, or, where there is none, those of any that counts."""
     ending, ours = f"/{rig}/{NAME}", f"{runtime_path()}/"
     pages: dict[tuple[int, int], Page] = {}
     own: dict[tuple[int, int], Page] = {}
@@ -142,8 +144,9 @@ def _held_pages(rig: str) -> "list[Page]":
                 target = os.readlink(link).removesuffix(" (deleted)")
             except OSError:
                 continue
-            if target.endswith(ending) and (page := open_page(link)):
+            inside = target.startswith(ours)
+            counts = target.endswith(ending) and (inside or not named_directory())
+            if counts and (page := open_page(link)):
                 found = os.fstat(page.fd)
-                kept = own if target.startswith(ours) else pages
-                kept.setdefault((found.st_dev, found.st_ino), page)
+                (own if inside else pages).setdefault((found.st_dev, found.st_ino), page)
     return list((own or pages).values())

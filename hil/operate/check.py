@@ -16,7 +16,9 @@ from hil.cli.options import Overrides, RigFile
 from hil.cli.output import drawable, writable, write_json
 from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
+from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
 from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
@@ -31,9 +33,13 @@ def check(
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
     ] = None,
+    measured: Annotated[
+        list[str] | None, typer.Option(metavar="AXIS=FILE", help="CSV with the axis' measured frequency response")
+    ] = None,
+    frd: Annotated[Path | None, typer.Option(metavar="FILE", help="write the loop's frequency response, JSON")] = None,
 ) -> None:
-    """Worst-case response time of every frame, bus load, stability, and whether the task keeps the limits. Exit status
-    78 where one of them fails.
+    """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
+    keeps the limits. Exit status 78 where one of them fails.
     """
     rig = load_rig(rig_file, overrides or ())
     messages = rig_messages(rig, rig_file.parent)
@@ -50,15 +56,20 @@ def check(
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
-        infeasible = task_problems(rig)
+        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
         stability = check_stability(rig, lowest_rate=True)
+        corners = findings(rig, measured or (), frd) if stability.stable else []
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
+    console.print(corner_table(corners))
+    for note in corner_notes(corners):
+        console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
     for note in start_notes(rig):
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
-    found = [*found, *stability.problems(), *infeasible]
+    found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
+    document["corners"] = [corner.as_json() for corner in corners]
     if json_path:
         write_json(document, json_path)
     for line in found:

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 
+from drivers.runtime_path import named_directory
 from hil.live.stop_page import Page, Status, live_pages
 
 OK, NOT_STOPPED, NOBODY, HUNG = 0, 1, 69, 70  # exit status; hil/cli/exit_status.py
@@ -17,9 +18,9 @@ def stop_rig(name: str) -> int:
     """Press stop on every control process of that name; print what each recorded. Returns the exit status."""
     pages = live_pages(name)
     if not pages:
-        print(
-            f"hil estop: no control process of the name {name!a} is running (as user {os.geteuid()})", file=sys.stderr
-        )
+        named = f", in {named_directory()!a}, which the environment names: unset it to look everywhere"
+        where = f"as user {os.geteuid()}{named if named_directory() else ''}"
+        print(f"hil estop: no control process of the name {name!a} is running ({where})", file=sys.stderr)
         return NOBODY
     pressed = [page.press() for page in pages]  # all of them before the first answer is waited for
     return max(report(name, page, at, page.await_latch(at, LATCH_S)) for page, at in zip(pages, pressed, strict=True))

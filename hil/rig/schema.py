@@ -18,6 +18,7 @@ from hil.rig.tables import (
     AXIS_NAME,
     LEAST_RATE_HZ,
     MAX_AXES,
+    TWO_AXES,
     AxisConfig,
     EstimatorConfig,
     InjectionConfig,
@@ -90,7 +91,7 @@ class RigConfig(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> "RigConfig":
-        problems = [*_length_problems(self), *_task_problems(self), *_watchdog_problems(self)]
+        problems = [*_length_problems(self), *_task_problems(self), *_watchdog_problems(self), *_wrap_problems(self)]
         if problems:
             raise ValueError("; ".join(problems))
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
@@ -131,7 +132,7 @@ def _task_problems(rig: RigConfig) -> list[str]:
         problems.append(f"task.axes = {rig.task.axes}: an axis twice")
     if not problems:
         problems += _path_problems(rig)
-    if rig.task.kind in ("circle", "lissajous", "spiral") and len(rig.task.axes) != 2:
+    if rig.task.kind in TWO_AXES and len(rig.task.axes) != 2:
         problems.append(f"task.axes = {rig.task.axes}: a {rig.task.kind} needs two axes")
     return problems
 
@@ -157,6 +158,21 @@ def _path_problems(rig: RigConfig) -> list[str]:
                 if speed > limits.speed:
                     return [f"{where}: {speed:g} /s from the row before, axes.{name}.limits.speed is {limits.speed:g}"]
     return []
+
+
+def _wrap_problems(rig: RigConfig) -> list[str]:
+    """An axis that turns by more than half a turn between two positions cannot be told from one that turns back."""
+    if rig.bus.dbc is None:
+        return []
+    period_s = max(rig.bus.dbc.feedback_period_s, rig.period_ns * 1e-9)
+    axes = zip(rig.bus.dbc.position, rig.axes.items(), strict=False)
+    wrapping = [(name, axis, item.wrap * axis.encoder_resolution) for item, (name, axis) in axes if item.wrap]
+    return [
+        f"bus.dbc.position: at axes.{name}.limits.speed the axis goes {axis.limits.speed * period_s:g} in the "
+        f"{period_s:g} s between two positions; it must be less than half of `wrap`, {turn / 2:g}"
+        for name, axis, turn in wrapping
+        if axis.limits.speed * period_s >= turn / 2
+    ]
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:

@@ -49,6 +49,30 @@ class ModelConfig(BaseModel):
     )
     mode_damping: float = key(0.02, "damping ratio of that mode", "1", ge=0, le=1)
     mode_load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
+    presliding: list[Positive] = key(
+        [],
+        "least and greatest Coulomb friction over its stiffness at rest, over which `hil check` tries the loop; an "
+        "empty list: none, friction as in the textbook",
+        "m (rad)",
+        max_length=2,
+    )
+
+    @model_validator(mode="after")
+    def _a_range(self) -> "ModelConfig":
+        if self.presliding and (len(self.presliding) != 2 or self.presliding[0] > self.presliding[1]):
+            raise ValueError(f"presliding = {self.presliding}: allowed: [least, greatest], or an empty list")
+        return self
+
+
+class PushConfig(BaseModel):
+    """[axes.NAME.push]: the commissioning push before the first task (hil/cycle/commissioning.py)."""
+
+    model_config = STRICT
+    force: Positive = key(REQUIRED, "force beyond what holds the axis against gravity; above coulomb", "N (N m)")
+    distance: Positive = key(REQUIRED, "travel after which the push ends", "m (rad)")
+    tolerance: float = key(
+        2.0, "greatest ratio between the motion seen and the nominal model's, either way", "1", ge=1.2, le=10
+    )
 
 
 class AxisConfig(BaseModel):
@@ -67,6 +91,9 @@ class AxisConfig(BaseModel):
         1.0, "force (torque) at the axis per unit the drive makes: 2 pi / lead for a ball screw", "1 or N/(N m)"
     )
     offset: float = key(0.0, "the axis' position where the drive's is 0", "m (rad)")
+    push: PushConfig | None = key(
+        None, "see by a small push that force and position have the stated sign and scale, before a task may run"
+    )
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
 
@@ -133,6 +160,9 @@ class InjectionConfig(BaseModel):
     withdraw_s: Duration = key(0.6, "duration of the way back to q_s", "s")
 
 
+TWO_AXES = ("circle", "lissajous", "spiral")  # kinds of task that need exactly two
+
+
 class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
@@ -140,7 +170,7 @@ class TaskConfig(BaseModel):
     kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spiral"] = key(
         "hold", "the kind of motion"
     )
-    axes: list[str] = key([], "circle, lissajous, spiral: the two axes; others: those that move")
+    axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
     ratio: int = key(2, "lissajous: frequency of the second axis over that of the first", "1", ge=1, le=16)

@@ -14,10 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.control.feasibility import violations
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
+from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP, REALTIME_OK, RECORDER_OK, RIG_OK
 from hil.telemetry.command_server import Asked
@@ -34,11 +36,13 @@ class _Pending(NamedTuple):
 class Gateway:
     """Judges requests and keeps those whose verdict is still to come.
 
-    expiry_s: longest life of a command. stop: the rig's stop page. record: takes every entry.
+    rig: longest life of a command, and why its task cannot begin somewhere. stop: the rig's stop page. record: takes
+    every entry.
     """
 
-    def __init__(self, expiry_s: float, stop: Path, record: Callable[[pb.CommandEntry], None]) -> None:
-        self._expiry_ns = round(expiry_s * 1e9)
+    def __init__(self, rig: RigConfig, stop: Path, record: Callable[[pb.CommandEntry], None]) -> None:
+        self._rig = rig
+        self._expiry_ns = round(rig.safety.command_expiry_s * 1e9)
         self._stop = stop
         self._record = record
         self._pending: dict[int, _Pending] = {}  # by mailbox sequence
@@ -106,7 +110,7 @@ class Gateway:
                 if pending:
                     kind, expires_ns = CommandKind(pending.asked.request.kind), int(command["expires_ns"])
                     accepted = bool(command["accepted"])
-                    reason = "" if accepted else explain(kind, expires_ns, record)
+                    reason = "" if accepted else explain(kind, expires_ns, record, self._rig)
                     reply = _reply(record, first + int(place), now_ns, reason)
                     reply.posted = int(command["sequence"])
                     self._answer(pending.asked, reply)
@@ -157,8 +161,8 @@ def _reply(record: np.void, index: int, now_ns: int, reason: str) -> pb.CommandR
     return pb.CommandReply(accepted=not reason, reason=reason, now_ns=now_ns, state=state, tick=index + 1)
 
 
-def explain(kind: CommandKind, expires_ns: int, record: np.void) -> str:
-    """Why the control process refused a command, from the tick that did."""
+def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig) -> str:
+    """Why the control process refused a command, from the tick that did. rig: which it runs."""
     state, late_ns = State(int(record["state"])), int(record["now_ns"]) - expires_ns
     if late_ns > 0 and kind is not CommandKind.ESTOP:
         return f"stale: expired {late_ns * 1e-6:.1f} ms before the tick that took it"
@@ -170,7 +174,17 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void) -> str:
             RIG_OK: "the rig file has changed since the start",
         }
         reasons = [text for bit, text in missing.items() if not flags & bit]
-        return "refused: " + (" and ".join(reasons) or "no operator heartbeat")
+        if not reasons and kind is CommandKind.ACTIVATE:
+            reasons = _infeasible(rig, record)
+        missing_heartbeat = "no operator heartbeat" if rig.safety.heartbeat_s else "the task cannot begin here"
+        return "refused: " + (" and ".join(reasons) or missing_heartbeat)
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
         return f"refused in {state.name}: the cause of the fault is still there"
     return f"{kind.name} is not possible in state {state.name}"
+
+
+def _infeasible(rig: RigConfig, record: np.void) -> list[str]:
+    """The first limit that the task would break from where the axes stood."""
+    start = record["position"][: len(rig.axes)].tolist()
+    found = violations(rig, start)
+    return [f"the task cannot begin here: {found[0].text()}"] if found else []

@@ -4,6 +4,7 @@ Drains the ring; publishes on Zenoh; records; hands authorised commands on. It m
 process, and outlives any number of them: each gets a recording of its own.
 """
 
+import itertools
 import json
 import signal
 import socket
@@ -58,7 +59,7 @@ class Attached:
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
         self.batches = self.sent = self.dropped = 0
         self.lost = 0  # since the last batch
-        self.caught_up = False  # the ring was read to its end: the window is the present
+        self.caught_up = False  # the window is the present: the last round read the ring to its end
         self.over = False  # the control process is gone, and all it left is safe
 
     def close(self) -> None:
@@ -81,10 +82,9 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig.safety.command_expiry_s, stop, self._note_command)
+        self._gateway = Gateway(rig, stop, self._note_command)
         self._noted = 0  # entries of this round
         self._out = out
-        self._runs = 0
         self._status_due_ns = 0
         self._seen_run = -1
         self.attached: Attached | None = None
@@ -126,9 +126,8 @@ class Sidecar:
     def _new_recorder(self, reader: RingReader) -> Recorder | None:
         if self._out is None:
             return None
-        self._runs += 1
-        name = "run.mcap" if self._runs == 1 else f"run-{self._runs}.mcap"
-        return Recorder(self._out / name, reader.metadata)
+        names = (self._out / f"run{f'-{number}' if number > 1 else ''}.mcap" for number in itertools.count(1))
+        return Recorder(next(path for path in names if not path.is_file()), reader.metadata)  # nobody's earlier one
 
     def _leave(self) -> None:
         if self.attached:
@@ -159,11 +158,14 @@ class Sidecar:
             return False
         if run.recorder and run.recorder.ok and run.mailbox:
             run.mailbox.beat_recorder(now_ns)
+        written = run.reader.written
         batch = run.reader.read(DRAINED)
         run.lost += batch.lost
         run.dropped += batch.lost
         records = batch.records
-        run.caught_up = run.caught_up or len(records) < DRAINED
+        # Not "fewer than asked for": of a full ring, the writer overtakes some of the first while they are copied.
+        # Not for good either: a sidecar that was held up has old states to read first.
+        run.caught_up = run.reader.next >= written
         if not len(records):
             return False
         message = codec.telemetry(records, len(run.axes), batch=run.batches, first=batch.first, lost=run.lost)

@@ -38,6 +38,7 @@ def sim(
     from hil.control.estimator.gains import per_axis
     from hil.control.feasibility import task_problems
     from hil.rig.bus_load import refuse_unschedulable
+    from hil.rig.encoder_range import encoder_range_problems
     from hil.virtual.scenario import load_scenario
     from hil.virtual.sim import simulate
 
@@ -45,7 +46,7 @@ def sim(
     refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     start = per_axis(config.plant.initial_position, len(config.axes)).tolist()
     try:
-        infeasible = task_problems(config, start)
+        infeasible = [*encoder_range_problems(config, rig.parent), *task_problems(config, start)]
     except ValueError as error:  # a task that cannot be planned
         raise RigError([f"{rig}: {error}"]) from None
     if infeasible:

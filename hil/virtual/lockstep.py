@@ -67,6 +67,7 @@ class LockstepRun:
         for fault in wire_faults:
             self.wire.inject(fault)
         self.received: list[Frame] = []  # by the host since the last tick
+        self._discarded = 0  # of those, beyond the receive limit
         self._echo_id = self.cycle.protocol.echo_id
         self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
         self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
@@ -95,8 +96,15 @@ class LockstepRun:
     def skip(self, slots: int) -> None:
         """Let `slots` periods pass without a tick: the control process was held up."""
         self.index += slots
-        self.wire.advance(self.index * self.rig.period_ns)
-        for unasked in self.stage.advance(self.index * self.rig.period_ns):
+        end_ns = self.index * self.rig.period_ns
+        while (due_ns := self.stage.speaks_ns) < end_ns:
+            self._advance(due_ns)
+        self._advance(end_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        """Wire and stage live to now_ns, and the drives say what they have to."""
+        self.wire.advance(now_ns)
+        for unasked in self.stage.advance(now_ns):
             self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
 
     def restart(self) -> None:
@@ -111,15 +119,14 @@ class LockstepRun:
             self.index,
             now,
             now,
-            self.host.counters(),
+            self.host.counters()._replace(discarded=self._discarded),
             self._commands(now),
             stop=self.stop,
             estop=self.estop,
             **self.grants,
         )
         self.estop = False
-        frames = self.received.copy()
-        self.received.clear()
+        frames = self._drain()
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
@@ -132,6 +139,14 @@ class LockstepRun:
             self.injector.observe(now, self.cycle.state.name, self._phase())
         self.skip(1)
         return result
+
+    def _drain(self) -> list[Frame]:
+        """What the host received since the last tick; of a flood the newest, as drivers.bus.port has it."""
+        limit = self.rig.bus.receive_limit
+        self._discarded += max(0, len(self.received) - limit)
+        frames = self.received[-limit:]
+        self.received.clear()
+        return frames
 
     def _phase(self) -> str:
         """Name of the task's phase; empty outside ACTIVE."""

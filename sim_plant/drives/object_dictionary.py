@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 from struct import Struct
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -9,15 +10,17 @@ from typing import Any, NamedTuple
 import canopen
 
 from drivers.protocols.canopen.cia301 import BASIC_TYPES, EDS, Abort
+from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 
 MAX_STRING = 256  # bytes
+LAST_DUMMY = 0x0007  # indexes up to it stand for data types: bytes of a PDO that are not for this node
 
 
 class SdoAbort(Exception):
     """An access that the node refuses; `code` goes into the abort frame."""
 
-    def __init__(self, code: Abort) -> None:
-        super().__init__(f"SDO abort {code:#010x} ({code.name})")
+    def __init__(self, code: int) -> None:
+        super().__init__(f"SDO abort {code:#010x}")
         self.code = code
 
 
@@ -41,18 +44,25 @@ def key_of(index: int, subindex: int = 0) -> int:
 def _entry(variable: Any) -> Entry:
     code = BASIC_TYPES.get(variable.data_type)
     layout = Struct("<" + code) if code else None
-    default = variable.default if variable.default is not None else 0
+    stated = variable.value if variable.value is not None else variable.default
+    default = stated if stated is not None else 0
     if layout is None:
-        default = str(variable.default or "").encode()
-    return Entry(
-        layout, variable.readable, variable.writable, variable.pdo_mappable, variable.min, variable.max, default
-    )
+        default = str(stated or "").encode()
+    low, high = variable.min, variable.max
+    if low is not None and high is not None and low > high:
+        low = high = None  # makers write the limits of unsigned objects as if they were signed
+    return Entry(layout, variable.readable, variable.writable, variable.pdo_mappable, low, high, default)
 
 
 @lru_cache(maxsize=256)
-def load_entries(node_id: int) -> MappingProxyType[int, Entry]:
-    """Every variable of cia402.eds for a node, by `key_of` its index and sub-index."""
-    dictionary = canopen.import_od(str(EDS), node_id)
+def load_entries(eds: Path, node_id: int) -> MappingProxyType[int, Entry]:
+    """Every variable of an EDS or DCF file for a node, by `key_of` its index and sub-index; the dummy objects that it
+    allows are among them. Raises ValueError naming a file that cannot be read.
+    """
+    try:
+        dictionary = canopen.import_od(str(eds), node_id)
+    except Exception as error:  # whatever the package's parser makes of a file from the field
+        raise ValueError(f"{eds}: the emulated drive cannot read it: {type(error).__name__}: {error}") from None
     entries: dict[int, Entry] = {}
     for index in dictionary:
         item = dictionary[index]
@@ -66,11 +76,15 @@ class ObjectDictionary:
     """Values of one node.
 
     values: current value per key, for the node itself to read and set. getters: objects computed when read. setters:
-    called with the new value before it is stored; may raise SdoAbort, then nothing is stored.
+    called with the new value before it is stored; may raise SdoAbort, then nothing is stored. dummies: data types that
+    an RPDO may map in place of objects. Raises ValueError for an EDS that cannot be read.
     """
 
-    def __init__(self, node_id: int) -> None:
-        self.entries = load_entries(node_id)
+    def __init__(self, node_id: int, eds: Path = EDS, quirks: Quirks = NO_QUIRKS) -> None:
+        entries = load_entries(eds, node_id)
+        self.dummies = {key >> 8 for key in entries if 0x100 < key <= LAST_DUMMY << 8} if quirks.dummies else set()
+        self.entries = {key: e for key, e in entries.items() if key > 0xFF << 8 and key not in quirks.missing}
+        self._aborts = quirks.aborts
         self.values: dict[int, Any] = {}
         self.getters: dict[int, Callable[[], int]] = {}
         self.setters: dict[int, Callable[[int], None]] = {}
@@ -85,10 +99,17 @@ class ObjectDictionary:
 
     def entry(self, index: int, subindex: int) -> Entry:
         """Declaration of an object; SdoAbort where there is none."""
-        entry = self.entries.get(key_of(index, subindex))
+        key = key_of(index, subindex)
+        if key in self._aborts:
+            raise SdoAbort(self._aborts[key])
+        entry = self.entries.get(key)
         if entry is None:
             raise SdoAbort(Abort.NO_SUBINDEX if index in self._indexes else Abort.NO_OBJECT)
         return entry
+
+    def number(self, key: int, absent: int = 0) -> int:
+        """Value of a number; `absent` where the drive has no such object."""
+        return int(self.values.get(key, absent))
 
     def get(self, key: int) -> Any:
         """Current value, computed where it is a live one."""

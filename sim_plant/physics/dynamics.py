@@ -18,7 +18,10 @@ the axis slides. Without presliding friction is set-valued, and a step is one sm
 One source for floats and arrays (number.py).
 """
 
+from typing import Final
+
 from sim_plant.physics.exact_trigonometry import TURN
+from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.number import (
     Number,
     anywhere,
@@ -32,13 +35,15 @@ from sim_plant.physics.number import (
 )
 from sim_plant.physics.structure import Motion, Structure
 
-MODE_STEP = 0.28  # rad of the mode's ring a step: until a ring has died away its phase is off by 0.2 %
-BRISTLE_STEP = 0.3  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck axis' ring
-TURN_STEP = 3e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
-BREAKING_LOOSE = 0.3  # of the dry friction, that may be gone within a piece
-MOST_TURN_STEPS = 4.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
-LINE_STEP = 0.4  # rad of a sinusoid
-SLOPE_STEP = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
+MODE_STEP: Final = 0.28  # rad of the mode's ring a step, at most; ring-down is then off by x^4 / (120 damping) of it
+MODE_ERROR: Final = 3e-10  # m (rad), of the ring that is there
+LEAST_DAMPING: Final = 0.01  # of a mode, in that
+BRISTLE_STEP: Final = 0.22  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
+TURN_STEP: Final = 1e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
+BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
+MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
+LINE_STEP: Final = 0.4  # rad of a sinusoid
+SLOPE_STEP: Final = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 
 
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
@@ -74,6 +79,7 @@ class Dynamics:
         self.has_cell = bool(kind & 128)
         self.structure = structure
         self.kind = kind
+        self.membrane = Membrane(s.surface, s.direction, s.membrane, s.puncture_depth, s.drag)
         motor = s.mass - s.load
         self.inverse_mass: Number = 1.0 / motor
         self.inverse_load: Number = 1.0 / s.load if self.has_mode else 0.0 * motor
@@ -86,6 +92,7 @@ class Dynamics:
         self.floor: list[Triple] = [
             (s.floor_amplitude[i], s.floor_frequency[i], s.floor_phase[i]) for i in range(kind >> 11 & 7)
         ]
+        self._slowness: Number = s.slowness * (s.stribeck > 0.0)
         self._varying: list[Triple] = [(s.variation, s.variation_wavenumber, s.variation_phase)]
         self._lag_h = -1.0
         self._lag_weights: Triple = (motor, motor, motor)
@@ -97,8 +104,14 @@ class Dynamics:
         rate = (abs(s.viscous) + s.drag) * self.inverse_mass + root(steepest * self.inverse_mass)
         rate = (rate + root(s.cable_stiffness * self.inverse_mass)) * (1.0 / SLOPE_STEP)
         self._ring_rate: Number = 0.0 * motor
+        self._ring_time: Number = 0.0 * motor
+        self._ring_scale: Number = 0.0 * motor
         if self.has_mode:
-            self._ring_rate = root(s.mode_stiffness * (self.inverse_mass + self.inverse_load)) * (1.0 / MODE_STEP)
+            softness = self.inverse_mass + self.inverse_load
+            ring = root(s.mode_stiffness * softness)
+            damping = greater(0.5 * s.mode_damping * softness / ring, LEAST_DAMPING)
+            self._ring_rate, self._ring_time = ring * (1.0 / MODE_STEP), 1.0 / ring
+            self._ring_scale = MODE_STEP**4 / (120.0 * MODE_ERROR) / damping
         per_speed, amplitudes = 0.0 * motor, abs(s.cable_hysteresis)
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
@@ -128,12 +141,15 @@ class Dynamics:
             pull = pull + abs(at.force - command)
         reach = h * (pull + self._amplitudes) * self.inverse_mass
         fastest = speed + reach
-        work = greater(h * self._ring_rate, h * (self._rate + fastest * self._speed_rate))
+        work = h * (self._rate + fastest * self._speed_rate)
+        if self.has_mode:
+            swing = abs(at.load_position - at.position) + self._ring_time * abs(at.load_velocity - at.velocity)
+            work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, 1.0))))
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
-            slowness = s.slowness * (s.stribeck > 0.0)
-            work = greater(work, (0.5 / SLOPE_STEP) * (reach * slowness / (1.0 + nearest * slowness)))
+            resolved = reach * self._slowness / (1.0 + nearest * self._slowness)
+            work = greater(work, (0.5 / SLOPE_STEP) * resolved)
         if self.has_bristle:
             towards = direction(at.velocity)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
@@ -163,15 +179,15 @@ class Dynamics:
         """Deflection (m) at which the bristle slides at this speed."""
         if not self.has_stribeck:
             return self.structure.presliding
-        ratio = velocity * self.structure.slowness
+        ratio = velocity * self._slowness
         return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
 
-    def bend(self, at: Motion, before: Number, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
+    def bend(self, begin: Triple, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
         """The bristle `span` seconds later, and its limit there; at most one reversal in between.
 
-        before: the limit at the start. arrived: metres moved, and the velocity then.
+        begin: the bristle, its limit and the velocity at the start. arrived: metres moved, and the velocity then.
         """
-        z, v0 = at.bristle, at.velocity
+        z, before, v0 = begin
         moved, velocity = arrived
         towards = direction(velocity)
         turned = velocity * v0 < 0.0
@@ -187,6 +203,21 @@ class Dynamics:
         left, mean = decay_with_mean(towards * moved * (0.5 / before + 0.5 / limit))
         return towards * (limit - (limit - before) * mean) + (z - towards * before) * left, limit
 
+    def _bent(self, begin: Triple, arrived: tuple[Number, Number], turn: Number, h: float) -> Number:
+        """The bristle at the end of a step. turn: how much the acceleration fell in it.
+
+        Where the limit changes with the speed, a step in one and in two halves together cancel the error of second
+        order that the ramp over the distance makes (Richardson's extrapolation).
+        """
+        z, _ = self.bend(begin, arrived, h)
+        if not self.has_stribeck:
+            return z
+        (moved, velocity), v0 = arrived, begin[2]
+        there, then = 0.5 * moved + 0.125 * h * (v0 - velocity), 0.5 * (v0 + velocity) + 0.125 * h * turn
+        middle, limit = self.bend(begin, (there, then), 0.5 * h)
+        halved, _ = self.bend((middle, limit, then), (moved - there, velocity), 0.5 * h)
+        return halved + (halved - z) * (1.0 / 3.0)
+
     def friction(self, velocity: Number, bristle: tuple[Number, Number], sign: Number, scale: Number) -> Number:
         """Force (N) against the motion. bristle: z, and its limit. sign: of the branch of set-valued friction."""
         s = self.structure
@@ -196,25 +227,15 @@ class Dynamics:
         else:
             dry = sign * s.coulomb
             if self.has_stribeck:
-                ratio = velocity * s.slowness
+                ratio = velocity * self._slowness
                 dry = sign * (s.coulomb + s.stribeck / (1.0 + ratio * ratio))
         if self.has_variation:
             dry = scale * dry
         return dry + (s.viscous + s.quadratic * abs(velocity)) * velocity
 
-    def membrane_force(self, position: Number, velocity: Number, pierced: Number) -> Number:
-        """Force (N) the cell takes, as membrane.resistance."""
-        s = self.structure
-        inside = (position - s.surface) * s.direction
-        indentation = 0.5 * (inside + abs(inside))
-        elastic = s.membrane * indentation * indentation * indentation
-        return (1.0 - pierced) * s.direction * elastic + pierced * s.drag * velocity
-
     def transition(self, at: Motion) -> Number:
-        """Positive once the membrane's state changes, as membrane.transition."""
-        s = self.structure
-        inside = (at.load_position - s.surface) * s.direction
-        return inside - s.puncture_depth - at.pierced * (2.0 * inside - s.puncture_depth)
+        """Positive once the membrane's state changes (membrane.py)."""
+        return self.membrane.transition(at.load_position, at.pierced)
 
     def load_on_motor(self, at: Motion, time: float, forces: tuple[Number, Number]) -> tuple[Number, Number]:
         """Where friction is set-valued and the motor at rest: what acts on it but friction, and the most friction (N).
@@ -231,7 +252,7 @@ class Dynamics:
         if self.has_mode:
             net = net + s.mode_stiffness * (at.load_position - at.position) + s.mode_damping * at.load_velocity
         elif self.has_cell:
-            net = net - self.membrane_force(at.position, still, at.pierced)
+            net = net - self.membrane.resistance(at.position, still, at.pierced)
         if self.floor:
             net = net - (s.mass - s.load) * _sinusoids(self.floor, time + still, still)[1]
         hold = s.coulomb + s.stribeck
@@ -240,8 +261,8 @@ class Dynamics:
         return net, hold
 
     def _along(self, at: Motion, time: float, forces: tuple[Number, Number], h: float) -> tuple[Triple, Triple, Triple]:
-        """At a step's beginning, middle and end: what pulls on the motor whatever it does (N), the scale of its dry
-        friction, and the floor's acceleration (m/s^2).
+        """At a step's beginning, middle and end each: what pulls on the motor whatever it does (N), the scale of its
+        dry friction, and the floor's acceleration (m/s^2).
         """
         s = self.structure
         v0 = at.velocity
@@ -268,7 +289,7 @@ class Dynamics:
         if self.floor:
             still = 0.0 * v0
             floors = _sinusoids(self.floor, time + 0.5 * h + still, h + still)
-        return (pull1, pull2, pull4), scales, floors
+        return (pull1, scales[0], floors[0]), (pull2, scales[1], floors[1]), (pull4, scales[2], floors[2])
 
     def _strained(self, at: Motion, moved: Number) -> Number:
         """The cable's state (-1 to 1) `moved` metres later."""
@@ -279,20 +300,19 @@ class Dynamics:
         """The state h seconds later: one classical Runge-Kutta step. time: s, of its beginning. forces: N, external and
         commanded. sign: of the velocity where friction is set-valued (0.0: held).
         """
-        pulls, scales, floors = self._along(at, time, forces, h)
+        begin, middle, end = self._along(at, time, forces, h)
         q0, v0, y0, u0 = at.position, at.velocity, at.load_position, at.load_velocity
         q, v, y, u = q0, v0, y0, u0
         before: Number = self.limit_at(v0) if self.has_bristle else 0.0
+        start: Triple = (at.bristle, before, v0)
         bristle: tuple[Number, Number] = (at.bristle, before)
+        turn: Number = 0.0
         speeds = accelerations = load_speeds = load_accelerations = 0.0
         for stage in range(4):
-            moment = (stage + 1) // 2
-            a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, (pulls[moment], scales[moment]))
-            if self.floor:
-                a, b = a - floors[moment], b - floors[moment]
-            if not self.has_bristle:
-                a = select(sign == 0.0, 0.0, a)
-            weight = 2.0 if moment == 1 else 1.0
+            along = begin if stage == 0 else end if stage == 3 else middle
+            a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, along)
+            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            turn = a if stage == 0 else turn - a if stage == 3 else turn
             speeds = speeds + weight * v
             accelerations = accelerations + weight * a
             if self.has_mode:
@@ -301,13 +321,15 @@ class Dynamics:
             if stage == 3:
                 break
             ahead = h if stage == 2 else 0.5 * h
-            q, v, y, u = q0 + ahead * v, v0 + ahead * a, y0 + ahead * u, u0 + ahead * b
+            if self.has_mode:
+                y, u = y0 + ahead * u, u0 + ahead * b
+            q, v = q0 + ahead * v, v0 + ahead * a
             if self.has_bristle:
-                bristle = self.bend(at, before, (q - q0, v), ahead)
+                bristle = self.bend(start, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
-        z = self.bend(at, before, (q - q0, v), h)[0] if self.has_bristle else at.bristle
+        z = self._bent(start, (q - q0, v), turn, h) if self.has_bristle else at.bristle
         return self._arrived(at, (q, v, y, u, z), forces[1], h)
 
     def _accelerations(
@@ -316,21 +338,30 @@ class Dynamics:
         state: tuple[Number, Number, Number, Number],
         bristle: tuple[Number, Number],
         sign: Number,
-        pull: tuple[Number, Number],
+        along: Triple,
     ) -> tuple[Number, Number]:
-        """Of motor and load (m/s^2), on a floor at rest, in a state (q, q', y, y'). pull: `_along`'s, and scale."""
+        """Of motor and load (m/s^2) in a state (q, q', y, y'); load: 0 without a mode. along: one of `_along`'s."""
         s = self.structure
         q, v, y, u = state
-        net = pull[0] - self.friction(v, bristle, sign, pull[1])
+        pull, scale, floor = along
+        net = pull - self.friction(v, bristle, sign, scale)
         if self.has_cable:
             net = net - s.cable_stiffness * q
+        b: Number = 0.0
         if self.has_mode:
             coupling = s.mode_stiffness * (y - q) + s.mode_damping * (u - v)
-            taken = self.membrane_force(y, u, pierced) if self.has_cell else 0.0 * y
-            return (net + coupling) * self.inverse_mass, -(coupling + taken) * self.inverse_load
-        if self.has_cell:
-            net = net - self.membrane_force(q, v, pierced)
-        return net * self.inverse_mass, 0.0
+            net = net + coupling
+            if self.has_cell:
+                coupling = coupling + self.membrane.resistance(y, u, pierced)
+            b = -coupling * self.inverse_load
+        elif self.has_cell:
+            net = net - self.membrane.resistance(q, v, pierced)
+        a = net * self.inverse_mass
+        if self.floor:
+            a, b = a - floor, b - floor
+        if not self.has_bristle:
+            a = select(sign == 0.0, 0.0, a)
+        return a, b
 
     def _arrived(
         self, at: Motion, state: tuple[Number, Number, Number, Number, Number], command: Number, h: float

@@ -7,13 +7,14 @@ signals (Heydemann, Applied Optics 20(19), 1981) in its first harmonic.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
-from sim_plant.physics.noise import ENCODER, Key, key_of, normal
-from sim_plant.physics.number import Number, anywhere, select, sincos
+from sim_plant.physics.noise import ENCODER, Key, Stream
+from sim_plant.physics.number import Number, anywhere, select, sine
 
 Point = tuple[float, Number, Number]  # time, s; position, m; velocity, m/s
 
-KEPT = 8  # points of the past: more than the longest latency takes
+KEPT: Final = 8  # points of the past: more than the longest latency takes
 
 
 class Encoder:
@@ -26,7 +27,7 @@ class Encoder:
         self._error = error
         self._wavenumber: Number = 1.0 / period
         self._latency = latency
-        self._key = key_of(key[0], key[1], ENCODER)
+        self._stream = Stream(key[0], key[1], ENCODER)
         self._is_noisy = anywhere(noise != 0.0)
         self._is_periodic = anywhere(error != 0.0)
         self.is_late = anywhere(latency != 0.0)
@@ -39,26 +40,28 @@ class Encoder:
 
     def show(self, past: Sequence[Point], now: Point) -> Number:
         """The next sample, m. past: earlier points, oldest first."""
-        shown = _delayed([*past, now], self._latency) if self.is_late else now[1]
+        shown = _delayed(past, now, self._latency) if self.is_late else now[1]
         if self._is_periodic:
-            shown = shown + self._error * sincos(shown * self._wavenumber)[0]
+            shown = shown + self._error * sine(shown * self._wavenumber)
         if self._is_noisy:
-            shown = shown + self._noise * normal(self._key, self.read)
+            shown = shown + self._noise * self._stream.at(self.read)
         self.read += 1
         return shown
 
 
-def _delayed(points: Sequence[Point], latency: Number) -> Number:
-    """Position `latency` before the last point: cubic Hermite interpolation; before the first point, that one's."""
-    now, shown = points[-1][0], points[-1][1]
-    for (t0, q0, v0), (t1, q1, v1) in zip(points[-2::-1], points[:0:-1], strict=True):
-        inside = latency > now - t1
+def _delayed(past: Sequence[Point], now: Point, latency: Number) -> Number:
+    """Position `latency` before now: cubic Hermite interpolation; before the first point, that one's."""
+    t1, q1, v1 = now
+    shown = q1
+    for t0, q0, v0 in reversed(past):
+        inside = latency > now[0] - t1
         if not anywhere(inside):
             break
         h = t1 - t0
-        s = (now - latency - t0) / h
+        s = (now[0] - latency - t0) / h
         s = select(s < 0.0, 0.0, s)
         r = 1.0 - s
         earlier = r * r * (q0 * (1.0 + 2.0 * s) + h * s * v0) + s * s * (q1 * (1.0 + 2.0 * r) - h * r * v1)
         shown = select(inside, earlier, shown)
+        t1, q1, v1 = t0, q0, v0
     return shown

@@ -1,4 +1,4 @@
-"""Advances axes of `Dynamics` over one piece of constant command: single ones, and many at a time.
+"""Advances one axis of `Dynamics` (floats) over one piece of constant command.
 
 A piece is divided into equal steps, as many as `Dynamics.effort` asks for. What interrupts a step is located to
 rounding, axis by axis, and integration restarts there: where friction is set-valued a stop or a breakaway, and the
@@ -6,30 +6,20 @@ puncture of a membrane. An axis with presliding is smooth and is never interrupt
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable
+from typing import Final
 
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.structure import Motion, Structure
 
-Array = NDArray[np.float64]
-
-COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536)
-FEW = 8  # axes that are faster one by one than as an array
-MAX_EVENTS = 8  # of one step
-MAX_ITERATIONS = 60
+COUNTS = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536]
+MAX_EVENTS: Final = 8  # of one step
+MAX_ITERATIONS: Final = 60
 
 
-def take(structure: Structure, index: int) -> Structure:
-    """The axis at `index`, of floats."""
-    return Structure(*(float(a[index]) if a.ndim == 1 else tuple(a[:, index].tolist()) for a in structure))
-
-
-def take_many(structure: Structure, index: NDArray[np.int64]) -> Structure:
-    """The axes at these indices."""
-    return Structure(*(a[..., index] for a in structure))
+def dynamics_of(structure: Structure, kind: int) -> Dynamics:
+    """The axis of floats that has this structure (floats)."""
+    return Dynamics(structure, kind)
 
 
 def advance_single(axis: Dynamics, at: Motion, time: float, forces: tuple[float, float], h: float) -> Motion:
@@ -124,68 +114,3 @@ def first_instant(
             low, below = tau, value
             above *= 0.5
     return high, found
-
-
-def advance_many(axes: Dynamics, at: Motion, time: float, forces: tuple[Array, Array], h: float) -> Motion:
-    """Many axes after h seconds: those that need equally many steps go together."""
-    counts = np.array(COUNTS)
-    chosen = np.minimum(np.searchsorted(counts, axes.effort(at, forces, h)), counts.size - 1)
-    levels = np.unique(chosen)
-    if levels.size == 1:
-        return _steps(axes, at, time, forces, h, COUNTS[int(levels[0])])
-    result = Motion(*(array.copy() for array in at))
-    for level in levels.tolist():
-        index = np.flatnonzero(chosen == level)
-        if index.size <= FEW:
-            for i in index.tolist():
-                alone = Dynamics(take(axes.structure, i), axes.kind)
-                pushed = float(forces[0][i]), float(forces[1][i])
-                _put(result, i, advance_single(alone, _pick(at, i), time, pushed, h))
-            continue
-        part = Dynamics(take_many(axes.structure, index), axes.kind)
-        state = Motion(*(array[index] for array in at))
-        moved = _steps(part, state, time, (forces[0][index], forces[1][index]), h, COUNTS[level])
-        for array, values in zip(result, moved, strict=True):
-            array[index] = values
-    return result
-
-
-def _pick(at: Motion, index: int) -> Motion:
-    return Motion(*(float(array[index]) for array in at))
-
-
-def _put(at: Motion, index: int, motion: Motion) -> None:
-    for array, value in zip(at, motion, strict=True):
-        array[index] = value
-
-
-def _steps(axes: Dynamics, at: Motion, time: float, forces: tuple[Array, Array], h: float, count: int) -> Motion:
-    short = h / count
-    for index in range(count):
-        at = _step_many(axes, at, time + index * short, forces, short)
-    return at
-
-
-def _step_many(axes: Dynamics, at: Motion, time: float, forces: tuple[Array, Array], h: float) -> Motion:
-    """`advance_step` for an array: smooth axes together, the few with an event one by one."""
-    if axes.has_bristle and not axes.has_cell:
-        return axes.step(at, time, forces, np.ones(at.position.shape), h)
-    sign = np.sign(at.velocity)
-    if not axes.has_bristle and (resting := sign == 0.0).any():
-        net, hold = axes.load_on_motor(at, time, forces)
-        sign = np.where(resting & (np.abs(net) > hold), np.sign(net), sign)
-    end = axes.step(at, time, forces, sign, h)
-    event = np.zeros(sign.shape, dtype=bool)
-    if not axes.has_bristle:
-        event |= (sign != 0.0) & (end.velocity * sign < 0.0)
-        net, hold = axes.load_on_motor(end, time + h, forces)
-        event |= (sign == 0.0) & (np.abs(net) > hold)
-    if axes.has_cell:
-        event |= axes.transition(end) > 0.0
-    indices: Sequence[int] = np.flatnonzero(event).tolist()
-    if indices:
-        end = Motion(*(np.array(array) for array in end))
-    for i in indices:
-        alone = Dynamics(take(axes.structure, i), axes.kind)
-        _put(end, i, advance_step(alone, _pick(at, i), time, (float(forces[0][i]), float(forces[1][i])), h))
-    return end

@@ -5,16 +5,16 @@ the nearest integer, each of which IEEE 754 defines exactly. One turn is 2 pi ra
 absolute error is below 4e-16 for |x| < 2**51 turns.
 """
 
-from typing import Any
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Number = Any  # float, or an array; every function maps one kind to the same kind
 
-TURN = 6.283185307179586  # rad, 2 pi rounded to double
-_TO_INTEGER = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
+TURN: Final = 6.283185307179586  # rad, 2 pi rounded to double
+# 1.5 * 2**52: adding and subtracting it rounds to the nearest integer, as rint does
+_TO_INTEGER: Final = 6755399441055744.0
 
 
 # of the Taylor series, highest power first: what _sine and _cosine have written out
@@ -40,7 +40,7 @@ _COSINE = (
 )
 
 
-def _sine(angle: Number) -> Number:
+def _sine(angle: float) -> float:
     # Taylor series of sin up to x^17; on |x| <= pi/4 the remainder is below 1e-19.
     x2 = angle * angle
     series = -7.647163731819816e-13 + x2 * 2.8114572543455206e-15
@@ -53,7 +53,7 @@ def _sine(angle: Number) -> Number:
     return angle + angle * (x2 * series)
 
 
-def _cosine(angle: Number) -> Number:
+def _cosine(angle: float) -> float:
     # Taylor series of cos up to x^18; on |x| <= pi/4 the remainder is below 1e-20.
     x2 = angle * angle
     series = 4.779477332387385e-14 + x2 * -1.5619206968586225e-16
@@ -67,17 +67,16 @@ def _cosine(angle: Number) -> Number:
 
 
 def sincos_turns(turns: float) -> tuple[float, float]:
-    """Sine and cosine of one angle in turns, |turns| < 2**51. Raises ValueError or OverflowError if not finite."""
-    fraction = turns - round(turns)
-    quarter = round(4.0 * fraction)
+    """Sine and cosine of one angle in turns, |turns| < 2**51; NaN if not finite."""
+    fraction = turns - (turns + _TO_INTEGER - _TO_INTEGER)
+    quarter = 4.0 * fraction + _TO_INTEGER - _TO_INTEGER
     angle = (fraction - 0.25 * quarter) * TURN
-    sine: float = _sine(angle)
-    cosine: float = _cosine(angle)
-    if quarter == 0:
+    sine, cosine = _sine(angle), _cosine(angle)
+    if quarter == 0.0:
         return sine, cosine
-    if quarter == 1:
+    if quarter == 1.0:
         return cosine, -sine
-    if quarter == -1:
+    if quarter == -1.0:
         return -cosine, sine
     return -sine, -cosine
 
@@ -87,8 +86,7 @@ def sincos_turns_array(turns: Array) -> tuple[Array, Array]:
     fraction = turns - np.rint(turns)
     quarter = np.rint(4.0 * fraction)
     angle = (fraction - 0.25 * quarter) * TURN
-    sine: Array = _sine(angle)
-    cosine: Array = _cosine(angle)
+    sine, cosine = _sine_array(angle), _cosine_array(angle)
     odd = np.abs(quarter) == 1.0
     swapped_sine = np.where(odd, cosine, sine)
     swapped_cosine = np.where(odd, sine, cosine)
@@ -101,20 +99,17 @@ def sincos_turns_array(turns: Array) -> tuple[Array, Array]:
 
 
 def sin_turns(turns: float) -> float:
-    """Sine of one angle given in turns, with the bits of sincos_turns in a third of its time; NaN if not finite."""
+    """Sine of one angle given in turns, with the bits of sincos_turns in half of its time; NaN if not finite."""
     fraction = turns - (turns + _TO_INTEGER - _TO_INTEGER)
     quarter = 4.0 * fraction + _TO_INTEGER - _TO_INTEGER
     angle = (fraction - 0.25 * quarter) * TURN
-    sine: float
     if quarter == 0.0:
-        sine = _sine(angle)
-    elif quarter == 1.0:
-        sine = _cosine(angle)
-    elif quarter == -1.0:
-        sine = -_cosine(angle)
-    else:
-        sine = -_sine(angle)
-    return sine
+        return _sine(angle)
+    if quarter == 1.0:
+        return _cosine(angle)
+    if quarter == -1.0:
+        return -_cosine(angle)
+    return -_sine(angle)
 
 
 def sin_turns_array(turns: Array) -> Array:

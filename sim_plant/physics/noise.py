@@ -1,40 +1,68 @@
 """Noise that is the same in one stage and in a batch of them, on any machine: a function of seed, axis, effect, count.
 
-Bits are SplitMix64's (Steele, Lea, Flood, OOPSLA 2014) at a counter, in integers or arrays of 64-bit integers alike. A
-normal number is the count of ones among 64 bits, less 32, plus a uniform number: mean 0 and variance exactly 1 after
-scaling, excess kurtosis -0.03, never beyond 8. It needs no logarithm, which C libraries round differently.
+Bits are SplitMix64's (Steele, Lea, Flood, OOPSLA 2014) at a counter, in arrays of 64-bit integers. A normal number is
+the count of ones among 64 bits, less 32, plus a uniform number: mean 0 and variance exactly 1 after scaling, excess
+kurtosis -0.03, never beyond 8. It needs no logarithm, which C libraries round differently.
 """
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_plant.physics.number import Number
 
 Key = Any  # int, or an array of uint64
+Bits = Any  # an array of uint64; numpy says of its products that they are signed
 
 TORQUE, WALK, ENCODER = range(1, 4)  # effects
+BLOCK: Final = 64
 
 _MASK = 2**64 - 1
 _SCALE = 0.24935149047701485  # 1 / sqrt(16 + 1/12)
 
 
-def _mixed(z: Key) -> Key:
-    z = ((z ^ z >> 30) * 0xBF58476D1CE4E5B9) & _MASK
-    z = ((z ^ z >> 27) * 0x94D049BB133111EB) & _MASK
+def _bits(key: Key) -> Bits:
+    return np.atleast_1d(np.asarray(key, dtype=np.uint64))
+
+
+def _mixed(z: Bits) -> Bits:
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9
+    z = (z ^ z >> 27) * 0x94D049BB133111EB
     return z ^ z >> 31
 
 
-def key_of(seed: Key, axis: Key, effect: int) -> Key:
-    """Of a stream; seed and axis are integers, or arrays of uint64."""
-    mixed = _mixed((seed * 0x9E3779B97F4A7C15 + 0x632BE59BD9B4E019) & _MASK)
-    return _mixed((mixed + axis * 0xD1342543DE82EF95 + effect * 0x2545F4914F6CDD1D % 2**64) & _MASK)
+def _key_of(seed: Bits, axis: Bits, effect: int) -> Bits:
+    mixed = _mixed(seed * 0x9E3779B97F4A7C15 + 0x632BE59BD9B4E019)
+    return _mixed(mixed + axis * 0xD1342543DE82EF95 + (effect * 0x2545F4914F6CDD1D & _MASK))
 
 
-def normal(key: Key, count: int) -> Number:
+def _normal(key: Bits, count: Bits) -> NDArray[np.float64]:
     """The count-th number of a stream: mean 0, variance 1."""
-    place = count * 0x9E3779B97F4A7C15 & _MASK
-    ones, more = _mixed((key + place) & _MASK), _mixed((key + place ^ _MASK) & _MASK)
-    if isinstance(key, int):
-        return (float(ones.bit_count() - 32) + (float(more >> 11) * 2.0**-53 - 0.5)) * _SCALE
-    return (np.bitwise_count(ones).astype(np.float64) - 32.0 + ((more >> 11) * 2.0**-53 - 0.5)) * _SCALE
+    place = count * 0x9E3779B97F4A7C15
+    ones, more = _mixed(key + place), _mixed(key + place ^ _MASK)
+    numbers: NDArray[np.float64] = np.bitwise_count(ones).astype(np.float64) - 32.0 + ((more >> 11) * 2.0**-53 - 0.5)
+    return numbers * _SCALE
+
+
+class Stream:
+    """The numbers of one axis (seed and axis: integers; numbers: floats) or of many (arrays of uint64)."""
+
+    def __init__(self, seed: Key, axis: Key, effect: int) -> None:
+        self._is_single = isinstance(seed, int)
+        self._key = _key_of(_bits(seed), _bits(axis), effect)
+        # One axis draws a block of numbers at a time, which is many times as fast; not all axes in the same tick.
+        self._offset = int(self._key[0]) % BLOCK
+        self._begin = -BLOCK
+        self._block: list[float] = []
+
+    def at(self, count: int) -> Number:
+        """The count-th number, 0 <= count: mean 0, variance 1."""
+        if not self._is_single:
+            return _normal(self._key, np.array([count], dtype=np.uint64))
+        place = (count + self._offset) % BLOCK
+        if count - place != self._begin:
+            self._begin = count - place  # of the first block perhaps below 0: those numbers are never asked for
+            counts = np.arange(self._begin, self._begin + BLOCK).astype(np.uint64)
+            self._block = _normal(self._key, counts).tolist()
+        return self._block[place]

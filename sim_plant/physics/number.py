@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_plant.physics.exact_trigonometry import sincos_turns, sincos_turns_array
+from sim_plant.physics.exact_trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
 
 Number = Any  # float, or an array of float64; every function maps one kind to the same kind
 
@@ -52,6 +52,13 @@ def root(value: Number) -> Number:
     if isinstance(value, float):
         return math.sqrt(value)
     return np.sqrt(value)
+
+
+def sine(turns: Number) -> Number:
+    """Sine of an angle in turns, |turns| < 2**51."""
+    if isinstance(turns, float):
+        return sin_turns(turns)
+    return sin_turns_array(turns)
 
 
 def sincos(turns: Number) -> tuple[Number, Number]:

@@ -1,26 +1,24 @@
-"""Axes that deviate from the ideal one, single or many: their structure, what disturbs them, and how time passes."""
+"""What the axes of a truth are made of, which of them deviate from the ideal one, and many that do at a time."""
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_plant.physics.axis import Axis, State
-from sim_plant.physics.axis_floats import SingleAxis
+from sim_plant.physics.axis import Axis, AxisValues, State
+from sim_plant.physics.disturbance import Disturbance
+from sim_plant.physics.dynamic_batch import advance_dynamic
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import KEPT, Point
-from sim_plant.physics.events import advance_many, advance_single
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.ideal_batch import advance_ideal
-from sim_plant.physics.noise import TORQUE, WALK, Key, key_of, normal
-from sim_plant.physics.number import Number, root
-from sim_plant.physics.structure import LINES, Motion, Structure
+from sim_plant.physics.structure import LINES, Motion, Structure, rigid, with_walk
 from sim_plant.physics.truth import Truth
 
 Array = NDArray[np.float64]
 
-MAX_PIECE_NS = 500_000  # of constant noise; the steps are chosen anew for each
 CLAMP_RING = 2.0 * TURN * 150.0  # rad/s: a brake or a jam grips through a structure that rings at 300 Hz at most
 
 BRISTLE, MODE, LAG, STRIBECK, VARIATION, CABLE, BACKLASH, CELL = (1 << bit for bit in range(8))
@@ -29,9 +27,33 @@ NOISY, LATE = 1 << 14, 1 << 15
 DYNAMIC = BRISTLE | MODE | LAG | VARIATION | CABLE | BACKLASH | 7 * FLOOR_COUNT
 
 
+def _flat(truth: Truth) -> dict[str, Any]:
+    return {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
+
+
+def axis_values_of(truth: Truth, clamp: Array) -> AxisValues:
+    """The axes of a truth as ideal ones, flat, with `clamp` (N) of dry friction more."""
+    flat = _flat(truth)
+    return AxisValues(
+        mass=flat["mass"],
+        coulomb=flat["coulomb"] + flat["modelling_error"] + clamp.reshape(-1),
+        stribeck=flat["stribeck"],
+        slowness=1.0 / flat["stribeck_velocity"],
+        viscous=flat["viscous"],
+        quadratic=flat["quadratic"],
+        ripple_amplitude=flat["ripple_amplitude"],
+        ripple_wavenumber=1.0 / flat["ripple_period"],
+        surface=flat["cell_surface"],
+        direction=flat["cell_direction"],
+        stiffness=flat["cell_stiffness"],
+        puncture_depth=flat["puncture_depth"],
+        drag=flat["cell_drag"],
+    )
+
+
 def structure_of(truth: Truth, clamp: Array) -> Structure:
     """The axes of a truth, flat, with `clamp` (N) of dry friction more."""
-    flat = {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
+    flat = _flat(truth)
     held = clamp.reshape(-1)
     mass = flat["mass"]
     free = flat["coulomb"] + flat["modelling_error"]
@@ -117,98 +139,6 @@ def is_dynamic(kind: int) -> bool:
     return bool(kind & DYNAMIC) or kind // LINE_COUNT % 8 > 1
 
 
-class Disturbance:
-    """Forces that no drive makes, besides gravity: white noise and a random walk, of one axis or of many."""
-
-    def __init__(self, density: Number, walk: Number, seed: Key, axis: Key) -> None:
-        """density: N/sqrt(Hz), one-sided. walk: N/sqrt(s)."""
-        self._density = density
-        self._walk = walk
-        self._torque = key_of(seed, axis, TORQUE)
-        self._steps = key_of(seed, axis, WALK)
-
-    def draw(self, walked: Number, count: int, h: float) -> tuple[Number, Number]:
-        """Force during piece `count`, which is h seconds long, and how far the walk is then (N)."""
-        span: Number = root(h)
-        walked = walked + self._walk * span * normal(self._steps, count)
-        return walked + self._density / root(2.0 * h) * normal(self._torque, count), walked
-
-
-class RealAxis:
-    """One axis that deviates. motion: its state. position, velocity: the tool's."""
-
-    def __init__(
-        self, engine: Dynamics | Axis, motion: Motion, constant: float, disturbance: Disturbance | None
-    ) -> None:
-        """constant: N, gravity and bias."""
-        self.motion = motion
-        self.past: tuple[Point, ...] = ()  # where its pieces began, oldest first
-        self._engine = engine
-        self._constant = constant
-        self._disturbance = disturbance
-
-    @property
-    def state(self) -> tuple[Motion, tuple[Point, ...]]:
-        """What `restore` takes."""
-        return self.motion, self.past
-
-    def restore(self, state: tuple[Motion, tuple[Point, ...]]) -> None:
-        """Back to a state it had."""
-        self.motion, self.past = state
-
-    @property
-    def position(self) -> float:
-        """m."""
-        position: float = self.motion.played
-        return position
-
-    @property
-    def velocity(self) -> float:
-        """m/s, of the load."""
-        velocity: float = self.motion.load_velocity
-        return velocity
-
-    @property
-    def pierced(self) -> float:
-        """1.0 or 0.0."""
-        pierced: float = self.motion.pierced
-        return pierced
-
-    def advance(self, times: Sequence[float], h: float, command: float, count: int) -> None:
-        """Advance by pieces of h seconds that begin at these times (s); `count`: pieces before."""
-        for index, time in enumerate(times):
-            external, motion = self._constant, self.motion
-            self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
-            if self._disturbance:
-                force, walked = self._disturbance.draw(motion.walked, count + index, h)
-                external, motion = external + force, motion._replace(walked=walked)
-            if isinstance(self._engine, Dynamics):
-                self.motion = advance_single(self._engine, motion, time, (external, command), h)
-            else:
-                alone = SingleAxis(self._engine, motion.position, motion.velocity, motion.pierced)
-                alone.advance(1, h, command + external)
-                self.motion = rigid(alone.state, motion)
-
-
-def rigid(state: State, motion: Motion) -> Motion:
-    """The motion of an axis without structure: its load is its motor."""
-    position, velocity, pierced = state
-    return motion._replace(
-        position=position,
-        velocity=velocity,
-        pierced=pierced,
-        load_position=position,
-        load_velocity=velocity,
-        played=position,
-    )
-
-
-def rigid_motion(axis: SingleAxis, force: float) -> Motion:
-    """The motion of an ideal axis under this command (N)."""
-    q, v = axis.position, axis.velocity
-    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0)
-
-
 class RealPart:
     """Those axes of a batch that deviate in the same terms. index: where they are in the flat batch."""
 
@@ -228,10 +158,10 @@ class RealPart:
             self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
             if self._disturbance:
                 force, walked = self._disturbance.draw(motion.walked, count + index, h)
-                external, motion = external + force, motion._replace(walked=walked)
+                external, motion = external + force, with_walk(motion, walked)
             if isinstance(self._engine, Dynamics):
-                motion = advance_many(self._engine, motion, time, (external, command), h)
+                motion = advance_dynamic(self._engine, motion, time, (external, command), h)
             else:
                 state = State(motion.position, motion.velocity, motion.pierced)
-                motion = rigid(advance_ideal(self._engine, state, command + external, h), motion)
+                motion = rigid(motion, *advance_ideal(self._engine, state, command + external, h))
         return motion

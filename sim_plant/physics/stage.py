@@ -8,33 +8,31 @@ speed. An axis with more to it (presliding, a mode, a lag, noise) is integrated 
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.physics.axis import Axis, State, make_axis, take
-from sim_plant.physics.axis_floats import SingleAxis
+from sim_plant.physics.axis import Axis, AxisValues, State
+from sim_plant.physics.disturbance import Disturbance
+from sim_plant.physics.dynamic_batch import take as take_structure
+from sim_plant.physics.dynamic_batch import take_many as take_structures
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import Encoder, Point
-from sim_plant.physics.events import take as take_structure
-from sim_plant.physics.events import take_many
-from sim_plant.physics.friction import Friction
-from sim_plant.physics.ideal_batch import advance_ideal, single
-from sim_plant.physics.membrane import Membrane
+from sim_plant.physics.events import dynamics_of
+from sim_plant.physics.ideal_batch import advance_ideal, take, take_many
 from sim_plant.physics.real_axes import (
-    MAX_PIECE_NS,
     NOISY,
-    Disturbance,
-    RealAxis,
     RealPart,
+    axis_values_of,
     is_dynamic,
     is_ideal,
     kinds_of,
-    rigid_motion,
     structure_of,
 )
+from sim_plant.physics.real_axis import RealAxis, disturbance_of
+from sim_plant.physics.single_axis import SingleAxis, axis_of
+from sim_plant.physics.single_stage import IDEAL_PIECE_NS, SingleStage, encoder_of, real_pieces
 from sim_plant.physics.structure import Motion, Structure
 from sim_plant.physics.truth import Truth, per_axis_array
 
@@ -42,32 +40,12 @@ __all__ = ["Stage", "Truth", "per_axis_array"]
 
 Array = NDArray[np.float64]
 
-IDEAL_PIECE_NS = 1_000_000
 CHUNK = 8192
 
 
 def _filled(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     # in C order, whatever the strides of the broadcast view: a batch is integrated through flat views of it
     return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), shape), order="C")
-
-
-def _axes_of(truth: Truth, clamp: Array) -> Axis:
-    flat = {field.name: np.ascontiguousarray(getattr(truth, field.name)).reshape(-1) for field in fields(truth)}
-    friction = Friction(
-        coulomb=flat["coulomb"] + flat["modelling_error"] + clamp.reshape(-1),
-        stribeck=flat["stribeck"],
-        stribeck_slowness=1.0 / flat["stribeck_velocity"],
-        viscous=flat["viscous"],
-        quadratic=flat["quadratic"],
-    )
-    membrane = Membrane(
-        surface=flat["cell_surface"],
-        direction=flat["cell_direction"],
-        stiffness=flat["cell_stiffness"],
-        puncture_depth=flat["puncture_depth"],
-        drag=flat["cell_drag"],
-    )
-    return make_axis(flat["mass"], friction, flat["ripple_amplitude"], flat["ripple_period"], membrane)
 
 
 def _grouped(kinds: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
@@ -90,12 +68,12 @@ class Stage:
         self.truth = truth
         self._is_single = len(truth.shape) == 1
         self._clamp = np.zeros(truth.shape)
-        self._axes: list[SingleAxis | RealAxis] = []  # of one stage
+        self._single: SingleStage | None = None  # of one stage
         self._parts: list[tuple[NDArray[np.int64], Axis]] = []  # of a batch: what is integrated together
         self._real_parts: list[RealPart] = []
         self._elapsed_ns = 0
-        self._count = 0  # pieces of MAX_PIECE_NS begun
-        self._reads = [0] * (truth.shape[-1] if self._is_single else 1)  # samples that the encoders have drawn
+        self._count = 0  # pieces of REAL_PIECE_NS begun
+        self._encoder: Encoder | None = None  # of a batch
         self._last_force: Sequence[float] | Array = [0.0] * truth.shape[-1]
         self._stiffness = np.zeros(truth.mass.size)
         q, v = _filled(position, truth.shape), _filled(velocity, truth.shape)
@@ -110,7 +88,7 @@ class Stage:
         truth = self.truth
         constant = truth.gravity + truth.bias
         self._constant = constant
-        ideal, structure = _axes_of(truth, self._clamp), structure_of(truth, self._clamp)
+        ideal, structure = axis_values_of(truth, self._clamp), structure_of(truth, self._clamp)
         kinds = kinds_of(truth, structure)
         streams = truth.seed.reshape(-1).astype(np.uint64), _axis_numbers(truth.shape)
         noise = (truth.torque_noise.reshape(-1), truth.bias_walk.reshape(-1), *streams)
@@ -118,31 +96,26 @@ class Stage:
         motion = self._carried(motion, structure)
         self._deviates = not all(map(is_ideal, np.unique(kinds).tolist()))
         self._drift = truth.drift if truth.drift.any() else None
-        self._drifts: list[float] = truth.drift.tolist() if self._is_single else []
+        encoders = (truth.encoder_noise, truth.encoder_periodic_error, truth.encoder_period, truth.encoder_latency)
+        flat = [array.reshape(-1) for array in encoders]
         if self._is_single:
-            self._constants: list[float] = constant.tolist()
-            self._axes = [make.one(i, kind, motion) for i, kind in enumerate(kinds.tolist())]
-            self._ideal_axes = [axis for axis in self._axes if isinstance(axis, SingleAxis)]
+            rows = list(zip(*(array.tolist() for array in flat), strict=True))
+            keys = list(zip(*(stream.tolist() for stream in streams), strict=True))
+            reads = [encoder.read for encoder in self._single.encoders] if self._single else [0] * len(rows)
+            self._single = SingleStage(
+                [make.one(i, kind, motion) for i, kind in enumerate(kinds.tolist())],
+                [encoder_of(row, key, read) for row, key, read in zip(rows, keys, reads, strict=True)],
+                constant.tolist(),
+                [] if self._drift is None else truth.drift.tolist(),
+            )
         else:
+            read = self._encoder.read if self._encoder else 0
+            self._encoder = Encoder((flat[0], flat[1], flat[2], flat[3]), streams)
+            self._encoder.read = read
             self._motion = motion
             groups = _grouped(kinds)
             self._parts = [(index, make.ideal(index)) for kind, index in groups if is_ideal(kind)]
             self._real_parts = [make.many(index, kind) for kind, index in groups if not is_ideal(kind)]
-        self._set_encoders(streams)
-
-    def _set_encoders(self, streams: tuple[NDArray[np.uint64], NDArray[np.uint64]]) -> None:
-        truth = self.truth
-        each = (truth.encoder_noise, truth.encoder_periodic_error, truth.encoder_period, truth.encoder_latency)
-        flat = [array.reshape(-1) for array in each]
-        if self._is_single:
-            keys = zip(*(stream.tolist() for stream in streams), strict=True)
-            rows = zip(*(array.tolist() for array in flat), strict=True)
-            self._encoders = [Encoder(row, key) for row, key in zip(rows, keys, strict=True)]
-        else:
-            self._encoders = [Encoder((flat[0], flat[1], flat[2], flat[3]), streams)]
-        for encoder, read in zip(self._encoders, self._reads, strict=True):
-            encoder.read = read
-        self._shows_truth = all(encoder.is_ideal for encoder in self._encoders)
 
     def _carried(self, motion: Motion, structure: Structure) -> Motion:
         """This state under other parameters: bristles keep their force as far as they can hold it; new ones slide with
@@ -158,11 +131,11 @@ class Stage:
 
     def _motions(self) -> Motion:
         """State of every axis as arrays."""
-        if not self._is_single:
+        if not self._single:
             return self._motion
         each = [
-            axis.motion if isinstance(axis, RealAxis) else rigid_motion(axis, force)
-            for axis, force in zip(self._axes, self._last_force, strict=True)
+            axis.motion if isinstance(axis, RealAxis) else _rigid_motion(axis, force)
+            for axis, force in zip(self._single.axes, self._last_force, strict=True)
         ]
         return Motion(*(np.array(values) for values in zip(*each, strict=True)))
 
@@ -183,7 +156,7 @@ class Stage:
     @property
     def position(self) -> Array:
         """m, (..., n_axes)."""
-        if self._is_single:
+        if self._single:
             return np.array(self.positions)
         tool: Array = self._motion.played if self._deviates else self._motion.position
         return tool if self._drift is None else tool + self._drift * (self._elapsed_ns * 1e-9)
@@ -191,7 +164,7 @@ class Stage:
     @property
     def velocity(self) -> Array:
         """m/s, (..., n_axes)."""
-        if self._is_single:
+        if self._single:
             return np.array(self.velocities)
         tool: Array = self._motion.load_velocity if self._deviates else self._motion.velocity
         return tool if self._drift is None else tool + self._drift
@@ -199,51 +172,42 @@ class Stage:
     @property
     def pierced(self) -> Array:
         """1.0 or 0.0, (..., n_axes)."""
-        return np.array([axis.pierced for axis in self._axes]) if self._is_single else self._motion.pierced
+        return np.array([axis.pierced for axis in self._single.axes]) if self._single else self._motion.pierced
 
     @property
     def positions(self) -> list[float]:
         """Positions of the tools of one stage (not a batch), m."""
-        if self._drift is None:
-            return [axis.position for axis in self._axes]
-        elapsed = self._elapsed_ns * 1e-9
-        return [axis.position + drift * elapsed for axis, drift in zip(self._axes, self._drifts, strict=True)]
+        return self._alone.positions(self._elapsed_ns * 1e-9)
 
     @property
     def velocities(self) -> list[float]:
         """Velocities of one stage's tools, m/s."""
-        if self._drift is None:
-            return [axis.velocity for axis in self._axes]
-        return [axis.velocity + drift for axis, drift in zip(self._axes, self._drifts, strict=True)]
+        return self._alone.velocities()
 
     def readings(self) -> list[float]:
         """What the encoders of one stage show, m; each call is a sample of its own."""
-        if self._shows_truth and not self._deviates:
-            return [axis.position for axis in self._axes]
-        return [self.reading(axis) for axis in range(len(self._axes))]
+        return self._alone.readings(self._elapsed_ns * 1e-9)
 
     def reading(self, index: int) -> float:
         """What the encoder of this axis of one stage shows, m; each call is a sample of its own."""
-        axis, encoder = self._axes[index], self._encoders[index]
-        q, v = axis.position, axis.velocity
-        past: Sequence[Point] = ()
-        if isinstance(axis, RealAxis):
-            q, v, past = axis.motion.position, axis.motion.velocity, axis.past
-        shown: float = encoder.show(past, (self._elapsed_ns * 1e-9, q, v))
-        self._reads[index] = encoder.read
-        return shown
+        return self._alone.reading(index, self._elapsed_ns * 1e-9)
+
+    @property
+    def _alone(self) -> SingleStage:
+        assert self._single, "a batch"
+        return self._single
 
     def read(self) -> Array:
         """What the encoders show, m, (..., n_axes); each call is a sample of its own."""
-        if self._is_single:
+        if self._single:
             return np.array(self.readings())
+        assert self._encoder
         motor: Array = self._motion.position
-        if self._shows_truth:
+        encoder, now = self._encoder, self._elapsed_ns * 1e-9
+        if encoder.is_ideal:
             return motor
-        encoder, now = self._encoders[0], self._elapsed_ns * 1e-9
         flat = motor.reshape(-1), self._motion.velocity.reshape(-1)
         shown: Array = encoder.show(self._past(flat) if encoder.is_late else (), (now, *flat))
-        self._reads[0] = encoder.read
         there: Array = shown.reshape(self.truth.shape)
         return there
 
@@ -264,44 +228,23 @@ class Stage:
         """Advance by duration_ns >= 0 with `force` (N, (..., n_axes)) held; all values finite."""
         if duration_ns <= 0:
             return
-        pieces = -(-duration_ns // IDEAL_PIECE_NS)
-        h = duration_ns * 1e-9 / pieces
-        if self._is_single:
+        if self._single:
             commands = force.tolist() if isinstance(force, np.ndarray) else force
             self._last_force = commands
-            if self._deviates:
-                self._advance_axes(duration_ns, commands)
-            else:
-                for axis, command, constant in zip(self._ideal_axes, commands, self._constants, strict=True):
-                    axis.advance(pieces, h, command + constant)
+            self._count = self._single.advance(duration_ns, self._elapsed_ns, commands, self._count)
         else:
             commanded = np.asarray(force, dtype=np.float64)
-            self._advance_ideal(pieces, h, commanded)
+            self._advance_ideal(duration_ns, commanded)
             if self._deviates:
                 self._advance_parts(duration_ns, commanded.reshape(-1))
         self._elapsed_ns += duration_ns
 
-    def _pieces(self, duration_ns: int) -> tuple[list[float], float, int]:
-        """Times (s) at which an axis that deviates begins its pieces, their length (s), and how many were before."""
-        before, number = self._count, -(-duration_ns // MAX_PIECE_NS)
-        begin, h = self._elapsed_ns * 1e-9, duration_ns * 1e-9 / number
-        self._count += number
-        return [begin + index * h for index in range(number)], h, before
-
-    def _advance_axes(self, duration_ns: int, commands: Sequence[float]) -> None:
-        times, short, before = self._pieces(duration_ns)
-        pieces = -(-duration_ns // IDEAL_PIECE_NS)
-        h = duration_ns * 1e-9 / pieces
-        for axis, command, constant in zip(self._axes, commands, self._constants, strict=True):
-            if isinstance(axis, RealAxis):
-                axis.advance(times, short, command, before)
-            else:
-                axis.advance(pieces, h, command + constant)
-
-    def _advance_ideal(self, pieces: int, h: float, force: Array) -> None:
+    def _advance_ideal(self, duration_ns: int, force: Array) -> None:
         """Those axes of a batch that are ideal."""
         if not self._parts:
             return
+        pieces = -(-duration_ns // IDEAL_PIECE_NS)
+        h = duration_ns * 1e-9 / pieces
         drive = (force + self._constant).reshape(-1)
         flat = [array.reshape(-1) for array in self._motion]
         for index, axis in self._parts:
@@ -316,13 +259,14 @@ class Stage:
 
     def _advance_parts(self, duration_ns: int, command: Array) -> None:
         """Those axes of a batch that deviate."""
-        times, h, before = self._pieces(duration_ns)
+        times, h = real_pieces(duration_ns, self._elapsed_ns)
         flat = [array.reshape(-1) for array in self._motion]
         for part in self._real_parts:
             motion = Motion(*(array[part.index] for array in flat))
-            moved = part.advance(motion, times, h, command[part.index], before)
+            moved = part.advance(motion, times, h, command[part.index], self._count)
             for array, values in zip(flat, moved, strict=True):
                 array[part.index] = values
+        self._count += len(times)
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
         """Position, velocity, pierced after `advance(duration_ns, force)`, as new arrays; the stage stays as it is."""
@@ -340,9 +284,9 @@ class Stage:
     def _unchanged(self) -> Iterator[None]:
         """Puts the state back as it is now."""
         motion, elapsed, last = self._motion, (self._elapsed_ns, self._count), self._last_force
-        states = [(axis, axis.state) for axis in self._axes]
+        states = [(axis, axis.state) for axis in self._single.axes] if self._single else []
         pasts = [part.past for part in self._real_parts]
-        if not self._is_single:
+        if not self._single:
             self._motion = Motion(*(array.copy() for array in motion))
         try:
             yield
@@ -358,7 +302,9 @@ class Stage:
 class _Maker:
     """Makes what integrates the axes at given places of the flat arrays."""
 
-    def __init__(self, ideal: Axis, structure: Structure, constant: Array, noise: tuple[Any, Any, Any, Any]) -> None:
+    def __init__(
+        self, ideal: AxisValues, structure: Structure, constant: Array, noise: tuple[Any, Any, Any, Any]
+    ) -> None:
         self._ideal = ideal
         self._structure = structure
         self._constant = constant
@@ -367,29 +313,34 @@ class _Maker:
     def one(self, i: int, kind: int, motion: Motion) -> SingleAxis | RealAxis:
         """The axis of floats at `i`, of this kind, at its state in these arrays."""
         state = Motion(*(float(array[i]) for array in motion))
-        alone = single(take(self._ideal, i))
         if is_ideal(kind):
-            return SingleAxis(alone, state.position, state.velocity, state.pierced)
+            return SingleAxis(axis_of(take(self._ideal, i)), state.position, state.velocity, state.pierced)
         density, walk, seed, number = self._noise
-        noise = Disturbance(float(density[i]), float(walk[i]), int(seed[i]), int(number[i])) if kind & NOISY else None
-        engine = Dynamics(take_structure(self._structure, i), kind) if is_dynamic(kind) else alone
-        return RealAxis(engine, state, float(self._constant[i]), noise)
+        noise = (
+            disturbance_of(float(density[i]), float(walk[i]), int(seed[i]), int(number[i])) if kind & NOISY else None
+        )
+        if is_dynamic(kind):
+            return RealAxis(
+                dynamics_of(take_structure(self._structure, i), kind), state, float(self._constant[i]), noise
+            )
+        return RealAxis(axis_of(take(self._ideal, i)), state, float(self._constant[i]), noise)
 
     def ideal(self, index: NDArray[np.int64]) -> Axis:
         """The ideal axes at these places, which have the same terms."""
-        part = take(self._ideal, index)
-        return part._replace(
-            has_stribeck=bool(np.any(part.friction.stribeck)),
-            has_ripple=bool(np.any(part.ripple_amplitude)),
-            has_cell=bool(np.any(part.membrane.stiffness)) or bool(np.any(part.membrane.drag)),
-        )
+        return Axis(take_many(self._ideal, index))
 
     def many(self, index: NDArray[np.int64], kind: int) -> RealPart:
         """The axes of this kind at these places."""
-        engine = Dynamics(take_many(self._structure, index), kind) if is_dynamic(kind) else self.ideal(index)
+        engine = Dynamics(take_structures(self._structure, index), kind) if is_dynamic(kind) else self.ideal(index)
         noise = Disturbance(*(values[index] for values in self._noise)) if kind & NOISY else None
         return RealPart(index, engine, self._constant[index], noise)
 
 
 def _axis_numbers(shape: tuple[int, ...]) -> NDArray[np.uint64]:
     return np.broadcast_to(np.arange(shape[-1], dtype=np.uint64), shape).reshape(-1)
+
+
+def _rigid_motion(axis: SingleAxis, force: float) -> Motion:
+    """The motion of an ideal axis under this command (N)."""
+    q, v = axis.position, axis.velocity
+    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0)

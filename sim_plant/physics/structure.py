@@ -1,8 +1,10 @@
 """What an axis that deviates is made of, and the state it is in."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sim_plant.physics.number import Number
+
+Lines = Any  # LINES floats, or as many arrays
 
 LINES = 4  # sinusoids of one kind an axis can have
 
@@ -36,12 +38,12 @@ class Structure(NamedTuple):
     cable_hysteresis: Number
     cable_reach: Number
     backlash: Number
-    line_amplitude: Number
-    line_wavenumber: Number
-    line_phase: Number
-    floor_amplitude: Number
-    floor_frequency: Number
-    floor_phase: Number
+    line_amplitude: Lines
+    line_wavenumber: Lines
+    line_phase: Lines
+    floor_amplitude: Lines
+    floor_frequency: Lines
+    floor_phase: Lines
     surface: Number
     direction: Number
     membrane: Number
@@ -65,3 +67,15 @@ class Motion(NamedTuple):
     force: Number
     played: Number
     walked: Number
+
+
+def rigid(motion: Motion, position: Number, velocity: Number, pierced: Number) -> Motion:
+    """The motion of an axis whose load is its motor; bristle, cable, force and walk as they were."""
+    _, _, _, _, _, bristle, cable, force, _, walked = motion
+    return Motion(position, velocity, pierced, position, velocity, bristle, cable, force, position, walked)
+
+
+def with_walk(motion: Motion, walked: Number) -> Motion:
+    """The same motion under a bias that has walked to `walked` (N)."""
+    q, v, pierced, y, u, bristle, cable, force, played, _ = motion
+    return Motion(q, v, pierced, y, u, bristle, cable, force, played, walked)

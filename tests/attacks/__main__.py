@@ -8,11 +8,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.attacks import on_commands, on_files, on_zenoh
+from tests.attacks import on_commands, on_files, on_processes, on_zenoh
 from tests.attacks.registry import ATTACKS, Result, tried
 from tests.attacks.target import Target
 
-MODULES = (on_zenoh, on_commands, on_files)
+MODULES = (on_zenoh, on_commands, on_processes, on_files)
 LEAST = 30
 
 
@@ -34,7 +34,7 @@ def main(out: Path, only: str) -> int:
         target = Target(Path(directory))
         try:
             target.begin()
-            for listed in ATTACKS:
+            for listed in sorted(ATTACKS, key=lambda listed: listed.last):
                 if only in listed.name:
                     for result in tried(listed, target):
                         show(result)
@@ -45,7 +45,7 @@ def main(out: Path, only: str) -> int:
     took_s = time.monotonic() - began
     summary = {"attacks": len(results), "held": held, "seconds": round(took_s, 1), "python": platform.python_version()}
     out.write_text(json.dumps({**summary, "results": [result._asdict() for result in results]}, indent=1) + "\n")
-    print(f"{held} of {len(results)} attacks held, {took_s:.0f} s; {out}")
+    print(f"ran: {len(results)} attacks, {held} held, {took_s:.0f} s; {out}")
     return 0 if held == len(results) and (only or held >= LEAST) else 1
 
 

@@ -177,9 +177,8 @@ def _answers(target: Target) -> bool:
         return False
 
 
-@attack("runtime directory deleted", "hil estop works all the same", moving=True)
+@attack("runtime directory deleted", "hil estop works all the same", moving=True, last=True)
 def no_directory(target: Target) -> Iterator[str]:
-    """The last: the rig is not the same afterwards."""
     shutil.rmtree(target.directory)
     code, text = run(target, "estop", NAME)
     assert code == 0, text

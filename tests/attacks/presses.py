@@ -1,8 +1,8 @@
 """python -m tests.attacks.presses COUNT RIG: stop pressed at random moments of a live rig, everything around it broken.
 
-Run where HIL_RUNTIME_DIR names a small file system of its own (test_presses.py mounts one): it is filled, and its
-directory is deleted at last. Each press must end with every drive at zero torque within two ticks of the tick that read
-it. Prints what it did; fails with an AssertionError.
+Run in a network namespace of its own, which is taken down, and where HIL_RUNTIME_DIR names a small file system of its
+own (test_presses.py sees to both): it is filled, and its directory is deleted at last. Each press must end with every
+drive at zero torque within two ticks of the tick that read it. Prints what it did; fails with an AssertionError.
 """
 
 import contextlib
@@ -143,6 +143,7 @@ def main(count: int, rig: Path) -> None:
             "nothing broken": lambda: None,
             "sidecar stopped": lambda: beside.send_signal(signal.SIGSTOP),
             "sidecar killed": beside.kill,
+            "network down": lambda: subprocess.run(["ip", "link", "set", "lo", "down"], check=True),
             "disk full": lambda: fill(runtime),
             "rig file deleted": lambda: _delete(rig, control),
             "runtime directory deleted": lambda: [path.unlink() for path in runtime_paths("paper").directory.iterdir()],

@@ -10,12 +10,15 @@ Attack = Callable[[Target], Iterator[str]]
 
 
 class Listed(NamedTuple):
-    """name, expected: for people. body: yields what was seen while the attack goes on; raises where it succeeded."""
+    """name, expected: for people. body: yields what was seen while the attack goes on; raises where it succeeded.
+    moving, last: see `attack`.
+    """
 
     name: str
     expected: str
     body: Attack
     moving: bool
+    last: bool
 
 
 class Result(NamedTuple):
@@ -30,11 +33,13 @@ class Result(NamedTuple):
 ATTACKS: list[Listed] = []
 
 
-def attack(name: str, expected: str, *, moving: bool = False) -> Callable[[Attack], Attack]:
-    """List an attack. moving: stop is pressed on the moving rig while the attack goes on, which counts as another."""
+def attack(name: str, expected: str, *, moving: bool = False, last: bool = False) -> Callable[[Attack], Attack]:
+    """List an attack. moving: stop is pressed on the moving rig while the attack goes on, which counts as another.
+    last: the rig is not the same afterwards.
+    """
 
     def add(body: Attack) -> Attack:
-        ATTACKS.append(Listed(name, expected, body, moving))
+        ATTACKS.append(Listed(name, expected, body, moving, last))
         return body
 
     return add

@@ -47,6 +47,7 @@ class Target:
                 (directory / part.name).write_bytes(part.read_bytes())
         self.zenoh_port, self.tls_port, self.command_port = free_port(), free_port(), free_port()
         self.endpoint, self.tls = f"tcp/127.0.0.1:{self.zenoh_port}", f"tls/127.0.0.1:{self.tls_port}"
+        self.routed = f"tls/127.0.0.1:{free_port()}"
         self.where = f"127.0.0.1:{self.command_port}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -55,15 +56,22 @@ class Target:
         return [sys.executable, "-m", "hil", *words]
 
     def start(self, kind: str) -> None:
-        """emulate, run or sidecar."""
+        """emulate, run, sidecar or router."""
+        if kind == "router":
+            script = [sys.executable, str(ROOT / "deploy" / "zenoh" / "router.py"), self.tls, self.routed]
+            self._begin(kind, [*script, str(self.made / "router")])
+            return
         sets = [word for override in CALM for word in ("--set", override)]
         words = [kind, str(self.rig), *sets]
         if kind == "sidecar":
             listen = f'telemetry.listen=["{self.endpoint}", "{self.tls}"]'
             words += ["--set", listen, "--credentials", str(self.made / "sidecar"), "--out", str(self.base / "out")]
             words += ["--commands-from", f"0.0.0.0:{self.command_port}"]
-        log = (self.base / f"{kind}.log").open("ab")
-        self.processes[kind] = subprocess.Popen(self.hil(*words), stdout=log, stderr=log, cwd=ROOT)
+        self._begin(kind, self.hil(*words))
+
+    def _begin(self, kind: str, line: list[str]) -> None:
+        with (self.base / f"{kind}.log").open("ab") as log:
+            self.processes[kind] = subprocess.Popen(line, stdout=log, stderr=log, cwd=ROOT)
 
     def begin(self) -> None:
         """Everything, until the rig is READY."""
@@ -114,8 +122,14 @@ class Target:
 
     def active(self) -> None:
         """Let it move."""
-        self.ready()
-        self.until(lambda: self.command(CommandKind.ACTIVATE).accepted or self.newest() is State.ACTIVE, "ACTIVE")
+
+        def there() -> bool:
+            if self.newest() is not State.ACTIVE:
+                self.ready()  # again where a fault came in between
+                return self.command(CommandKind.ACTIVATE).accepted
+            return True
+
+        self.until(there, "ACTIVE")
 
     def press(self) -> str:
         """Stop; what came of it."""

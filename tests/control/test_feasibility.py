@@ -13,7 +13,7 @@ from hil.control.feasibility import corner_starts, start_notes, task_problems, u
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.virtual.lockstep import LockstepRun
+from hil.virtual.lockstep import LockstepRun, activate_when_ready
 from tests.support.paths import RIGS
 
 AXES = ("x", "y")
@@ -47,6 +47,9 @@ def test_where_the_stage_stands_matters() -> None:
         ("axes.x.limits.position=[-26.0, 26.0]", "millimetres"),
         ("axes.x.encoder_resolution=0.02", "counts"),
         ("axes.x.model.coulomb=600", "newtons"),
+        ("axes.x.model.gravity=-600", "grams"),
+        ("axes.x.limits.speed=80", "mm/s"),
+        ("axes.x.limits.following_error=5e-10", "count"),
     ],
 )
 def test_a_unit_that_is_off_by_thousands_is_asked_back(change: str, word: str) -> None:
@@ -82,6 +85,9 @@ def tasks(draw: st.DrawFn) -> dict[str, Any]:
         limits = f"axes.{axis}.limits"
         travel = 10.0 ** draw(st.floats(-1.0, 0.3))
         sets[f"{limits}.position"] = [-travel, travel]
+        sets[f"{limits}.following_error"] = 10.0 ** draw(
+            st.floats(-2.0, -0.5)
+        )  # more than the travel margin's bound, too
         sets[f"{limits}.speed"] = 10.0 ** draw(st.floats(0.0, 1.0))
         sets[f"{limits}.force"] = draw(st.floats(4.0, 9.0))
         sets[f"{limits}.force_rate"] = 10.0 ** draw(st.floats(3.0, 4.3))
@@ -107,7 +113,8 @@ def really_broken(rig: RigConfig, start: list[float], axis: str, quantity: str) 
     trajectory = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
     end = (trajectory.repeat_from_ns or 0) + (trajectory.repeat_ns or 0)
     step = rig.period_ns // 5
-    low, high = (limits.position[0] + 0.5 * limits.following_error, limits.position[1] - 0.5 * limits.following_error)
+    margin = min(0.5 * limits.following_error, 0.05 * (limits.position[1] - limits.position[0]))
+    low, high = limits.position[0] + margin, limits.position[1] - margin
     forces: list[float] = []
     for t in range(0, end + 2 * rig.period_ns, step):
         q, v, a = trajectory.at(index, t)
@@ -136,9 +143,13 @@ def judged(sets: Mapping[str, Any]) -> bool:
         assert violation.time_s >= 0.0 or math.isnan(violation.time_s)
         if "control periods" not in violation.quantity:
             assert really_broken(rig, start, violation.axis, violation.quantity), violation
+    run = LockstepRun(rig, RIGS, operator=activate_when_ready)
     if found:
+        for _ in range(30):  # the operator asks for ACTIVATE in every tick of READY
+            run.tick()
+        assert run.cycle.commands.refused
+        assert run.cycle.state.name == "READY"
         return False
-    run = LockstepRun(rig, RIGS)
     trajectory = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
     horizon = trajectory.repeat_from_ns + (trajectory.repeat_ns or 0)
     for _ in range(200 + horizon // rig.period_ns):
@@ -150,7 +161,7 @@ def judged(sets: Mapping[str, Any]) -> bool:
 
 @pytest.mark.usefixtures("filterpy_loaded")
 @given(tasks())
-@settings(max_examples=30, suppress_health_check=list(HealthCheck))
+@settings(max_examples=14, suppress_health_check=list(HealthCheck))
 def test_what_is_accepted_runs_and_what_is_refused_is_broken(sets: dict[str, Any]) -> None:
     judged(sets)
 
@@ -175,3 +186,12 @@ def test_the_corners_are_within_the_travel() -> None:
         for value, axis in zip(start, rig.axes.values(), strict=True):
             assert axis.limits.position[0] < value < axis.limits.position[1]
     assert start_notes(rig_with({"task.kind": "hold"})) == []
+
+
+def test_a_violation_tells_the_first_moment_and_what_is_wanted_then() -> None:
+    rig = load_rig(RIGS / "paper.toml", ["axes.x.limits.speed=1.0"])
+    (found,) = [v for v in violations(rig, [0.0, 0.0]) if (v.axis, v.quantity) == ("x", "speed")]
+    trajectory = make_trajectory(rig.task, rig.axis_names, [0.0, 0.0], rig.period_ns)
+    at = round(found.time_s * 1e9)
+    assert abs(trajectory.at(0, at)[1]) > 0.95
+    assert max(abs(trajectory.at(0, t)[1]) for t in range(0, at, rig.period_ns)) <= 0.95

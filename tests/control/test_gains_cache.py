@@ -68,6 +68,7 @@ def test_an_entry_serves_the_same_parameters_alone() -> None:
 
 def test_other_code_or_packages_make_another_design(monkeypatch: pytest.MonkeyPatch) -> None:
     store(PARAMETERS, DESIGN)
+    assert load(PARAMETERS) is not None
     monkeypatch.setattr(gains_cache, "version", lambda name: "0")
     assert load(PARAMETERS) is None
 

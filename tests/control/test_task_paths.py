@@ -226,3 +226,14 @@ def test_bytes_of_any_kind_are_rows_or_an_error(tmp_path_factory: pytest.TempPat
             continue
         assert axes
         assert all(len(row) == 1 + len(axes) for row in rows)
+
+
+def test_a_path_that_repeats_must_end_where_it_began() -> None:
+    def rig(last: float) -> RigConfig:
+        samples = [[0.0, 0.01, 0.0], [1.0, 0.02, 0.01], [2.0, 0.01, last]]
+        task = ["task.kind=path", "task.axes=['x', 'y']", f"task.samples={samples}", "task.repeat=true"]
+        return load_rig(PAPER, task)
+
+    assert rig(0.0).task.repeat
+    with pytest.raises(RigError, match=r"row 3 of task\.samples must have the positions of row 1"):
+        rig(1e-3)

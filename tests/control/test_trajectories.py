@@ -1,12 +1,15 @@
 """Trajectories: exact in time, smooth where they must be, the same bits for one instant or a thousand."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.control.laws.base import axis_inputs
+from hil.control.setpoints import Setpoints
 from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
 from hil.control.trajectories.displaced import Displaced
 from hil.control.trajectories.segments import Segments
@@ -20,6 +23,9 @@ CIRCLE = TaskConfig(kind="circle", axes=["x", "y"], radius=0.5, frequency_hz=0.5
 LISSAJOUS = TaskConfig(kind="lissajous", axes=["x", "y"], radius=0.01, frequency_hz=0.3, ratio=3, phase=0.7)
 MOVES = TaskConfig(kind="point_to_point", axes=["y"], target=[0.2], move_s=0.5, dwell_s=0.25)
 HOLD = TaskConfig()
+SPIRAL = TaskConfig(kind="spiral", axes=["x", "y"], radius=0.01, turns=2.0, move_s=4.0)
+WAYPOINTS = TaskConfig(kind="waypoints", axes=["x", "y"], waypoints=[[0.0, 0.0], [0.05, 0.02], [0.01, 0.0]])
+PATH = TaskConfig(kind="path", axes=["y"], samples=[[0.0, 0.0], [0.5, 0.01], [1.0, 0.03], [2.0, 0.0]])
 
 
 def injection_task() -> TaskConfig:
@@ -28,12 +34,17 @@ def injection_task() -> TaskConfig:
 
 def trajectories() -> list[Trajectory]:
     start = np.array([0.03, -0.02])
-    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in (CIRCLE, LISSAJOUS, MOVES, HOLD)]
+    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in TASKS]
     injection = make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
     return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
 
 
-NAMES = ["circle", "lissajous", "moves", "hold", "injection", "displaced"]
+TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, PATH]
+NAMES = [*(task.kind for task in TASKS), "injection", "displaced"]
+
+
+def test_every_kind_of_task_is_tried_here() -> None:
+    assert set(get_args(TaskConfig.model_fields["kind"].annotation)) <= set(NAMES)
 
 
 @pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
@@ -159,3 +170,20 @@ def test_what_repeats_says_so() -> None:
     assert task_repeat(MOVES, ["x", "y"], PERIOD) == (1_500 * MS, 0)
     assert task_repeat(HOLD, ["x", "y"], PERIOD) is None
     assert task_repeat(injection_task(), ["x", "y", "z", "theta"], PERIOD) is None
+
+
+def test_setpoints_that_hold_rest_there_and_follow_nothing_any_more() -> None:
+    inputs = [axis_inputs(), axis_inputs()]
+    setpoints = Setpoints(inputs, PERIOD)
+    setpoints.follow(make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD), [0, 0])
+    setpoints.update([500 * MS] * 2, [501 * MS] * 2)
+    assert inputs[0].sample.velocity != 0.0
+    assert (setpoints.task_ns, inputs[0].task_ns) == (500 * MS, 501 * MS)
+    setpoints.hold([0.25, -0.5])
+    for _ in range(2):
+        for x, place in zip(inputs, (0.25, -0.5), strict=True):
+            rests = [(r.position, r.velocity, r.acceleration) for r in (x.sample, x.start, x.end)]
+            assert rests == [(place, 0.0, 0.0)] * 3
+            assert (x.mean_velocity, x.mean_acceleration, x.mean_sign, x.task_ns) == (0.0, 0.0, 0.0, -1)
+        assert setpoints.task_ns == -1
+        setpoints.update([600 * MS] * 2, [601 * MS] * 2)

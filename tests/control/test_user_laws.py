@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil import Law
 from hil.control import law_registry
 from hil.control.law_registry import LAWS, law_class
 from hil.control.laws import make_axis_laws, make_law, users
 from hil.control.laws.base import axis_inputs
 from hil.control.laws.coupled import gather
+from hil.control.laws.users import UserAxes
 from hil.control.nominal_model import rig_model
 from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
@@ -297,3 +299,20 @@ def test_a_users_law_answers_one_axis_as_arrays_of_one() -> None:
         x.position_estimate, x.mean_velocity, x.mean_sign = 1e-5, 0.1, 1.0
     whole = make_law(config, model, 1e-3, limit)
     assert single.force(inputs) == whole.force(gather(inputs)).tolist()
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_a_users_law_is_reset_with_position_and_force_of_its_axes(coupled: bool) -> None:
+    told: list[tuple[Any, Any]] = []
+
+    class Listens(Law):
+        def reset(self, position: Any, force: Any) -> None:
+            told.append((np.array(position).tolist(), np.array(force).tolist()))
+
+        def force(self, inputs: Any) -> Any:
+            return 0.0
+
+    Listens.coupled = coupled
+    n = 1 if coupled else 2
+    UserAxes([Listens(None, 1e-3, 5.0) for _ in range(n)], "listens", 2).reset([1.0, 2.0], [3.0, 4.0])
+    assert told == ([([1.0, 2.0], [3.0, 4.0])] if coupled else [(1.0, 3.0), (2.0, 4.0)])

@@ -1,6 +1,7 @@
 """Rows of the fault table that need more than an injection: grants, heartbeats, the age and number of a command."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -192,6 +193,19 @@ def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> No
     assert run.go(150).cycle.state is State.READY  # a reset clears it once the drive obeys again
 
 
+def test_a_drive_that_never_enables_ends_the_activation_in_time_and_latches() -> None:
+    rig = paper("safety.enable_timeout_ticks=40")
+    run = Posted(rig, activate_once())
+    bare = run.stage.drives[0]
+    bare.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
+    run.go(READY_BY + 39)
+    assert run.cycle.state is State.ACTIVE
+    assert run.cycle.setpoints.task_ns < 0, "no task begins before every drive is enabled"
+    run.go(1)
+    assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.ENABLE_TIMEOUT)
+    assert run.cycle.gate.force == [0.0, 0.0]
+
+
 def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> None:
     def mail(run: Posted, now: int) -> list[OperatorCommand]:
         return [OperatorCommand(CommandKind.RESET, run.index, LATER_NS)] if 100 <= run.index < 130 else []
@@ -218,3 +232,18 @@ def test_a_restarted_process_leaves_to_the_operator_what_the_drives_latched(prot
     while run.index < 1500:
         assert run.go(1).cycle.state is State.CONNECTED
     assert run.go(1500).cycle.state is State.READY
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_drive_that_is_not_well_keeps_the_whole_rig_from_ready(axis: int) -> None:
+    run = Posted(paper(), lambda run, now: [])
+    run.stage.drives[axis].trip(0)
+    assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
+    assert [bool(drive.status & DriveStatus.WATCHDOG) for drive in run.stage.drives] == [axis == 0, axis == 1]
+
+
+def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready() -> None:
+    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": 0}
+    run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [silent]}))
+    assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
+    assert run.cycle.inbox.samples[0] is not None

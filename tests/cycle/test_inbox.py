@@ -46,6 +46,8 @@ def test_before_the_first_command_nothing_is_missing() -> None:
     inbox = make_inbox()
     inbox.collect([], -1)
     assert inbox.age == [0, 0]
+    inbox.collect([], 0)
+    assert inbox.age == [1, 1]
 
 
 def test_an_answer_to_a_command_never_sent_is_refused() -> None:

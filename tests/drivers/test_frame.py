@@ -52,7 +52,13 @@ def test_an_fd_frame_has_the_bytes_of_struct_canfd_frame() -> None:
     assert packet == bytes.fromhex("0201da98 0c050000") + bytes(range(12)) + bytes(52)
 
 
-@given(st.binary(max_size=100))
+def packets(size: int) -> st.SearchStrategy[bytes]:
+    """Of a frame's size, mostly with a length that fits."""
+    length = st.integers(0, size - 8) | st.integers(0, 255)
+    return st.builds(lambda data, n: data[:4] + bytes([n]) + data[5:], st.binary(min_size=size, max_size=size), length)
+
+
+@given(st.binary(max_size=100) | packets(CAN_MTU) | packets(CANFD_MTU))
 def test_any_bytes_are_a_possible_frame_or_none(packet: bytes) -> None:
     frame = from_bytes(packet, 7)
     if frame is None:

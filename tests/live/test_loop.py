@@ -15,6 +15,8 @@ import pytest
 from drivers.bus.port import BusState, Port
 from drivers.frame import ERROR, Frame, to_bytes
 from hil.cycle.fault_table import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind, OperatorCommand, PortCounters, Tick
 from hil.live import run as daemon
 from hil.live.loop import ControlLoop
 from hil.live.miss_ledger import MissLedger
@@ -22,6 +24,8 @@ from hil.live.pacing import Pacer
 from hil.live.systemd import Notifier
 from hil.live.watched_file import WatchedFile
 from hil.rig.file import load_rig
+from hil.virtual.lockstep import LockstepRun
+from sim_plant.scenario.language import Scenario
 from tests.drivers.bus.test_port import Cable
 from tests.support.paths import ROOT
 
@@ -104,6 +108,23 @@ def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path
     assert loop.parts.cycle.fault is Fault.BUS_OFF
     assert loop.parts.port.counters().state is BusState.BUS_OFF
     assert drives.recalls == 0
+
+
+@pytest.mark.parametrize("kind", CommandKind, ids=lambda kind: kind.name)
+def test_after_bus_off_no_command_restarts_the_controller_but_reset(tmp_path, monkeypatch, kind):
+    drives = UnpoweredDrives(BUS_OFF, purges=[])
+    with loop_beside(drives, tmp_path, monkeypatch) as loop:
+        rebound = []
+        monkeypatch.setattr(loop._port, "rebind", lambda: rebound.append(1))
+        loop.pacer.start()
+        for tick in range(20):
+            if tick == 10:
+                loop.parts.mailbox.post(kind, 2**62)
+            loop._tick()
+            loop.ticks += 1
+        loop.parts.ring.close()
+    assert loop.parts.port.counters().state is BusState.BUS_OFF
+    assert (drives.recalls, len(rebound)) == ((1, 1) if kind is CommandKind.RESET else (0, 0))
 
 
 def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkeypatch):
@@ -256,7 +277,7 @@ def test_every_way_of_changing_a_file_is_seen(tmp_path, how):
 
 def test_without_systemd_nothing_is_sent():
     notifier = Notifier({})
-    assert not notifier.send("READY=1")
+    assert notifier.send("READY=1") is False
     assert notifier.watchdog_s == 0
     notifier.close()
 
@@ -287,3 +308,86 @@ def test_a_notification_never_waits_and_a_dead_manager_is_no_error(tmp_path):
 def test_the_watchdog_of_another_process_is_not_ours():
     assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_s == 0
     assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 2
+
+
+class Script:
+    """A lockstep run's ticks in place of a bus, a mailbox and a clock: what came in, and when the loop is to wake."""
+
+    skipped = overrun = sleeps = 0
+
+    def __init__(self, ticks: list[tuple[Tick, list[Frame]]]) -> None:
+        self._ticks, self.sent = iter(ticks), []
+        self.period_ns = PERIOD
+
+    def wait(self) -> None:
+        self.tick, self.frames = next(self._ticks)
+        self.index, self.scheduled_ns, self.now_ns = self.tick.index, self.tick.scheduled_ns, self.tick.now_ns
+        self.sent.append([])
+
+    def drain(self, now_ns: int) -> list[Frame]:
+        assert now_ns == self.now_ns
+        return self.frames
+
+    def send(self, frame: Frame) -> None:
+        self.sent[-1].append(frame)
+
+    def counters(self) -> PortCounters:
+        return self.tick.port
+
+    def poll(self) -> tuple[OperatorCommand, ...]:
+        return self.tick.commands
+
+    def recorder_ok(self, now_ns: int) -> bool:
+        return self.tick.recorder_ok
+
+    def purge(self) -> bool:
+        return True
+
+    def rebind(self) -> None: ...
+
+
+OF_THE_SHELL = ("cpu_ns", "run_delay_ns", "missed_own", "missed_host", "longest_streak")
+
+
+@pytest.mark.replaces_methods
+def test_the_loop_does_what_lockstep_does_with_the_same_ticks(tmp_path, monkeypatch):
+    """Bring-up, task, a silent drive, a reset, a drive fault, stop: every frame and every record, but for times."""
+    fault = {"kind": "drive_fault", "axis": "y", "at_tick": 420, "duration_ticks": 5}
+    silent = {"kind": "encoder_silent", "axis": "x", "at_tick": 200, "duration_ticks": 30}
+    said = {60: CommandKind.ACTIVATE, 300: CommandKind.RESET, 380: CommandKind.ACTIVATE, 500: CommandKind.RESET}
+    said |= {580: CommandKind.HOME, 640: CommandKind.STOP, 700: CommandKind.SHUTDOWN}
+    ticks, results = [], []
+
+    def observe(tick, frames, result):
+        ticks.append((tick, list(frames)))
+        results.append((list(result.frames), result.record.copy()))
+
+    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
+    run = LockstepRun(
+        rig, PAPER.parent, operator=lambda run, index: [said[index]] if index in said else [], observer=observe,
+        scenario=Scenario.model_validate({"fault": [fault, silent]}),
+    )  # fmt: skip
+    states = []
+    for _ in range(720):
+        run.tick()
+        states.append(run.cycle.state)
+    assert {State.ACTIVE, State.HOMING, State.STOPPING, State.FAULT, State.SHUTDOWN} <= set(states)
+    records = []
+    with loop_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch) as loop:
+        script = Script(ticks)
+        loop.pacer = loop._port = loop._mailbox = script
+        loop._realtime_ok = True
+        ring, append = loop._ring, loop._ring.append
+        monkeypatch.setattr(ring, "append", lambda record: (records.append(record.copy()), append(record)))
+        for _ in range(len(ticks)):
+            loop._tick()
+            loop.ticks += 1
+        assert loop.stop, "the operator's shutdown ends the process"
+        ring.close()
+    assert script.sent == [frames for frames, _ in results]
+    for mine, (_, lockstep) in zip(records, results, strict=True):
+        for name in OF_THE_SHELL:
+            mine[name] = lockstep[name]
+        if loop.stop and mine["index"] > 700:
+            mine["flags"] &= ~1 & 0xFFFFFFFF  # from then on the loop's own stop is set, too
+        assert mine.tobytes() == lockstep.tobytes(), mine["index"]

@@ -73,16 +73,22 @@ def test_the_page_of_a_dead_process_is_nobodys(runtime: Path) -> None:
     assert live_pages("rig") == []
 
 
-def test_it_is_found_where_its_directory_was_removed_or_another_is_named(
-    line: StopLine, runtime: Path, monkeypatch: pytest.MonkeyPatch
+def test_it_is_found_where_its_directory_was_removed_or_another_process_was_given_another_one(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (runtime / "rig" / "stop").unlink()
-    (runtime / "rig").rmdir()
-    live_pages("rig")[0].press()
-    assert line.pressed()
-    monkeypatch.setenv("HIL_RUNTIME_DIR", str(runtime / "elsewhere"))
-    live_pages("rig")[0].press()
-    assert line.pressed()
+    name = f"rig-{os.getpid()}"  # nobody else's on this machine, all of which is looked through at last
+    (runtime / name).mkdir(mode=0o700)
+    with StopLine(runtime / name) as line:
+        (runtime / name / "stop").unlink()
+        (runtime / name).rmdir()
+        live_pages(name)[0].press()
+        assert line.pressed()
+        monkeypatch.setenv("HIL_RUNTIME_DIR", str(runtime / "elsewhere"))  # whoever names a directory means that one
+        assert live_pages(name) == []
+        monkeypatch.delenv("HIL_RUNTIME_DIR")
+        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+        live_pages(name)[0].press()
+        assert line.pressed()
 
 
 def test_a_demos_page_is_found_by_the_rigs_name(runtime: Path) -> None:

@@ -53,6 +53,9 @@ def test_it_stops_a_moving_rig_without_rig_file_sidecar_or_runtime_directory_and
             assert done.returncode == 0, done.stderr
             assert f"paper (pid {control.process.pid}): ESTOP in tick" in done.stdout
         assert emulator.stage.applied_force == [0.0, 0.0]
+    gone = estop("paper")
+    assert (gone.returncode, gone.stdout) == (69, "")
+    assert "unset it to look everywhere" in gone.stderr
 
 
 @pytest.mark.live
@@ -73,6 +76,7 @@ def test_of_a_process_that_does_not_run_it_says_so_and_the_press_waits_for_it() 
         control.process.send_signal(signal.SIGCONT)
         control.wait_for(State.ESTOP, reader)
         assert emulator.stage.applied_force == [0.0, 0.0]
+    assert estop("paper").returncode == 69
 
 
 @pytest.mark.live

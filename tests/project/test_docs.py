@@ -8,13 +8,15 @@ from hil.cycle.fault_table import RULES, Fault
 from hil.rig.schema import LawConfig
 from tests.support.paths import ROOT
 
+RENEW = "make docs"
+
 
 def test_the_pages_are_up_to_date() -> None:
-    assert (FOLDER / "states.md").read_text() == states_page()
-    assert (FOLDER / "faults.md").read_text() == faults_page()
-    assert (FOLDER / "rig-file.md").read_text() == rig_file_page()
-    assert SCHEMA.read_text() == rig_schema()
-    assert (FOLDER / "laws.md").read_text() == laws_page()
+    assert (FOLDER / "states.md").read_text() == states_page(), RENEW
+    assert (FOLDER / "faults.md").read_text() == faults_page(), RENEW
+    assert (FOLDER / "rig-file.md").read_text() == rig_file_page(), RENEW
+    assert SCHEMA.read_text() == rig_schema(), RENEW
+    assert (FOLDER / "laws.md").read_text() == laws_page(), RENEW
 
 
 def test_every_gain_of_every_law_is_in_the_table() -> None:

@@ -41,8 +41,13 @@ NAMED_FILE = re.compile(
     r"(?<![\w.-])(?<!etc/)(?<!share/)(?:hil|drivers|sim_plant|tests|deploy|docs)/[\w./@-]*\.(?:py|c|sh|toml|md|mk|eds|dbc|proto|png|svg)\b"
 )
 MODULE = re.compile(r"(?<![\w./@-])(?:hil|drivers|sim_plant)\.\w\w+")
-MADE_BY_THE_BUILD = "hil/floats/"
-NO_MODULES = {"hil.floats", "hil.laws", "hil.target"}  # of the build; an entry point group; a systemd unit
+MADE_BY_THE_BUILD = ("hil/floats/", "sim_plant/floats/")
+NO_MODULES = {
+    "hil.floats",
+    "sim_plant.floats",
+    "hil.laws",
+    "hil.target",
+}  # of the build; an entry point group; a systemd unit
 HERE = Path(__file__).relative_to(ROOT).as_posix()
 
 

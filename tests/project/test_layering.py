@@ -16,7 +16,7 @@ import pytest
 
 from tests.support.paths import ROOT
 
-ROOMS = ("__main__", "runs", "studies", "operate", "virtual", "telemetry", "live", "cycle", "control", "cli", "rig")
+ROOMS = ("__main__", "studies", "runs", "operate", "virtual", "telemetry", "live", "cycle", "control", "cli", "rig")
 PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
@@ -24,8 +24,8 @@ FILES = {
         "mapped_file runtime_paths stop_page file_lock"
     ),
     "cycle": (
-        "step supervisor axes record_builder record limits damped_stop sampling fault_monitor fault_table inbox gate "
-        "command_desk state_machine tick"
+        "step supervisor commissioning axes record_builder record limits damped_stop sampling fault_monitor "
+        "oscillation fault_table inbox gate command_desk state_machine tick"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other

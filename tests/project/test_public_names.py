@@ -15,7 +15,7 @@ QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
 NO_NAME = "nothing"
 NAMES = [
     "Event", "Gain", "Knob", "Law", "LawInputs", "Model", "Recording", "RecordingError", "Reference", "Rig", "RigError",
-    "Run", "Simulation", "load_rig", "replay", "simulate",
+    "Run", "Simulation", "load_rig", "load_run", "replay", "simulate",
 ]  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def test_a_simulation_is_that_of_hil_sim(recorded: tuple[hil.Simulation, Path]) 
     run, _ = recorded
     report, traces = simulate(load_rig(PAPER, QUICK), RIGS, 0.6)
     assert run.trace_sha256 == report.trace_sha256
-    assert run.report.axes == report.axes
+    assert run.figures.axes == report.axes
     assert np.array_equal(run.force, traces.force)
     assert run.true is not None
     assert run.true.shape == run.measured.shape == (600, 2)

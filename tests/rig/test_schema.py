@@ -1,5 +1,6 @@
 """A rig file is right, or it is refused whole, with every problem named, before a bus is opened."""
 
+import copy
 import math
 import os
 import subprocess
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from drivers.toml_file import LARGEST, MOST_PROBLEMS
 from hil.cli.exit_status import EXIT_CONFIG
-from hil.rig.file import load_rig, rig_hash
+from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
 from tests.support.paths import RIGS
 
@@ -63,9 +64,13 @@ def test_modelling_error_takes_one_number_or_one_per_axis() -> None:
 
 
 def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
-    rig = load_rig(PAPER, ["law.name=robust-pd"])
-    assert "kp" not in rig.law.gains
-    assert load_rig(PAPER, ["law.gains.kp=[1.0, 1.0]", "law.name=robust-pd"]).law.gains == {"kp": [1.0, 1.0]}
+    document = tomllib.loads(PAPER.read_text(encoding="utf-8"))
+    document["law"] |= {"name": "robust-pd", "gains": {"kp": [7.0, 8.0]}}
+    assert build_rig(copy.deepcopy(document)).law.gains == {"kp": [7.0, 8.0]}
+    assert build_rig(copy.deepcopy(document), ["law.name=robust-pd"]).law.gains == {"kp": [7.0, 8.0]}, "the same law"
+    assert build_rig(copy.deepcopy(document), ["law.name=pid"]).law.gains == {}
+    chosen = ["law.gains.kp=[1.0, 1.0]", "law.name=pid"]  # gains given with a law are for it, in whatever order
+    assert build_rig(copy.deepcopy(document), chosen).law.gains == {"kp": [1.0, 1.0]}
 
 
 def test_an_override_of_the_emulated_encoder_alone_changes_the_axes_with_it() -> None:

@@ -1,37 +1,25 @@
 """A batch of stages is bit for bit its members one by one, over every combination of what an axis can have."""
 
-from typing import Any
+import json
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Stage, Truth
+from tests.support.plant_reference import (
+    EFFECTS,
+    FILE,
+    MS,
+    THERE_AND_BACK,
+    hash_of,
+    shown_by,
+    with_and_without,
+)
 
-MS = 1_000_000
-EFFECTS: dict[str, Any] = {
-    "presliding": [1e-6, 1e-5],
-    "torque_lag": [3e-4, 1e-4],
-    "torque_noise": [1e-3, 0.0],
-    "modes": [{"axis": "x", "frequency_hz": 200.0, "load": 0.3}],
-    "friction_variation": [0.1, 0.3],
-    "cogging": [{"amplitude": 0.02, "period": 0.024}, {"axis": "y", "amplitude": 0.01, "period": 0.004, "phase": 1.0}],
-    "cable_stiffness": [0.1, 5.0],
-    "cable_hysteresis": [0.05, 0.0],
-    "bias": [0.1, -0.2],
-    "bias_walk": [0.05, 0.1],
-    "vibration": [{"axis": "x", "acceleration": 0.05, "frequency_hz": 31.0}],
-    "backlash": [1e-6, 0.0],
-    "drift": [1e-7, 0.0],
-    "encoder_noise": [5e-9, 1e-9],
-    "encoder_periodic_error": [2e-8, 0.0],
-    "encoder_latency": [2e-5, 7e-4],
-    "stribeck_scale": [0.1, 0.2],
-    "ripple_amplitude": [0.03, 0.0],
-    "gravity": [0.0, -0.4],
-    "cells": [{"axis": "x", "surface": 2e-6, "direction": 1, "stiffness": 1e14, "puncture_depth": 1e-5, "drag": 2.0}],
-}
+KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["plants"]
 
 plants = st.builds(
     lambda chosen, mass, coulomb, seed: PlantConfig(
@@ -67,6 +55,39 @@ def test_a_batch_is_bit_for_bit_its_members_one_by_one(
             assert batch.position[row].tolist() == stage.positions
             assert batch.velocity[row].tolist() == stage.velocities
             assert batch.pierced[row].tolist() == stage.pierced.tolist()
+
+
+def equal_step_by_step(members: list[PlantConfig], pieces: list[tuple[float, float]], copies: int) -> Stage:
+    """The batch, once it has been held against its members over all pieces of a millisecond."""
+    truths = [Truth.from_config(plant, 2, ["x", "y"]) for plant in members]
+    batch, singles = Stage(Truth.stack(truths * copies)), [Stage(truth) for truth in truths]
+    for piece in pieces:
+        batch.advance(MS, np.broadcast_to(piece, batch.truth.shape))
+        shown = batch.read()  # once: the encoders' noise goes on with every reading
+        for row, stage in enumerate(singles):
+            stage.advance(MS, list(piece))
+            assert batch.position[row].tolist() == stage.positions
+            assert batch.velocity[row].tolist() == stage.velocities
+            assert batch.pierced[row].tolist() == stage.pierced.tolist()
+            assert shown[row].tolist() == stage.readings()
+    return batch
+
+
+@pytest.mark.parametrize("effect", sorted(EFFECTS))
+def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effect: str) -> None:
+    """A batch that lost the effect where another one is on would show what the plant without it does; and what it shows
+    has not changed, to the bit (tests/support/plant_reference.py).
+    """
+    pairs, plain = with_and_without(effect)
+    shown = shown_by(equal_step_by_step([*pairs, *plain], THERE_AND_BACK, copies=1))
+    same = [row for row in range(len(pairs)) if np.array_equal(shown[row], shown[row + len(pairs)])]
+    assert not same, same
+    assert hash_of(shown) == KNOWN[effect]
+
+
+def test_there_is_a_hash_for_every_effect() -> None:
+    assert set(KNOWN) == set(EFFECTS)
+    assert set(EFFECTS) <= set(PlantConfig.model_fields)
 
 
 @settings(max_examples=30, deadline=None)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from sim_plant.config import PlantConfig
-from sim_plant.physics.noise import key_of, normal
+from sim_plant.physics.noise import ENCODER, TORQUE, WALK, Stream
+from sim_plant.physics.single_axis import SingleAxis
 from sim_plant.physics.stage import Stage, Truth
 from sim_plant.stages import STAGES, staged
 
@@ -21,16 +22,42 @@ def batch_of(count: int = PLANTS, **keys: Any) -> Stage:
     return Stage(Truth.stack([Truth.from_config(PlantConfig(**keys, seed=seed), 1, ["x"]) for seed in range(count)]))
 
 
+def split_mix(z: int) -> int:
+    """The finalizer of SplitMix64 in whole numbers."""
+    z = ((z ^ z >> 30) * 0xBF58476D1CE4E5B9) % 2**64
+    z = ((z ^ z >> 27) * 0x94D049BB133111EB) % 2**64
+    return z ^ z >> 31
+
+
+def number_of(seed: int, axis: int, effect: int, count: int) -> float:
+    """The count-th number of a stream, in whole numbers."""
+    key = split_mix((seed * 0x9E3779B97F4A7C15 + 0x632BE59BD9B4E019) % 2**64)
+    key = split_mix((key + axis * 0xD1342543DE82EF95 + effect * 0x2545F4914F6CDD1D) % 2**64)
+    place = key + count * 0x9E3779B97F4A7C15
+    ones, more = split_mix(place % 2**64), split_mix(place % 2**64 ^ 2**64 - 1)
+    return float((ones.bit_count() - 32 + ((more >> 11) * 2.0**-53 - 0.5)) * 0.24935149047701485)
+
+
+def test_one_axis_and_many_draw_what_whole_numbers_give() -> None:
+    seeds, axes = np.array([7, 2**32 - 1, 7], dtype=np.uint64), np.array([0, 3, 2], dtype=np.uint64)
+    for effect in (TORQUE, WALK, ENCODER):
+        many = Stream(seeds, axes, effect)
+        alone = [Stream(seed, axis, effect) for seed, axis in zip(seeds.tolist(), axes.tolist(), strict=True)]
+        for count in (0, 1, 2, 63, 64, 65, 64, 63, 200, 0, 10**12):  # forward, and back over the edge of a block
+            expected = [number_of(int(seed), int(axis), effect, count) for seed, axis in zip(seeds, axes, strict=True)]
+            assert many.at(count).tolist() == expected
+            assert [stream.at(count) for stream in alone] == expected
+
+
 def test_the_numbers_have_the_moments_of_a_normal_distribution_and_are_white() -> None:
-    key = np.array([key_of(7, 0, 1)], dtype=np.uint64)
-    numbers = np.array([normal(key, count)[0] for count in range(20_000)])
+    stream, another = Stream(7, 0, 1), Stream(7, 1, 1)
+    numbers = np.array([stream.at(count) for count in range(20_000)])
     assert numbers.mean() == pytest.approx(0.0, abs=0.03)
     assert numbers.std() == pytest.approx(1.0, abs=0.02)
     assert (numbers**4).mean() / numbers.var() ** 2 == pytest.approx(2.97, abs=0.12)
-    assert [normal(key_of(7, 0, 1), count) for count in range(50)] == numbers[:50].tolist()
     for lag in (1, 2, 17):
         assert abs(np.mean(numbers[lag:] * numbers[:-lag])) < 0.03
-    other = np.array([normal(key_of(7, 1, 1), count) for count in range(5_000)])
+    other = np.array([another.at(count) for count in range(5_000)])
     assert abs(np.mean(numbers[:5_000] * other)) < 0.05
 
 
@@ -127,4 +154,5 @@ def test_a_kind_of_stage_sets_values_that_single_keys_override(name: str) -> Non
 def test_an_ideal_stage_costs_nothing_and_keeps_its_solver() -> None:
     stage = Stage(Truth.from_config(PlantConfig(**FREE), 1))
     assert not stage._deviates
-    assert stage._shows_truth
+    assert all(type(axis) is SingleAxis for axis in stage._alone.axes)
+    assert all(encoder.is_ideal for encoder in stage._alone.encoders)

@@ -13,13 +13,15 @@ from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader, RingWriter
 from hil.live.stop_line import StopLine
+from hil.rig.file import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.gateway import Gateway
+from tests.support.paths import RIGS
 
-EXPIRY_S = 0.5
+RIG = load_rig(RIGS / "microscope.toml", ["safety.command_expiry_s=0.5"])
 ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE})
 
 
@@ -38,7 +40,7 @@ class CommandBench:
         self._reader = RingReader(directory / "ring")
         self._record = np.zeros(1, RECORD)[0]
         self._server = CommandServer(directory / "commands", remote)
-        self._gateway = Gateway(EXPIRY_S, directory / "stop", self.entries.append)
+        self._gateway = Gateway(RIG, directory / "stop", self.entries.append)
         self._thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:

@@ -32,6 +32,7 @@ RUNS: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "microscope": ("microscope.toml", ()),
     "microscope, losses": ("microscope.toml", ("wire.jitter=50e-6", "wire.drop_probability=0.003")),
+    "microscope, crossed roller": ("microscope.toml", ("plant.stage=crossed-roller",)),
     "microscope, cia402": ("microscope.toml", ("bus.protocol=cia402",)),
     "paper-dbc": ("paper-dbc.toml", ()),
 }

@@ -1,15 +1,19 @@
 """Reference runs: hashes of what the code does, kept in tests/reference/trace_hashes.json and replayed by CI.
 
-    python -m tests.support.reference          renew the file, after a change that is meant to change what runs do
+    python -m tests.support.reference [traces | campaigns]     renew the file, or that half of it
+
+For a new law renew `traces` (a minute), for a new trial `campaigns` (some minutes), and both after a change that is
+meant to change what runs do.
 
 `traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both rigs with every law.
-`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs over every layout asked for.
+`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs on their own layouts.
 """
 
+import argparse
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from tests.support.paths import RIGS, ROOT
@@ -65,14 +69,19 @@ def known() -> dict[str, Any]:
     return dict(json.loads(FILE.read_text(encoding="utf-8")))
 
 
+HALVES: dict[str, Callable[[], dict[str, Any]]] = {
+    "traces": lambda: {name: trace_hash(*run) for name, run in runs().items()},
+    "campaigns": lambda: {rig: campaign(rig) for rig in RIG_NAMES},
+}
+
+
 def main() -> None:
-    """Write the file anew."""
-    document = {
-        "renew": "python -m tests.support.reference",
-        "seconds": SECONDS,
-        "traces": {name: trace_hash(*run) for name, run in runs().items()},
-        "campaigns": {rig: campaign(rig) for rig in RIG_NAMES},
-    }
+    """Write a half anew, or both."""
+    parser = argparse.ArgumentParser(prog="python -m tests.support.reference")
+    parser.add_argument("half", nargs="?", choices=HALVES, help="without it: both")
+    asked = parser.parse_args().half
+    renewed = {name: make() for name, make in HALVES.items() if asked in (None, name)}
+    document = known() | {"seconds": SECONDS} | renewed
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 

@@ -15,16 +15,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.rig.file import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.command_client import CommandClient, NoGatewayError, local_client, remote_client
 from hil.telemetry.command_server import CONNECTIONS, Asked, Connection
 from hil.telemetry.command_wire import LIMIT, REPLY, REQUEST, WireError, frame, opened, seal, unframe
 from hil.telemetry.credentials import Credentials, CredentialsError
-from hil.telemetry.gateway import Gateway
+from hil.telemetry.gateway import Gateway, explain
+from hil.virtual.lockstep import LockstepRun, activate_when_ready
 from tests.support.certificates import certificates
 from tests.support.command_bench import CommandBench
-from tests.support.paths import ROOT
+from tests.support.paths import RIGS, ROOT
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +87,12 @@ def test_a_mac_holds_for_its_bytes_direction_nonce_and_secret_alone(body: bytes,
 # the gateway ----------------------------------------------------------------------------------------------------------
 
 
+def gateway_of(expiry_s: float) -> Gateway:
+    rig = load_rig(RIGS / "microscope.toml")
+    short_lived = rig.model_copy(update={"safety": rig.safety.model_copy(update={"command_expiry_s": expiry_s})})
+    return Gateway(short_lived, Path("/nowhere"), lambda _: None)
+
+
 def asked(refusal: str = "", last: int = 0, **changes: int) -> Asked:
     values = {"kind": int(CommandKind.STOP), "sequence": 1, "expires_ns": 1_100, **changes}
     connection = cast(Connection, SimpleNamespace(last_sequence=last, who="a test"))
@@ -109,16 +118,32 @@ def asked(refusal: str = "", last: int = 0, **changes: int) -> Asked:
     ],
 )
 def test_the_gateway_refuses_with_the_reason(changes: dict[str, int], reason: str) -> None:
-    answer = Gateway(500e-9, Path("/nowhere"), lambda _: None).judge(asked(**changes), 1_000)  # type: ignore[arg-type]
+    answer = gateway_of(500e-9).judge(asked(**changes), 1_000)  # type: ignore[arg-type]
     assert answer.startswith(reason)
     assert bool(answer) == bool(reason)
 
 
 def test_a_refused_request_uses_no_sequence_number() -> None:
-    gateway, request = Gateway(500e-9, Path("/nowhere"), lambda _: None), asked(expires_ns=900)
+    gateway, request = gateway_of(500e-9), asked(expires_ns=900)
     assert gateway.judge(request, 1_000).startswith("stale")
     assert gateway.judge(Asked(request.connection, asked().request, ""), 1_000) == ""
     assert gateway.judge(Asked(request.connection, asked().request, ""), 1_000).startswith("replayed")
+
+
+def test_a_task_that_cannot_begin_where_the_stage_stands_is_refused_by_axis_time_value_limit_and_key() -> None:
+    sets = ["task.kind=point_to_point", 'task.axes=["x"]', "task.target=[0.02]", "task.move_s=1.0"]
+    run = LockstepRun(
+        load_rig(RIGS / "microscope.toml", [*sets, "plant.initial_position=[-0.024, 0.0, 0.0, 0.0]"]),
+        RIGS,
+        operator=activate_when_ready,
+    )
+    records = [run.tick().record for _ in range(300)]
+    (refused, *_) = [record for record in records if record["n_commands"]]
+    command = refused["commands"][0]
+    assert (run.cycle.state, bool(command["accepted"])) == (State.READY, False)
+    reason = explain(CommandKind(int(command["kind"])), int(command["expires_ns"]), refused, run.cycle.rig)
+    assert reason.startswith("refused: the task cannot begin here: axis x: speed 0.076032 m/s 0.400 s after the start")
+    assert reason.endswith("the limit less its margin is 0.076; change [task] or axes.x.limits.speed = 0.08")
 
 
 # on this machine ------------------------------------------------------------------------------------------------------
@@ -204,7 +229,9 @@ handle = os.open({str(bench.directory)!r}, os.O_PATH)
 root = socket.socket(socket.AF_UNIX)
 import sys; sys.path.insert(0, {str(ROOT)!r})
 from hil.telemetry.command_client import CommandClient
+from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.rig.file import load_rig
 os.setresuid(65534, 65534, 65534)
 root.connect(f"/proc/self/fd/{{handle}}/commands")
 print(CommandClient(root, b"", None).command(CommandKind.STOP))

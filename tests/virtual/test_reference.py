@@ -1,5 +1,6 @@
 """What runs do has not changed: the hashes of tests/reference/trace_hashes.json, a few in every test run, all of them
-in the slow lane. Where a change is meant, `python -m tests.support.reference` renews the file.
+in the slow lane. Where a change is meant, `python -m tests.support.reference` renews the file (traces or campaigns: a
+half of it).
 """
 
 import pytest
@@ -10,7 +11,7 @@ EVERY_TIME = ("microscope, structured-kalman", "paper, robust-pd", "paper, pd-fe
 
 
 def test_there_is_a_hash_for_every_law_on_both_rigs() -> None:
-    assert set(known()["traces"]) == set(runs())
+    assert set(known()["traces"]) == set(runs()), "python -m tests.support.reference traces"
     assert set(EVERY_TIME) <= set(runs())
     assert len(set(known()["traces"].values())) == len(runs())
 

@@ -111,6 +111,7 @@ SHUTDOWN = 0x0006
 SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
+HALT = 0x0100
 
 VOLTAGE_ENABLED = 1 << 4  # statusword bits besides the state
 REMOTE = 1 << 9

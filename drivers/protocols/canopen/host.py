@@ -31,10 +31,11 @@ from drivers.protocols.canopen.master import HEARTBEAT_TICKS, SERVICE_TICKS, Mas
 from drivers.protocols.canopen.node import NodeMaster
 from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, FULL_SCALE, MASTER_ID, Axis, DrivePlan, plan_drives
 from drivers.protocols.sampling_clock import SamplingClock
-from drivers.protocols.stage_common import MAX_AXES, check_force, reject_id
+from drivers.protocols.stage_common import INT32, MAX_AXES, check_force, reject_id
 
 OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True)  # where a rig has no [bus.cia402]
-_SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE | cia301.HOMED | cia301.BRAKE  # bits of the statusword that are looked at
+_SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
+_OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
 
 
 def node_ids(bus: BusConfig, n_axes: int) -> list[int]:
@@ -91,8 +92,11 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     checksum = False
+    causes = False  # a statusword says FAULT; why, an emergency message does
     fd = False
     echo_id: int | None = cia301.SYNC_ID
+    acts_ns: Sequence[int] = ()
+    state_ns = 0
 
     def __init__(
         self,
@@ -107,6 +111,7 @@ class Cia402Host:
         if len(rated_force) != n_axes or not all(0 < force < 1e5 for force in rated_force):
             raise LayoutError(f"rated forces {list(rated_force)}: one per axis, above 0 and below 1e5, is needed")
         self.n_axes = n_axes
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes  # 6064h
         self._bus = bus
         self._rated = list(rated_force)
         self.plans = plan_rig(bus, rated_force, base_dir, period_ns)
@@ -127,6 +132,7 @@ class Cia402Host:
         self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
         self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
         self._tpdo = Struct("<iH")
+        self._significant = _SIGNIFICANT if bus.cia402 else _SIGNIFICANT | _OURS
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
         self._axis = {cia301.TPDO1_ID + node: axis for axis, node in enumerate(nodes)}
@@ -160,9 +166,9 @@ class Cia402Host:
             return Reject.WRONG_LENGTH
         position, word = self._tpdo.unpack(data)
         try:
-            known = self._statuses[word & _SIGNIFICANT]
+            known = self._statuses[word & self._significant]
         except KeyError:
-            known = self._statuses[word & _SIGNIFICANT] = _interpret(word)
+            known = self._statuses[word & self._significant] = _interpret(word & self._significant)
         if known is None:
             return Reject.INVALID_VALUE
         state, status = known

@@ -44,7 +44,7 @@ RIGID_OR_FLEXIBLE = {
     "rest_bandwidth": (0.12, 0.05),
     "rest_damping": (0.38, 0.8),
     "rest_force_noise": (0.83, 2.86),
-    "rest_disturbance_noise": (0.133, 0.19),
+    "rest_disturbance_noise": (0.105, 0.155),
     "innovation_noise": (0.09, 0.6),
     "integral": (0.1, 0.08),
     "table_delay": (6.0, 12.0),

@@ -47,6 +47,10 @@ class Trajectory(ABC):
         values = np.array(rows).reshape(*t_ns.shape, 3)
         return Reference(values[..., 0].copy(), values[..., 1].copy(), values[..., 2].copy())
 
+    def sample_axis(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration of one axis at task times `t_ns` (ns, (...)), each (...)."""
+        return self._axis_array(axis, np.maximum(t_ns, 0))
+
     def phase_at(self, t_ns: int) -> int:
         """Index into `phase_names` of the phase at task time `t_ns`."""
         return 0

@@ -16,13 +16,15 @@ def campaign(
     jobs: int,
     done: Callable[[int, int], None],
     overrides: Sequence[str] = (),
+    only: str = "",
 ) -> list[Cell]:
     """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
-    in all. overrides: key=value over every rig file. Raises RigError for a rig that cannot be tried.
+    in all. overrides: key=value over every rig file. only: what the names of the trials contain. Raises RigError for a
+    rig that cannot be tried.
     """
     work: list[Chunk] = []
     for path in rigs:
-        work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride)
+        work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride, only=only)
     total = sum(len(chunk.cells) for chunk in work)
     cells: list[Cell] = []
     # Spawned, not forked: a worker must be single-threaded to fork its cells.

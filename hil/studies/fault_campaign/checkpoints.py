@@ -18,6 +18,7 @@ from hil.rig.schema import RigConfig, RigError
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 
+HOMING_NS = 60_000_000  # after the way home began, in the middle of it
 PATIENCE = 10_000  # ticks in which every rig is READY, and its drives enabled
 
 
@@ -51,14 +52,18 @@ def stopping(name: str, ticks: int) -> Checkpoint:
 
 
 READY = Checkpoint("READY", State.READY)
-RESTING = (  # those any rig passes through, whatever its task
-    Checkpoint("CONNECTED", State.CONNECTED, start=0.4),
-    Checkpoint("CONNECTED, nearly READY", State.CONNECTED, ticks=-2),
-    READY,
-    Checkpoint("HOMING", State.HOMING, 60, CommandKind.HOME),
-    Checkpoint("ESTOP", State.ESTOP, 5, CommandKind.ESTOP, following=False),
-    Checkpoint("ACTIVE, being enabled", State.ACTIVE, 1, CommandKind.ACTIVATE, following=False),
-)
+
+
+def outside_the_task(rig: RigConfig) -> list[Checkpoint]:
+    """Those any rig passes through, whatever its task."""
+    return [
+        Checkpoint("CONNECTED", State.CONNECTED, start=0.4),
+        Checkpoint("CONNECTED, nearly READY", State.CONNECTED, ticks=-2),
+        READY,
+        Checkpoint("HOMING", State.HOMING, HOMING_NS // rig.period_ns, CommandKind.HOME),
+        Checkpoint("ESTOP", State.ESTOP, 5, CommandKind.ESTOP, following=False),
+        Checkpoint("ACTIVE, being enabled", State.ACTIVE, 1, CommandKind.ACTIVATE, following=False),
+    ]
 
 
 def task_phases(rig: RigConfig) -> list[tuple[str, int]]:
@@ -87,7 +92,7 @@ def task_phases(rig: RigConfig) -> list[tuple[str, int]]:
 def checkpoints(rig: RigConfig) -> list[Checkpoint]:
     """All moments of a rig's life the campaign looks at."""
     phases = task_phases(rig)
-    return [*RESTING, *(active(*phase) for phase in phases), stopping(*phases[1])]
+    return [*outside_the_task(rig), *(active(*phase) for phase in phases), stopping(*phases[1])]
 
 
 class CampaignRun(LockstepRun):

@@ -14,9 +14,16 @@ from hil.cli.output import print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name, names
 from hil.studies.fault_campaign.campaign import campaign
+from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
 
 PAPER = 150  # columns of a table that no terminal bounds
+
+
+def _trials(only: str) -> str:
+    if not any(only in trial.name for trial in TRIALS):
+        raise typer.BadParameter(f"{only!r}: in no trial's name; they are: {', '.join(trial.name for trial in TRIALS)}")
+    return only
 
 
 def faults(
@@ -27,6 +34,7 @@ def faults(
         list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
     ] = None,
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
+    only: Annotated[str, typer.Option(callback=_trials, help="only trials whose names contain this")] = "",
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     json_target: Annotated[
         str, typer.Option("--json", callback=writable, help="write all cells there; - for standard output")
@@ -54,6 +62,7 @@ def faults(
             jobs or os.cpu_count() or 1,
             lambda n, total: bar.update(job, completed=n, total=total),
             overrides or (),
+            only,
         )
     outcome = document(cells)
     console.print(terminal_table(cells))

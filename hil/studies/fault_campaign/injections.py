@@ -9,10 +9,12 @@ from drivers.protocols.base import DriveStatus, Sample
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState
 from drivers.wire.faults import FaultKind, WireFault
+from hil.control.estimator.gains import design_gains
 from hil.control.laws.base import AxisLaws, LawInputs
 from hil.control.trajectories.displaced import Displaced
 from hil.studies.fault_campaign.trial import Step, axis_name, once
 from hil.virtual.lockstep import LockstepRun
+from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.object_dictionary import key_of
 
 
@@ -116,6 +118,21 @@ def filter_nan(run: LockstepRun, axis: int) -> None:
     run.cycle.filters[axis].velocity = math.nan
 
 
+def disbelieve(run: LockstepRun, axis: int, k: int) -> None:
+    """The axis' filter expects each sample twice the limit beside where it is, to and fro; its state is set so that its
+    correction brings velocity and disturbance back to what they were: nothing else is to be seen of it.
+    """
+    motion, period = run.cycle.filters[axis], run.rig.period_ns * 1e-9
+    error = (-1) ** k * 2.0 * run.cycle.axes.innovation_limit[axis]
+    _, velocity_gain, disturbance_gain = design_gains(run.rig)[0][:, axis].tolist()
+    mass = run.cycle.axes.models[axis].mass
+    slowed = disturbance_gain * error * period / mass  # m/s, by the disturbance, in a period
+    faster = velocity_gain * error + slowed
+    motion.position += error - faster * period + 0.5 * slowed * period
+    motion.velocity += faster
+    motion.disturbance += disturbance_gain * error
+
+
 def bend(position_widths: float, speeds: float) -> Step:
     """Displace the setpoint by so many travel widths, its velocity by so many speed limits."""
 
@@ -135,9 +152,10 @@ def says_enabled(run: LockstepRun, axis: int) -> None:
     """The drive says that it is enabled, whatever it is told."""
     drive = run.stage.drives[axis]
     drive.taps.append(lambda sample: replace(sample, status=sample.status | int(DriveStatus.ENABLED)))
-    if run.stage.nodes:  # they tell their own state
+    node = run.stage.nodes[axis] if run.stage.nodes else None
+    if isinstance(node, Cia402Drive):  # it tells its own state
         _, enabled = DriveState.OPERATION_ENABLED.value
-        run.stage.nodes[axis].dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
+        node.dictionary.getters[key_of(cia301.STATUSWORD)] = lambda: enabled
 
 
 def jam(run: LockstepRun, axis: int) -> None:
@@ -155,11 +173,15 @@ def queue_full(run: LockstepRun, axis: int) -> None:
     run.host.queue_length = 0
 
 
-def babble(can_id: int) -> Step:
-    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47."""
+def babble(*can_ids: int) -> Step:
+    """A node sends without a pause: an empty frame every 25 us, of which none is over in less than 47. With the first
+    of the identifiers that no message of the rig's has.
+    """
 
     def act(run: LockstepRun, axis: int) -> None:
         now = run.wire.now_ns
+        taken = {message.can_id for message in run.cycle.protocol.messages(run.rig.period_ns)}
+        can_id = next(can_id for can_id in can_ids if can_id not in taken)
         run.wire.inject(WireFault(FaultKind.BABBLE, from_ns=now, can_id=can_id, period_ns=25_000, length=0))
 
     return once(act)
@@ -169,8 +191,9 @@ def drop_out(run: LockstepRun, axis: int) -> None:
     """The drive is enabled no more, and says so, without a fault."""
     drive = run.stage.drives[axis]
     drive.taps.append(lambda sample: replace(sample, status=sample.status & ~int(DriveStatus.ENABLED)))
-    if run.stage.nodes:  # they tell their own state
-        run.stage.nodes[axis].switch_off()
+    node = run.stage.nodes[axis] if run.stage.nodes else None
+    if isinstance(node, Cia402Drive):  # it tells its own state
+        node.switch_off()
 
 
 def overruns(slots: int, last: int = 10_000) -> Step:
@@ -188,7 +211,8 @@ def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
         answers = run.cycle.protocol.messages(run.rig.period_ns)
-        can_id = next(m.can_id for m in answers if m.after is not None and m.sender == f"axis {axis}")
+        cyclic = [m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}"]
+        can_id = cyclic[0].can_id
         for frame in list(run.received):
             if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
                 run.received.append(make(frame))

@@ -73,8 +73,8 @@ def has_nodes(layout: str) -> bool:
 
 def fixed_capabilities(protocol: HostProtocol) -> Capability:
     """Those that follow from the layout alone."""
-    # A statusword says FAULT; why, an emergency message does.
-    capabilities = Capability.NODES if has_nodes(protocol.name) else Capability.CAUSE
+    capabilities = Capability.NODES if has_nodes(protocol.name) else NONE
+    capabilities |= Capability.CAUSE if protocol.causes else NONE
     capabilities |= Capability.SEQUENCE if protocol.sequence_modulus else NONE
     return capabilities | (Capability.CHECKSUM if protocol.checksum else NONE)
 

@@ -18,6 +18,12 @@ ALWAYS = WATCHING | {State.CONNECTED}
 
 GONE = (Fault.ENCODER_LOST, Fault.ENCODER_DEAD)
 
+
+def silence(state: State) -> Fault:
+    """What silence is called in a state: while torque is permitted it is noticed sooner."""
+    return Fault.ENCODER_LOST if state in MOVING else Fault.ENCODER_DEAD
+
+
 Step = Callable[[CampaignRun, int, int], None]  # run, axis, ticks since the injection
 Limit = int | Callable[[RigConfig], int]
 
@@ -31,11 +37,12 @@ class Trial:
     every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
     following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. benign: must
     not change the state at all. certain: False where feedback may well master it. command: an operator's command the
-    trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. slack: ticks
-    more than usual until the drives have let go, where they do not hear the host. watch: ticks more than usual in which
-    the run has to end where it must. unready: whether, as the run stands at the injection, the rig must not become
-    READY any more. ends: states one of which the run has to end in where no fault latched; without it they follow from
-    the state it began in and the command.
+    trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. exactly: by
+    the state it began in, the one of `faults` that it must be where detection is due and the layout can tell; not asked
+    of STOPPING, which may be over first. slack: ticks more than usual until the drives have let go, where they do not
+    hear the host. watch: ticks more than usual in which the run has to end where it must. unready: whether, as the run
+    stands at the injection, the rig must not become READY any more. ends: states one of which the run has to end in
+    where no fault latched; without it they follow from the state it began in and the command.
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -54,6 +61,7 @@ class Trial:
     armed: frozenset[State] = MOVING
     demand: Reaction = Reaction.STOP
     command: CommandKind | None = None
+    exactly: Callable[[State], Fault] | None = None
     slack: Limit = 0
     watch: Limit = 0
     unready: Callable[[LockstepRun, int], bool] | None = None
@@ -73,6 +81,7 @@ class Trial:
             self,
             faults=(*self.faults, *self.instead),
             certain=self.certain and not self.unseen,
+            exactly=None,
             benign=False,
             lacking=lacking,
         )

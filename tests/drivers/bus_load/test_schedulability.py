@@ -143,6 +143,12 @@ def test_the_number_of_faults_tolerated_is_the_last_that_fits() -> None:
     assert at_1_mbit(STAGE_FD, ErrorModel(burst=tolerated)).schedulable
     assert not at_1_mbit(STAGE_FD, ErrorModel(burst=tolerated + 1)).schedulable
     assert faults_tolerated(SEPARATE + SERVICE, 1_000_000, 5_000_000) == -1
+    counted = []
+    for bitrate in range(600_000, 1_300_000, 50_000):
+        fits = [analyse(CIA402, bitrate, bitrate, ErrorModel(burst=burst)).schedulable for burst in range(12)]
+        counted.append(fits.index(False) - 1)
+        assert faults_tolerated(CIA402, bitrate, bitrate) == counted[-1]
+    assert len({*counted}) > 3, "odd and even ones"
 
 
 @pytest.mark.parametrize(

@@ -318,3 +318,13 @@ def test_frames_that_are_no_samples_are_refused_for_their_reason(bench: Bench) -
     }
     for reason, frame in cases.items():
         assert bench.host.decode(frame) is reason
+
+
+def test_emergencies_have_identifiers_that_nothing_else_has_below_every_service() -> None:
+    last = 127  # node
+    taken = {0x000, 0x080, *(base + node for base in (0x580, 0x600, 0x700) for node in range(1, last + 1))}
+    emergencies = {EMCY_ID + node for node in range(1, last + 1)}
+    assert not emergencies & taken
+    assert 0x600 + last < min(emergencies)
+    assert EMCY_ID == 0x680
+    assert max(emergencies) < 0x700, "more urgent than heartbeats"

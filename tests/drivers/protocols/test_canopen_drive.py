@@ -218,3 +218,29 @@ def test_no_frame_upsets_a_drive_and_none_but_a_whole_command_moves_it(frames: l
         drive.on_frame(Frame(can_id, data, 0, time * MS))
         assert abs(drive.servo.force) <= 5.3 * 1.000001
         assert drive.state is DriveState.OPERATION_ENABLED or drive.servo.force == 0.0
+
+
+@pytest.mark.parametrize("state", DriveState, ids=lambda state: state.name)
+def test_the_statusword_has_the_bits_of_cia_402(state: DriveState) -> None:
+    """Besides the state's: 4 voltage enabled, 9 remote, 12 follows the command; from ready to switch on, enabled."""
+    drive = ready_drive()
+    drive.state = state
+    word = int.from_bytes(sdo(drive, read(0x6041))[4:6], "little")
+    switched_on = state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
+    enabled = state is DriveState.OPERATION_ENABLED
+    assert cia301.drive_state(word) is state
+    assert (word >> 4 & 1, word >> 9 & 1, word >> 12 & 1) == (switched_on, 1, enabled)
+
+
+def test_a_reset_fault_clears_the_error_register_and_says_so() -> None:
+    drive = ready_drive()
+    drive.servo.fail()
+    frames = drive.advance(MS)
+    assert drive.state is DriveState.FAULT
+    assert sdo(drive, read(0x1001))[4] & 1
+    assert [frame.data[2] & 1 for frame in frames if frame.can_id == 0x085] == [1]
+    sdo(drive, write(0x6040, 0, 0, 2))
+    frames = drive.on_frame(Frame(0x605, write(0x6040, 0, 0x80, 2), 0, 2 * MS))
+    assert drive.state is DriveState.SWITCH_ON_DISABLED
+    assert sdo(drive, read(0x1001))[4] == 0
+    assert [frame.data[:3] for frame in frames if frame.can_id == 0x085] == [bytes(3)]

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.config import BusConfig
+from drivers.config import BusConfig, SignalBinding
 from drivers.frame import ECHO, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
+from drivers.protocols.dbc_binding import BoundMessage
 from tests.support.paths import RIGS, ROOT
 
 RATED = [5.3, 20.0, 0.04, 1.0]
@@ -51,6 +52,26 @@ def test_a_bound_dbc_carries_a_rig(fractions: list[float], enable: int, sequence
     heard = host.decode(answer)
     assert isinstance(heard, Sample)
     assert replace(heard, stamp_ns=0) == Sample(1, counts, 0b10001, sequence % 16, 0)
+
+
+def test_the_drives_side_knows_how_coarse_its_torque_is() -> None:
+    bus = dbc_bus()
+    host, device = host_protocol(bus, 2, [5.0, 4.0], RIGS), device_protocol(bus, 2, [5.0, 4.0], RIGS)
+    worst = 0.0
+    for step in range(1000):
+        force = [4.9873e-3 * step, 3.9914e-3 * step]
+        *_, command = [device.decode_command(frame) for frame in host.encode(Command(step, force, 3, False))]
+        worst = max(worst, *(abs(a - b) / rated for a, b, rated in zip(command.force, force, [5.0, 4.0], strict=True)))
+    assert 0.8 * device.force_resolution < worst <= 1.0001 * device.force_resolution
+
+
+def test_an_integer_signal_is_cut_at_the_ends_of_its_range() -> None:
+    message = cantools.database.load_file(ROOT / "drivers/protocols/stage_classic.dbc").get_message_by_name("Command")
+    bound = BoundMessage(message, "sum8")
+    ends = {"torque_0": (-2048, 2047), "sequence": (0, 31), "reset": (0, 1), "checksum": (0, 255)}
+    for signal, (low, high) in ends.items():
+        place = bound.place(SignalBinding(message="Command", signal=signal))
+        assert [place.raw(value) for value in (-1e9, 1e9)] == [low, high]
 
 
 def test_the_example_dbc_means_what_cantools_reads() -> None:

@@ -32,7 +32,7 @@ def odrive(**changes: Any) -> dict[str, Any]:
         "enable": both("Set_Axis_State", "Axis_Requested_State", on=CLOSED_LOOP, off=IDLE),
         "status": both("Heartbeat", "Axis_State", enabled=[CLOSED_LOOP]),
         "error": both("Heartbeat", "Axis_Error"),
-        "reset": both("Clear_Errors", "Identify"),
+        "reset": both("Clear_Errors", "Identify", on=0, off=0),
         "constant": [
             *both("Set_Controller_Mode", "Control_Mode", value=1),
             *both("Set_Controller_Mode", "Input_Mode", value=1),
@@ -61,8 +61,49 @@ def test_enable_is_sent_as_the_makers_value_and_only_when_it_changes() -> None:
     assert [frame.can_id for frame in first[-2:]] == [0x0E, 0x2E]  # the torques come last
     assert [frame.can_id for frame in host.encode(Command(1, [0.0, 0.0], 0, False))] == [0x0E, 0x2E]
     enabled = host.encode(Command(2, [1.0, 2.0], 0b10, False))
-    assert [state_of(enabled, node) for node in (0, 1)] == [None, CLOSED_LOOP]
-    assert 0x38 in [frame.can_id for frame in host.encode(Command(3, [0.0, 0.0], 0, True))]  # Clear_Errors
+    assert [state_of(enabled, node) for node in (0, 1)] == [IDLE, CLOSED_LOOP]  # all anew
+
+
+def test_errors_are_cleared_when_a_reset_is_asked_for_and_never_else() -> None:
+    host, _ = ends()
+
+    def cleared(command: Command) -> list[Frame]:
+        return [frame for frame in host.encode(command) if frame.can_id in (0x18, 0x38)]
+
+    assert cleared(Command(0, [0.0, 0.0], 0, False)) == []  # a host that has just been started unlatches nothing
+    assert cleared(Command(1, [0.0, 0.0], 0, True)) == [Frame(0x18, b"\0"), Frame(0x38, b"\0")]
+    assert cleared(Command(2, [0.0, 0.0], 0, True)) == cleared(Command(3, [0.0, 0.0], 0, False)) == []
+    assert len(cleared(Command(4, [0.0, 0.0], 0, True))) == 2
+
+
+def test_constants_go_out_again_and_first_before_drives_are_enabled() -> None:
+    host, _ = ends()
+    host.encode(Command(0, [0.0, 0.0], 0, False))
+    sent = [frame.can_id & 0x1F for frame in host.encode(Command(1, [0.0, 0.0], 0b11, False))]
+    assert sent == [0x0B, 0x0B, 0x07, 0x07, 0x0E, 0x0E]
+
+
+def test_a_drive_that_does_not_obey_is_told_again() -> None:
+    host, _ = ends()
+    host.encode(Command(0, [0.0, 0.0], 0, False))
+    host.decode(Frame(0x01, bytes((0, 0, 0, 0, CLOSED_LOOP, 0, 0, 0)), 0, MS))
+    host.decode(Frame(0x21, bytes((0, 0, 0, 0, IDLE, 0, 0, 0)), 0, MS))
+    told = [state_of(host.encode(Command(n, [0.0, 0.0], 0, False)), 0) for n in range(1, 250)]
+    assert [n for n, state in enumerate(told) if state is not None] == [98, 198]
+    host.decode(Frame(0x01, bytes((0, 0, 0, 0, IDLE, 0, 0, 0)), 0, MS))
+    assert all(state_of(host.encode(Command(n, [0.0, 0.0], 0, False)), 0) is None for n in range(250))
+
+
+def test_turns_are_counted_where_a_position_wraps() -> None:
+    wrapping = [{**item, "scale": 2.0, "wrap": 360.0} for item in both("Get_Encoder_Estimates", "Pos_Estimate")]
+    host, device = ends(position=wrapping)
+    counts = []
+    for place in (350, 10, 20, -5, -400, -700, -360, 0):
+        frame = device.encode_feedback(Sample(0, place, 0, 0, 0))._replace(timestamp_ns=MS)
+        sample = host.decode(frame)
+        assert isinstance(sample, Sample)
+        counts.append(sample.position)
+    assert counts == [350, 370, 380, 355, 320, 380, 360, 360]
 
 
 def test_status_and_error_come_in_a_message_of_their_own_and_go_stale() -> None:
@@ -133,6 +174,9 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
     [
         ({"on_change": ["Heartbeat0"]}, "'Heartbeat0' is no bound command message"),
         ({"on_change": ["Set_Input_Torque0"]}, "torque"),
+        ({"on_change": ["Set_Axis_State0"]}, "on = off = 0 in Clear_Errors0"),
+        ({"feedback": "triggered", "feedback_period_s": 0.001}, "feedback_period_s"),
+        ({"checksum_algorithm": "sum8"}, "checksum_algorithm"),
         ({"status": both("Set_Axis_State", "Axis_Requested_State")}, "both as command and as feedback"),
         ({"error": both("Heartbeat", "Axis_Error")[:1]}, "error has 1 signals for 2 axes"),
     ],

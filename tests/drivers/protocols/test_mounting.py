@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from drivers.config import BusConfig
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, Sample
-from drivers.protocols.mounting import STRAIGHT, MountedHost, Mounting
+from drivers.protocols.mounting import STRAIGHT, Mounting
+from drivers.protocols.stage_fd import StageFdHost
 from hil.cycle.state_machine import State
 from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
@@ -48,7 +49,7 @@ def test_the_frames_are_in_the_terms_of_the_drive(layout: str) -> None:
 
 def test_a_straight_rig_pays_nothing() -> None:
     host = host_protocol(BusConfig(), 2, [4.0, 4.0], RIGS, mountings=[STRAIGHT, STRAIGHT])
-    assert not isinstance(host, MountedHost)
+    assert type(host) is StageFdHost
 
 
 @pytest.mark.parametrize("layout", ["stage_fd", "stage_classic", "cia402"])

@@ -39,14 +39,16 @@ def test_an_error_passive_sender_lets_others_go_first() -> None:
 
 
 def test_a_passive_node_recovers_by_sending_well() -> None:
-    wire, sender, _, _ = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=16))
+    wire, sender, _, listener = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=16))
     sender.send(COMMAND, 0)
     wire.advance(5 * MS)
     assert (sender.tec, sender.state) == (127, BusState.ERROR_ACTIVE)
-    for _ in range(127):
+    for left in range(126, -1, -1):
         sender.send(COMMAND, wire.now_ns)
         wire.advance(wire.now_ns + MS)
-    assert sender.tec == 0
+        assert sender.tec == left
+        assert wire.confinement.healthy is (left == 0 and not listener.rec)
+    assert listener.rec == 0
 
 
 def test_bus_off_lasts_until_it_is_restarted_and_128_times_11_idle_bits_have_passed() -> None:

@@ -1,0 +1,56 @@
+"""A run's columns as a table for people (CSV), as arrays that lose nothing (NPZ), and back."""
+
+import csv
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.rig.file import build_rig
+from hil.rig.schema import RigConfig
+from hil.telemetry.recorder import RecordingError
+
+Columns = Mapping[str, NDArray[Any]]
+_RIG = "rig_json"
+_TRUE = "true_position"
+
+
+def write_csv(path: Path, table: Columns) -> None:
+    """A header line and a line a tick; numbers with all their digits, NaN as nothing. Raises OSError."""
+    rows = zip(*(values.tolist() for values in table.values()), strict=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(table)
+        lines.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value: Any) -> Any:
+    return "" if value != value else value  # NaN alone is unlike itself
+
+
+def write_npz(path: Path, rig: RigConfig, columns: Columns, true: NDArray[np.float64] | None) -> None:
+    """All columns with their types and the rig: what `read_npz` takes. Raises OSError."""
+    arrays: dict[str, Any] = dict(columns) | ({} if true is None else {_TRUE: true})
+    arrays[_RIG] = np.frombuffer(json.dumps(rig.model_dump(mode="json")).encode(), dtype=np.uint8)
+    np.savez_compressed(path, **arrays)
+
+
+def read_npz(path: Path) -> tuple[RigConfig, dict[str, NDArray[Any]], NDArray[np.float64] | None]:
+    """The rig, the columns, and the true position where it was known. Raises RecordingError, RigError."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            columns = {name: archive[name] for name in archive.files}
+        document = json.loads(columns.pop(_RIG).tobytes())
+        ticks = len(columns["scheduled_ns"])
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise RecordingError(f"{path}: not a run that hil has exported: {error}") from None
+    if any(values.ndim not in (1, 2) or len(values) != ticks for values in columns.values()):
+        raise RecordingError(f"{path}: not a run that hil has exported: columns of other lengths")
+    true = columns.pop(_TRUE, None)
+    return build_rig(document), columns, true

@@ -1,0 +1,127 @@
+"""The drives that a rig's emulated stage has: made from their own documentation or EDS, not from the rig's binding."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from drivers.config import BusConfig, ObjectValue
+from drivers.frame import Frame
+from drivers.protocols.mounting import Mounting
+from sim_plant.config import EmulatedDriveConfig
+from sim_plant.drives.servo import ServoDrive
+
+Position = Callable[[], float]
+_GENERAL_ERROR = 0x08000000  # SDO abort code
+
+
+class DriveNode(Protocol):
+    """A drive that is a node of its own on the bus. next_ns: when it has something to send in its own time."""
+
+    node_id: int
+    servo: ServoDrive
+    sampled_ns: int
+    next_ns: int
+
+    def on_frame(self, frame: Frame) -> list[Frame]:
+        """What it sends at the reception of a frame."""
+
+    def advance(self, now_ns: int) -> list[Frame]:
+        """What it sends by itself until now_ns."""
+
+
+def installed_mountings(config: EmulatedDriveConfig | None, n_axes: int) -> list[Mounting]:
+    """How the motors of drives that count in turns sit on their axes; none where the rig's own mountings are true.
+
+    Raises ValueError where [plant.drive] has not one entry for each axis.
+    """
+    if config is None or config.kind == "cia402":
+        return []
+    for name in ("turn", "nodes"):
+        count = len(getattr(config, name))
+        if count != n_axes and not (name == "nodes" and not count):
+            raise ValueError(f"plant.drive.{name} has {count} values for {n_axes} axes")
+    return [Mounting(1 if turn > 0 else -1, 2.0 * math.pi / abs(turn), 0) for turn in config.turn]
+
+
+def installed_drives(
+    bus: BusConfig,
+    config: EmulatedDriveConfig | None,
+    base_dir: Path,
+    servos: Sequence[ServoDrive],
+    positions: Sequence[Position],
+    start_ns: int,
+) -> Sequence[DriveNode]:
+    """One node an axis. positions: of the axes as their drives see them, m. Raises ValueError for an EDS that cannot be
+    read, or drives that do not speak the rig's layout.
+    """
+    cia402 = bus.protocol == "cia402"
+    kind = config.kind if config else "cia402"
+    if cia402 != (kind == "cia402"):
+        raise ValueError(f"plant.drive.kind = {kind!r}: such drives do not speak bus.protocol = {bus.protocol!r}")
+    if cia402:
+        return _cia402(bus, config, base_dir, servos, positions, start_ns)
+    assert config is not None
+    nodes = config.nodes or list(range(len(servos)))
+    return [
+        _in_turns(config, node, servo, partial(_turns, servo, position, abs(turn)), start_ns)
+        for node, servo, position, turn in zip(nodes, servos, positions, config.turn, strict=True)
+    ]
+
+
+def _turns(servo: ServoDrive, position: Position, turn: float) -> float:
+    """What an encoder of so much resolution says, in turns."""
+    return servo.sample(position(), servo.last_command_ns).position * servo.resolution / turn
+
+
+def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: Position, start_ns: int) -> DriveNode:
+    feedback_ns, state_ns = round(config.feedback_s * 1e9), round(config.heartbeat_s * 1e9)
+    if config.kind == "odrive":
+        from sim_plant.drives.odrive import Odrive
+
+        delay_ns = round(config.enable_delay_s * 1e9)
+        return Odrive(
+            node, servo, turns, start_ns, feedback_ns=feedback_ns, heartbeat_ns=state_ns, enable_delay_ns=delay_ns
+        )
+    from sim_plant.drives.vesc import Motor, Vesc
+
+    motor = Motor(config.torque_constant, config.pole_pairs)
+    return Vesc(node, servo, turns, start_ns, motor=motor, feedback_ns=feedback_ns, status_ns=state_ns)
+
+
+def _cia402(
+    bus: BusConfig,
+    config: EmulatedDriveConfig | None,
+    base_dir: Path,
+    servos: Sequence[ServoDrive],
+    positions: Sequence[Position],
+    start_ns: int,
+) -> Sequence[DriveNode]:
+    from drivers.protocols.canopen.cia301 import EDS
+    from drivers.protocols.canopen.host import node_ids
+    from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
+    from sim_plant.drives.object_dictionary import key_of
+    from sim_plant.drives.quirks import NO_QUIRKS, Quirks
+
+    quirks = NO_QUIRKS
+    if config is not None:
+
+        def keys(places: Sequence[str]) -> list[int]:
+            return [key_of(*ObjectValue(object=place, value=0).place) for place in places]
+
+        quirks = Quirks(
+            frozenset(keys(config.missing)),
+            dict.fromkeys(keys(config.aborts), _GENERAL_ERROR),
+            round(config.answer_delay_s * 1e9),
+            round(config.enable_delay_s * 1e9),
+            config.status_bits,
+            config.dummy_mapping,
+        )
+    files = [base_dir / name for name in bus.cia402.eds] if bus.cia402 else [EDS]
+    files = files * len(servos) if len(files) == 1 else files
+    nodes = node_ids(bus, len(servos))
+    return [
+        Cia402Drive(node, servo, position, start_ns, eds=eds, quirks=quirks)
+        for node, eds, servo, position in zip(nodes, files, servos, positions, strict=True)
+    ]

@@ -1,0 +1,185 @@
+"""An emulated ODrive on CANSimple, from its maker's documentation and not from any binding of ours.
+
+Source: ODrive's manual, page "CAN Protocol" (docs.odriverobotics.com/v/latest/manual/can-protocol.html), its error and
+state numbers, and the published firmware 0.5 where the page is silent (any frame to an axis feeds its watchdog;
+requested states and controller modes act at once). Rules:
+- An identifier is node * 32 + command, 11 bits; numbers are little-endian, floats IEEE 754.
+- It sends Heartbeat (01h) and Get_Encoder_Estimates (09h) in its own time, and answers remote frames for these two and
+  for Get_Error (03h).
+- Set_Axis_State (07h): 8 enters closed loop control unless an error is latched; 1, and any procedure, which is not
+  emulated, leads to idle. It starts in position control, so that torque needs Set_Controller_Mode (0Bh) with 1, 1.
+- Set_Input_Torque (0Eh) is in N m and is clipped to what the motor has. In the modes of its own position and velocity
+  loops, which are not emulated, it applies no torque.
+- Errors are latched and end closed loop control: watchdog, Estop (02h), defects. Clear_Errors (18h), whatever its
+  payload, ends them; Reboot (16h) too.
+"""
+
+import math
+from collections.abc import Callable
+from struct import Struct
+
+from drivers.frame import FD, REMOTE, Frame
+from drivers.protocols.base import DriveStatus
+from sim_plant.drives.cyclic import CyclicNode
+from sim_plant.drives.servo import ServoDrive
+
+HEARTBEAT, ESTOP, GET_ERROR, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
+SET_CONTROLLER_MODE, SET_INPUT_TORQUE, REBOOT, CLEAR_ERRORS = 0x0B, 0x0E, 0x16, 0x18
+IDLE, CLOSED_LOOP_CONTROL = 1, 8
+TORQUE_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 3, 1
+SUCCESS, DISARMED = 0, 3  # Procedure_Result
+MISSING_ESTIMATE, DRIVE_FAULT, WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 3, 1 << 5, 1 << 24, 1 << 25
+
+_ESTIMATES, _HEARTBEAT, _MODES = Struct("<ff"), Struct("<IBBBx"), Struct("<II")
+_STATE, _TORQUE, _ERRORS = Struct("<I"), Struct("<f"), Struct("<II")
+_DEFECTS = (
+    (int(DriveStatus.FAULT), DRIVE_FAULT),
+    (int(DriveStatus.WATCHDOG), WATCHDOG_TIMER_EXPIRED),
+    (int(DriveStatus.ENCODER_FAULT), MISSING_ESTIMATE),
+)
+_ENABLED = int(DriveStatus.ENABLED)
+
+
+class Odrive(CyclicNode):
+    """One axis. node_id: 0 to 63. turns: its encoder's position now, in turns of the motor.
+
+    feedback_ns, heartbeat_ns: encoder_msg_rate_ms and heartbeat_msg_rate_ms. enable_delay_ns: from the request to
+    closed loop control.
+    """
+
+    def __init__(
+        self,
+        node_id: int,
+        servo: ServoDrive,
+        turns: Callable[[], float],
+        start_ns: int,
+        *,
+        feedback_ns: int,
+        heartbeat_ns: int,
+        enable_delay_ns: int = 0,
+    ) -> None:
+        super().__init__(node_id, servo, start_ns, (feedback_ns, self._estimates), (heartbeat_ns, self._heartbeat))
+        self._turns = turns
+        self._base = node_id << 5
+        self._enable_delay_ns = enable_delay_ns
+        self._estop = False
+        self._last = (start_ns, math.nan)
+        self._restart()
+        self._handlers: dict[int, Callable[[bytes], None]] = {
+            ESTOP: self._on_estop,
+            SET_AXIS_STATE: self._on_state,
+            SET_CONTROLLER_MODE: self._on_mode,
+            SET_INPUT_TORQUE: self._on_torque,
+            REBOOT: lambda data: self._restart(),
+            CLEAR_ERRORS: lambda data: self._clear_errors(),
+        }
+        self._queries = {HEARTBEAT: self._heartbeat, GET_ENCODER_ESTIMATES: self._estimates, GET_ERROR: self._error}
+
+    def _restart(self) -> None:
+        """As configured: position control, idle."""
+        self._state, self._result = IDLE, SUCCESS
+        self._modes = POSITION_CONTROL, PASSTHROUGH
+        self._torque = 0.0
+        self._enabling_ns = -1
+        self._clear_errors()
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Obey or answer a frame to this axis."""
+        can_id = frame.can_id & ~REMOTE
+        if frame.flags & FD or can_id & ~0x1F != self._base:
+            return []
+        self.feed()
+        self._settle()
+        if frame.can_id & REMOTE:
+            query = self._queries.get(can_id & 0x1F)
+            return [query()] if query else []
+        handler = self._handlers.get(can_id & 0x1F)
+        if handler:
+            handler(frame.data)
+        return []
+
+    def live(self) -> None:
+        """Enter closed loop control when it is time; leave it where the servo has found a fault."""
+        if 0 <= self._enabling_ns <= self.now_ns:
+            self._enabling_ns = -1
+            self._state = CLOSED_LOOP_CONTROL
+            self._apply()
+        self._settle()
+
+    # commands ---------------------------------------------------------------------------------------------------------
+
+    def _on_estop(self, data: bytes) -> None:
+        self._estop = True
+        self.servo.fail()
+        self._settle()
+
+    def _on_state(self, data: bytes) -> None:
+        if len(data) < _STATE.size:
+            return
+        (requested,) = _STATE.unpack_from(data)
+        self._enabling_ns = -1
+        self._state = IDLE
+        self._result = SUCCESS if requested == IDLE else DISARMED
+        if requested == CLOSED_LOOP_CONTROL and not self._errors():
+            self._result = SUCCESS
+            if self._enable_delay_ns:
+                self._enabling_ns = self.now_ns + self._enable_delay_ns
+            else:
+                self._state = CLOSED_LOOP_CONTROL
+        self._apply()
+
+    def _on_mode(self, data: bytes) -> None:
+        if len(data) >= _MODES.size:
+            self._modes = _MODES.unpack_from(data)
+            self._apply()
+
+    def _on_torque(self, data: bytes) -> None:
+        if len(data) >= _TORQUE.size:
+            (torque,) = _TORQUE.unpack_from(data)
+            limit = self.servo.rated_force
+            self._torque = max(-limit, min(limit, torque)) if math.isfinite(torque) else 0.0
+            self._apply()
+
+    def _apply(self) -> None:
+        """Torque by state and mode."""
+        enabled = self._state == CLOSED_LOOP_CONTROL
+        torque = self._torque if self._modes == (TORQUE_CONTROL, PASSTHROUGH) else 0.0
+        self.servo.on_command(torque if enabled else 0.0, enabled, False, 0, self.now_ns)
+        self._settle()
+
+    def _clear_errors(self) -> None:
+        self._estop = False
+        self.unlatch()
+
+    def _settle(self) -> None:
+        """An error ends closed loop control."""
+        if self._state == CLOSED_LOOP_CONTROL and self._errors():
+            self._state, self._result = IDLE, DISARMED
+
+    def _errors(self) -> int:
+        status = self.servo.status | self.servo.extra_status
+        errors = sum(error for bit, error in _DEFECTS if status & bit)
+        return errors | (ESTOP_REQUESTED if self._estop else 0)
+
+    # what it sends ----------------------------------------------------------------------------------------------------
+
+    def _send(self, command: int, data: bytes) -> Frame:
+        return Frame(self._base | command, data)
+
+    def _estimates(self) -> Frame:
+        position = self._turns()
+        (then, before), self._last = self._last, (self.now_ns, position)
+        elapsed = (self.now_ns - then) * 1e-9
+        velocity = (position - before) / elapsed if elapsed > 0 and math.isfinite(before) else 0.0
+        return self._send(GET_ENCODER_ESTIMATES, _ESTIMATES.pack(position, velocity))
+
+    def _heartbeat(self) -> Frame:
+        sample = self.shown()
+        state = self._state
+        if bool(sample.status & _ENABLED) != (state == CLOSED_LOOP_CONTROL):  # it is made to say so (fault injection)
+            state = CLOSED_LOOP_CONTROL if sample.status & _ENABLED else IDLE
+        return self._send(HEARTBEAT, _HEARTBEAT.pack(self._errors(), state, self._result, 0))
+
+    def _error(self) -> Frame:
+        errors = self._errors()
+        return self._send(GET_ERROR, _ERRORS.pack(errors, errors))

@@ -1,0 +1,149 @@
+"""The inbox's fast path against the rules written down plainly: same verdicts on every history, wraps included."""
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from drivers.frame import Frame
+from drivers.protocols.base import Reject, Sample
+from hil.cycle.inbox import SUSPICIOUS, Inbox
+
+AXES = 2
+LEAK_TICKS = 7
+
+
+class AnyLayout:
+    """A layout whose frames carry the number of what they decode to."""
+
+    name, n_axes, checksum, fd, echo_id, problems = "any", AXES, True, True, None, ()
+
+    def __init__(self, modulus: int) -> None:
+        self.sequence_modulus = modulus
+        self.outcomes: list[Sample | Reject] = []
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        return self.outcomes[frame.can_id]
+
+    def frames(self, outcomes: Sequence[Sample | Reject]) -> list[Frame]:
+        self.outcomes = list(outcomes)
+        return [Frame(number, b"") for number in range(len(outcomes))]
+
+
+class PlainInbox:
+    """The rules of hil/cycle/inbox.py, one after the other and with whole numbers: a command's number never wraps here,
+    and an answer's is the newest one not yet ruled out that it can stand for.
+    """
+
+    def __init__(self, modulus: int) -> None:
+        self.modulus = modulus
+        self.newest: list[int | None] = [None] * AXES  # command whose answer was taken last
+        self.samples: list[Sample | None] = [None] * AXES
+        self.heard, self.age = [False] * AXES, [0] * AXES
+        self.rejects = [0] * len(Reject)
+        self.bad = self.late = self.lost = self.ticks = 0
+
+    def forget(self) -> None:
+        self.newest, self.heard, self.age, self.bad = [None] * AXES, [False] * AXES, [0] * AXES, 0
+
+    def collect(self, outcomes: Sequence[Sample | Reject], sent: int) -> None:
+        self.fresh, self.useless = [False] * AXES, 0
+        for outcome in outcomes:
+            reason = self.verdict(outcome, sent) if isinstance(outcome, Sample) else outcome
+            if reason is not None:
+                self.rejects[reason] += 1
+                self.useless += 1
+                self.bad += reason in SUSPICIOUS
+        if sent < 0:
+            return
+        for axis, fresh in enumerate(self.fresh):
+            self.heard[axis] |= fresh
+            self.lost += self.heard[axis] and not fresh
+            self.age[axis] = 0 if fresh else self.age[axis] + 1
+        self.ticks += 1
+        if self.ticks % LEAK_TICKS == 0:
+            self.bad = max(0, self.bad - 1)
+
+    def verdict(self, sample: Sample, sent: int) -> Reject | None:
+        axis, half = sample.axis, self.modulus // 2
+        if self.modulus:
+            previous = self.newest[axis]
+            if previous is not None:
+                ahead = (sample.sequence - previous) % self.modulus
+                if ahead == 0 or ahead > half:
+                    return Reject.STALE if ahead else Reject.DUPLICATE
+            behind = (sent - sample.sequence) % self.modulus
+            if sent < 0 or behind > half:
+                return Reject.STALE
+            self.newest[axis] = sample.sequence
+            if behind:
+                self.late += 1
+                return None
+        else:
+            self.late += self.fresh[axis]
+        self.samples[axis], self.fresh[axis] = sample, True
+        return None
+
+
+# What one tick may bring: answers by how far behind the latest command they are, and what is no sample.
+distances = st.one_of(st.sampled_from([0, 0, 0, 1, 2, -1]), st.integers(-300, 300))
+answers = st.tuples(st.integers(0, AXES - 1), distances)
+others = st.sampled_from([Reject.BAD_CHECKSUM, Reject.UNKNOWN_ID, Reject.SERVICE, Reject.WRONG_LENGTH])
+one_tick = st.tuples(
+    st.lists(answers | others, max_size=5),
+    st.sampled_from([1, 1, 1, 1, 0, 2, 3]),  # commands sent since: 0 where nothing was, as in silence
+    st.sampled_from([False] * 15 + [True]),  # a reset
+)
+
+
+def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]) -> None:
+    layout, plain = AnyLayout(modulus), PlainInbox(modulus)
+    inbox, sent = Inbox(layout, LEAK_TICKS), first
+    for number, (brought, more, reset) in enumerate(ticks):
+        if reset:
+            inbox.forget()
+            plain.forget()
+        outcomes: list[Sample | Reject] = []
+        for position, what in enumerate(brought):
+            if isinstance(what, Reject):
+                outcomes.append(what)
+            else:
+                axis, distance = what
+                sequence = (sent - distance) % modulus if modulus else -1
+                outcomes.append(Sample(axis, 100 * number + position, 0, sequence, number))
+        inbox.collect(layout.frames(outcomes), sent)
+        plain.collect(outcomes, sent)
+        assert inbox.fresh == plain.fresh
+        assert inbox.samples == plain.samples
+        assert (inbox.age, inbox.heard) == (plain.age, plain.heard)
+        assert inbox.rejects == plain.rejects
+        assert (inbox.bad_frames, inbox.late, inbox.lost) == (plain.bad, plain.late, plain.lost)
+        assert inbox.useless_now == plain.useless
+        assert inbox.oldest() == max(plain.age)
+        sent += more
+
+
+@given(st.sampled_from([0, 16, 256, 65536]), st.integers(-1, 600), st.lists(one_tick, max_size=40))
+@example(16, 14, [([(0, 0)], 1, False), ([(0, 0)], 1, False), ([(0, 2)], 1, False), ([(0, 0), (0, 0)], 1, False)])
+@example(16, -1, [([(0, 0)], 1, False)] * 3)
+@example(0, 0, [([(0, 0), (0, 0)], 1, False)] * 3)
+def test_the_fast_path_and_the_rules_judge_every_history_alike(
+    modulus: int, before_wrap: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]
+) -> None:
+    play(modulus, before_wrap, ticks)
+    if modulus and before_wrap >= 0:
+        play(modulus, 3 * modulus - before_wrap % 8, ticks)  # over the wrap
+
+
+@pytest.mark.parametrize("modulus", [256, 65536])
+def test_across_a_wrap_only_the_answer_to_the_latest_command_is_believed(modulus: int) -> None:
+    layout = AnyLayout(modulus)
+    inbox = Inbox(layout, LEAK_TICKS)
+    for sent in range(2 * modulus - 4, 2 * modulus + 4):
+        due = Sample(0, sent, 0, sent % modulus, 0)
+        old = [Sample(1, sent - back, 0, (sent - back) % modulus, 0) for back in (2, 1)]
+        inbox.collect(layout.frames([due, *old]), sent)
+        assert inbox.fresh == [True, False]
+        assert inbox.samples == [due, None]
+    assert inbox.age == [0, 8]

@@ -1,0 +1,105 @@
+"""Which source files are mutated, and which tests must notice: one table, by room.
+
+Each room's tests come cheapest first, its own before those of whole runs; what is `slow`, `live` or needs a machine of
+its own does not take part, so that a mutant is killed or not whatever else the machine does.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+_PAGES = "tests/project/test_docs.py"  # tables in code, with every range, are on generated pages
+_RUNS = ("tests/virtual/test_reference.py",)  # whole runs, each frame of them
+_LOCKSTEP = ("tests/virtual/test_lockstep.py",)
+
+
+# Seconds each, and whatever they see others see as well: left out, so that a mutant that lives costs no minutes.
+LEFT_OUT = ("however_long", "never_returns", "1200_random_sets", "any_bit_wrong", "margins_that_are_shown")
+
+
+class Room(NamedTuple):
+    """sources: files or folders. tests: likewise, in the order in which they run."""
+
+    sources: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+ROOMS = {
+    "cycle": Room(
+        ("hil/cycle",),
+        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", _PAGES, *_RUNS,
+         *_LOCKSTEP, "tests/virtual/test_replay.py"),
+    ),
+    "users' laws": Room(
+        ("hil/control/laws/users.py", "hil/control/law_registry.py"),
+        ("tests/control/test_user_laws.py", "tests/control/test_laws.py"),
+    ),
+    "laws": Room(
+        ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
+         "hil/control/nominal_model.py"),
+        ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
+         "tests/control/test_structured_filter.py",
+         "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
+         "tests/control/test_laws.py", _PAGES),
+    ),
+    "trajectories": Room(
+        ("hil/control/trajectories", "hil/control/setpoints.py"),
+        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS, *_LOCKSTEP),
+    ),
+    "estimator": Room(
+        ("hil/control/estimator",),
+        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
+    ),
+    "stability": Room(
+        ("hil/control/stability.py", "hil/control/feasibility.py"),
+        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/virtual/test_microscope.py"),
+    ),
+    "live": Room(
+        ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),
+        ("tests/live/test_ring.py", "tests/live/test_mailbox.py", "tests/live/test_loop.py", "tests/live",
+         "tests/telemetry/test_commands.py", "tests/telemetry/test_sidecar.py"),
+    ),
+    "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/test_runtime.py")),
+    "layouts": Room(
+        ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py"),
+        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/protocols",
+         "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS),
+    ),
+    "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
+    "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
+    "drives": Room(
+        ("sim_plant/drives",), ("tests/sim_plant/test_drive.py", "tests/drivers/protocols", "tests/sim_plant", *_RUNS)
+    ),
+    "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
+    "admission": Room(
+        ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
+        ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
+         "tests/control/test_task_paths.py", *_RUNS,
+         "tests/drivers/protocols/test_mounting.py"),
+    ),
+}  # fmt: skip
+
+
+def sources_of(root: Path, name: str) -> list[str]:
+    """The files of a room; of one that several name, the first one's."""
+    taken = {file for other in list(ROOMS)[: list(ROOMS).index(name)] for file in _sources(root, other)}
+    return [file for file in _sources(root, name) if file not in taken]
+
+
+def _sources(root: Path, name: str) -> list[str]:
+    return [file for source in ROOMS[name].sources for file in python_files(root, source)]
+
+
+def python_files(root: Path, path: str) -> list[str]:
+    """A file, or all sources below a folder, relative to `root`."""
+    place = root / path
+    files = [place] if place.is_file() else sorted(place.rglob("*.py"))
+    return [str(file.relative_to(root)) for file in files if not file.name.endswith("_pb2.py")]
+
+
+def files_to_run(root: Path, room: Room, source: str) -> list[str]:
+    """The room's test files, each once: first those named after the source file or its folder, then in table order."""
+    found = []
+    for path in room.tests:
+        found += [file for file in python_files(root, path) if Path(file).name.startswith("test_")]
+    names = {Path(source).stem, Path(source).parent.name}
+    return sorted(dict.fromkeys(found), key=lambda file: Path(file).stem.removeprefix("test_") not in names)

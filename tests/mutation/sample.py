@@ -1,0 +1,226 @@
+"""A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
+
+    python -m tests.mutation [--seed S] [--count N] [--room R ...] [--match TEXT] [--workers W] [--json OUT] [--all]
+    python -m tests.mutation --hollow     tests that cannot fail: hollow.py
+
+Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
+same one. Exit status 1 where the kill rate is too low, 2 where a killing test also fails on the honest code.
+
+The rule: with `n` mutants that are not explained, the run fails when the survivors would be a one-in-a-thousand event
+if 95 % of all mutants were noticed. A fresh random slice of a tree that keeps its promise so hardly ever fails by
+chance (of 100 mutants 13 may survive), while one whose rate has fallen to 80 % fails nine times in ten. `--all`, which
+draws nothing, demands 95 % exactly.
+"""
+
+import argparse
+import json
+import math
+import multiprocessing
+import os
+import random
+import shutil
+import subprocess
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.mutation.explained import Explained
+from tests.mutation.fork_server import ForkServer, Verdict
+from tests.mutation.hollow import FOLDERS, green_tests
+from tests.mutation.mutants import Mutant, differs, mutants_of
+from tests.mutation.rooms import ROOMS, files_to_run, sources_of
+
+ROOT = Path(__file__).resolve().parents[2]
+DEMANDED = 0.95
+UNFAIR = 0.001  # how often a tree that keeps what is demanded may fail by the luck of the draw
+
+
+class Case(NamedTuple):
+    """One mutant to be tried."""
+
+    room: str
+    mutant: Mutant
+    before: str
+    after: str
+
+
+class Outcome(NamedTuple):
+    """killer: the first test that failed, or the one that never ended; empty for a survivor."""
+
+    case: Case
+    killer: str
+    hung: bool
+    seconds: float
+
+
+_server: ForkServer  # of this worker
+
+
+def _start(scratch: str) -> None:
+    global _server
+    _server = ForkServer(ROOT, Path(scratch))
+
+
+def _try(case: Case) -> Outcome:
+    began = time.monotonic()
+    path = case.mutant.path
+    mutated = case.mutant.apply((_server.tree / path).read_bytes())
+    verdict = _server.try_mutant(path, mutated, files_to_run(_server.tree, ROOMS[case.room], path))
+    killer = verdict.failed[0] if verdict.failed else ""
+    return Outcome(case, killer, verdict.hung, time.monotonic() - began)
+
+
+def _honest(tests: list[str]) -> Verdict:
+    return _server.run(tests, honest=True, everything=True)
+
+
+def all_cases(rooms: Sequence[str], match: str) -> list[Case]:
+    """Every mutant of the rooms; of the lines that contain `match`, where it is given."""
+    cases = []
+    for room in rooms:
+        for path in sources_of(ROOT, room):
+            source = (ROOT / path).read_bytes()
+            for mutant in mutants_of(path, source):
+                case = Case(room, mutant, *mutant.lines(source))
+                if match in f"{path}: {case.before}":
+                    cases.append(case)
+    return cases
+
+
+def draw(cases: list[Case], seed: str, count: int) -> list[Case]:
+    """`count` of the cases, each as likely as any other; those that change nothing but the layout are passed over."""
+    random.Random(seed).shuffle(cases)
+    chosen: list[Case] = []
+    for case in cases:
+        if len(chosen) == count:
+            break
+        if differs(case.mutant, (ROOT / case.mutant.path).read_bytes()):
+            chosen.append(case)
+    return chosen
+
+
+def most_survivors(tried: int) -> int:
+    """How many may survive of `tried` before the demanded rate is refuted."""
+    below, k = 0.0, -1
+    while below < 1.0 - UNFAIR and k < tried:
+        k += 1
+        below += math.comb(tried, k) * (1.0 - DEMANDED) ** k * DEMANDED ** (tried - k)
+    return k
+
+
+def _commit() -> str:
+    said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
+    return said.stdout.strip() or time.strftime("%Y-%m-%d", time.gmtime())
+
+
+def _say(number: int, total: int, outcome: Outcome) -> None:
+    case = outcome.case
+    how = f"hung in {outcome.killer}" if outcome.hung else outcome.killer or "SURVIVED"
+    print(
+        f"{number}/{total} {case.mutant.path}:{case.mutant.line} {case.mutant.kind}: {how} ({outcome.seconds:.1f} s)",
+        flush=True,
+    )
+    if not outcome.killer:
+        print(f"    - {case.before}\n    + {case.after}", flush=True)
+
+
+def _by_room(outcomes: list[Outcome], explained: Explained) -> Iterator[str]:
+    tried, killed, known = Counter[str](), Counter[str](), Counter[str]()
+    for outcome in outcomes:
+        tried[outcome.case.room] += 1
+        killed[outcome.case.room] += bool(outcome.killer)
+        known[outcome.case.room] += not outcome.killer and explained.covers(outcome.case)
+    for room, n in tried.items():
+        counted = n - known[room]
+        rate = f"{100 * killed[room] / counted:.0f} %" if counted else "-"
+        yield f"{room:10} {n:4} tried, {killed[room]:4} killed, {known[room]:3} survivors explained: {rate}"
+
+
+def main() -> int:
+    """Draw, try, report."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", default="", help="any text; default: the commit's hash")
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--room", action="append", choices=list(ROOMS))
+    parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--hollow", action="store_true", help="list tests that pass while the product does nothing")
+    parser.add_argument("--all", action="store_true", help="every mutant of the rooms")
+    arguments = parser.parse_args()
+    if arguments.hollow:
+        return _list_green(arguments.workers)
+    seed = arguments.seed or _commit()
+    cases = all_cases(arguments.room or list(ROOMS), arguments.match)
+    if not arguments.room and not arguments.match:
+        for line in Explained().stale(cases):
+            print(f"explained, but no longer there: {line}")
+    chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
+    print(f"seed {seed}: {len(chosen)} of {len(cases)} mutants", flush=True)
+    scratch = tempfile.mkdtemp(prefix="m")
+    outcomes = []
+    try:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(arguments.workers, spawn, _start, (scratch,)) as pool:
+            for number, future in enumerate(as_completed([pool.submit(_try, case) for case in chosen]), 1):
+                outcomes.append(future.result())
+                _say(number, len(chosen), outcomes[-1])
+            killers = sorted({o.killer for o in outcomes if o.killer and not o.hung and not o.killer.endswith(")")})
+            honest = list(pool.map(_honest, [killers[k :: arguments.workers] for k in range(arguments.workers)]))
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    broken = [name for verdict in honest for name in verdict.failed]
+    if broken:
+        print("These fail on the honest code too, so that what they killed says nothing:", *broken, sep="\n  ")
+        return 2
+    return _judge(outcomes, arguments.json, seed, exact=arguments.all)
+
+
+def _green(folder: str) -> list[str]:
+    return green_tests(_server, folder)
+
+
+def _list_green(workers: int) -> int:
+    """The tests that stay green in a hollow product; exit status 1 where one of them is not explained."""
+    scratch = tempfile.mkdtemp(prefix="m")
+    try:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, spawn, _start, (scratch,)) as pool:
+            found = [test.partition("[")[0] for tests in pool.map(_green, FOLDERS) for test in tests]
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    unexplained = sorted(set(found) - set(Explained().green))
+    print(f"{len(set(found))} tests pass while the product does nothing, {len(unexplained)} of them unexplained")
+    print(*unexplained, sep="\n")
+    return 1 if unexplained else 0
+
+
+def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact: bool) -> int:
+    explained = Explained()
+    survivors = [o.case for o in outcomes if not o.killer]
+    open_cases = [case for case in survivors if not explained.covers(case)]
+    counted = len(outcomes) - len(survivors) + len(open_cases)
+    allowed = math.floor((1.0 - DEMANDED) * counted) if exact else most_survivors(counted)
+    print(*_by_room(outcomes, explained), sep="\n")
+    for case in open_cases:
+        print(f"survived, unexplained: {case.mutant.path}:{case.mutant.line}\n    - {case.before}\n    + {case.after}")
+    hung = sum(o.hung for o in outcomes)
+    print(
+        f"ran: {len(outcomes)} mutants, {len(outcomes) - len(survivors)} killed ({hung} by a time "
+        f"limit), {len(survivors) - len(open_cases)} survivors explained, {len(open_cases)} not; at most {allowed}"
+    )
+    if json_path:
+        rows = [_row(o, explained=not o.killer and explained.covers(o.case)) for o in outcomes]
+        json_path.write_text(json.dumps({"seed": seed, "mutants": rows}, indent=1))
+    return 1 if len(open_cases) > allowed or not outcomes else 0
+
+
+def _row(outcome: Outcome, *, explained: bool) -> dict[str, object]:
+    case = outcome.case
+    row = {"room": case.room, **case.mutant._asdict(), "text": case.mutant.text.decode()}
+    row |= {"before": case.before, "after": case.after, "killer": outcome.killer, "hung": outcome.hung}
+    return row | {"seconds": round(outcome.seconds, 2), "explained": explained}
