@@ -255,6 +255,12 @@ FAULT_TEXTS: Final[dict[Fault, FaultText]] = {
         "the drive does not obey: its brake is open",
         f"cut the drive's power, {_RESET}",
     ),
+    Fault.AXIS_NOT_AS_STATED: FaultText(
+        "motion in the commissioning push",
+        "m",
+        "the axis is mounted the other way round, blocked, or not as heavy as stated",
+        f"check axes.AXIS.direction, rated_force and model, {_RESET}",
+    ),
 }
 GRANTS: Final = frozenset({Fault.REALTIME_DENIED, Fault.RECORDER_LOST, Fault.RIG_CHANGED})  # there (1) or not (0)
 

@@ -6,7 +6,7 @@ Rules:
 - Every event carries what a person needs to act on it alone: tick, time, axis, measured value, limit, cause, what to do
   next. The texts are those of event_table.py.
 - A storm is bounded and counted: in each second of ticks, of events that differ in tick and value alone the first few
-  are told, and one more stands for the rest (`count`).
+  are told, and one more stands for the rest (`times`).
 
 Theory of operation: the detectors leave what they measured in the record (fault_monitor.Evidence). The stream compares
 each record with the one before it; numpy finds the few ticks in which anything changed, and only those are looked at.
@@ -57,7 +57,7 @@ class Event(NamedTuple):
     name: of the state, fault, command, ... it is about. tick: index of the tick, -1 outside the control loop. time_ns:
     monotonic, of the rig's machine. run_ns: since the run's first slot. axis: name, or empty where it concerns none or
     all. value, limit: what was measured and what it is held against, in `unit`; NaN where nothing is measured.
-    measured: what that is. count: how many occurrences this event stands for, itself included.
+    measured: what that is. times: how many occurrences this event stands for, itself included.
     """
 
     kind: Kind
@@ -73,7 +73,7 @@ class Event(NamedTuple):
     unit: str = ""
     cause: str = ""
     action: str = ""
-    count: int = 1
+    times: int = 1
 
     @property
     def text(self) -> str:
@@ -82,7 +82,7 @@ class Event(NamedTuple):
         if self.measured and not (math.isnan(self.value) and math.isnan(self.limit)):
             unit = f" {self.unit}" if self.unit else ""
             words += f": {self.measured} {self.value:.6g}{unit}, limit {self.limit:.6g}{unit}"
-        return words + (f" ({self.count} times)" if self.count > 1 else "")
+        return words + (f" ({self.times} times)" if self.times > 1 else "")
 
     @property
     def line(self) -> str:
@@ -95,7 +95,7 @@ class Event(NamedTuple):
 class _Seen(NamedTuple):
     """What the stream remembers of the tick before."""
 
-    index: int = -1
+    tick: int = -1
     state: int = int(State.BOOT)
     fault: int = 0
     active: int = 0
@@ -154,17 +154,17 @@ class EventStream:
         if lost:
             event = self._event(Kind.RECORDS_LOST, "ring", records[0], value=float(lost), limit=0.0)
             told += self._admit(event)
-            self._last = self._last._replace(index=-1)
+            self._last = self._last._replace(tick=-1)
         for place in self._places(records).tolist():
             record = records[place]
             if place:
                 before = records[place - 1]
-                self._last = self._last._replace(index=int(before["index"]))
+                self._last = self._last._replace(tick=int(before["index"]))
             told += self._turn_window(int(record["index"]))
             for event in self._look(record):
                 told += self._admit(event)
-        self._last = self._last._replace(index=int(records["index"][-1]))
-        told += self._turn_window(self._last.index)
+        self._last = self._last._replace(tick=int(records["index"][-1]))
+        told += self._turn_window(self._last.tick)
         return told
 
     def _places(self, records: NDArray[np.void]) -> NDArray[np.int64]:
@@ -175,7 +175,7 @@ class EventStream:
         for name in _COMPARED:
             marked |= _changes(records[name], before[name])
         marked |= _changes(records["port"][:, -1], last.bus)
-        marked |= np.diff(records["index"], prepend=last.index if last.index >= 0 else records["index"][0] - 1) > 1
+        marked |= np.diff(records["index"], prepend=last.tick if last.tick >= 0 else records["index"][0] - 1) > 1
         if self._pairs or int(records["evidence_total"][0]) != last.total + int(records["n_evidence"][0]):
             marked[0] = True
         flagged = np.flatnonzero(records["n_evidence"][:-1] > 0)
@@ -194,7 +194,7 @@ class EventStream:
         index, state, fault = int(record["index"]), int(record["state"]), int(record["fault"])
         active, flags, bus = int(record["faults_active"]), int(record["flags"]), int(record["port"][-1])
         self._last = _Seen(index, state, fault, active, flags, bus, int(record["evidence_total"]))
-        yield from self._pacing(record, last.index)
+        yield from self._pacing(record, last.tick)
         if bus != last.bus:
             yield self._bus(record, last.bus, bus)
         if (flags ^ last.flags) & _RIG_OK:
@@ -250,7 +250,7 @@ class EventStream:
         self._pairs = pairs
         if unkept > 0:
             event = self._event(Kind.FAULT_SEEN, "more in one tick than a record keeps", record)
-            yield event._replace(count=unkept, cause="see the faults told beside it", action="as for those")
+            yield event._replace(times=unkept, cause="see the faults told beside it", action="as for those")
 
     def _latches(self, record: np.void, evidence: "list[_Evidence]", before: int, now: int) -> Iterator[Event]:
         if before and self.latched:
@@ -333,7 +333,7 @@ class EventStream:
         tally.told += 1
         if tally.told <= TOLD:
             return [event]
-        tally.untold += event.count
+        tally.untold += event.times
         tally.last = event
         return []
 
@@ -345,7 +345,7 @@ class EventStream:
         return self._end_window()
 
     def _end_window(self) -> list[Event]:
-        rest = [tally.last._replace(count=tally.untold) for tally in self._tallies.values() if tally.last]
+        rest = [tally.last._replace(times=tally.untold) for tally in self._tallies.values() if tally.last]
         self._tallies.clear()
         return rest
 

@@ -219,7 +219,10 @@ class RecordBuilder:
         n_received = len(received)
         n_evidence = self._n_evidence
         self._words[_COUNTS] = (
-            len(commands) | n_received << 16 | len(sent) << 32 | (n_evidence if n_evidence < _MAX_I16 else _MAX_I16) << 48
+            len(commands)
+            | n_received << 16
+            | len(sent) << 32
+            | (n_evidence if n_evidence < _MAX_I16 else _MAX_I16) << 48
         )
         if commands:
             self._commands(commands)

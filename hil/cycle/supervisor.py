@@ -222,7 +222,9 @@ class Supervisor:
         commissioning = self.commissioning
         commissioning.advance(self._axes.measured, self._axes.ahead_velocity())
         if commissioning.problem:
-            self._monitor.flag(Fault.AXIS_NOT_AS_STATED)
+            self._monitor.flag(
+                Fault.AXIS_NOT_AS_STATED, commissioning.moved, commissioning.expected, commissioning.axis
+            )
             self.latch(Fault.AXIS_NOT_AS_STATED, Reaction.ZERO, tick)
         elif commissioning.done:
             self._axes.rest()
