@@ -1,11 +1,14 @@
 """Pages of docs/ made from the tables in code: `python -m docs.make_pages`. A test holds them up to date."""
 
+import inspect
 import json
 import sys
 from collections import defaultdict
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import hil
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
@@ -175,6 +178,35 @@ def _knob(knob: Knob) -> str:
     return f"{knob.low:g} to {knob.high:g}" + (f" × {unit}" if unit else "")
 
 
+def python_page() -> str:
+    """docs/python.md: what `import hil` gives, from the docstrings."""
+    lines = [
+        "# hil in Python",
+        "",
+        "Made from the docstrings by `make docs`. Programs that use it: [examples/](../examples/README.md). Library "
+        "functions print nothing, end nothing and read no arguments; what is not here may change from one "
+        "version to the next.",
+    ]
+    for name in sorted(hil.__all__):
+        found = getattr(hil, name)
+        lines += ["", f"## `hil.{name}`", "", *_code(found)]
+        if inspect.isclass(found):
+            for key, member in vars(found).items():
+                if not key.startswith("_") and (text := inspect.getdoc(member)) and _is_own(member):
+                    lines += ["", f"**`{key}`** " + " ".join(text.split())]
+    return "\n".join(lines) + "\n"
+
+
+def _is_own(member: object) -> bool:
+    return isinstance(member, property | cached_property | classmethod) or inspect.isfunction(member)
+
+
+def _code(found: object) -> list[str]:
+    """A signature's names, where it has some, and the text, as they stand in the source."""
+    names = f"({', '.join(inspect.signature(found).parameters)})" if inspect.isfunction(found) else ""
+    return ["```", *([names] if names else []), *(inspect.getdoc(found) or "").splitlines(), "```"]
+
+
 def laws_page() -> str:
     """docs/laws.md with its table of gains renewed; the text around it is written by hand."""
     before, _, rest = (FOLDER / "laws.md").read_text(encoding="utf-8").partition(GAINS_BEGIN)
@@ -223,6 +255,7 @@ def main() -> None:
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
+    (folder / "python.md").write_text(python_page(), encoding="utf-8")
     states_picture(folder / "states.svg")
 
 

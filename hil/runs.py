@@ -33,6 +33,7 @@ from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import build_rig, rig_hash
 from hil.rig.file import load_rig as read_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.shipped import by_name
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import PER_AXIS, PER_TICK
 from hil.telemetry.recorder import LockstepRecorder
@@ -97,8 +98,12 @@ def _rig(source: Path | dict[str, Any], folder: Path, overrides: tuple[str, ...]
 
 
 def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = _NO_CHANGES) -> Rig:
-    """Read a rig file; overrides: key.path=value. Raises RigError naming key, value and what is allowed."""
-    return _rig(Path(path), Path(path).parent, tuple(overrides))
+    """Read a rig file, or a shipped one by its name ("paper"); overrides: key.path=value.
+
+    Raises RigError naming key, value and what is allowed.
+    """
+    file = by_name("rigs", Path(path))
+    return _rig(file, file.parent, tuple(overrides))
 
 
 class Event(NamedTuple):
@@ -309,12 +314,18 @@ class Simulation(Run):
 class Recording(Run):
     """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
 
+    exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
+    the cycle is run again, as `hil replay` does; where ticks are missing, or this version comes to other frames, the
+    rounded values stay.
+
     Raises RecordingError where the file is none.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         data = read_run(Path(path))
-        super().__init__(data.rig, data.columns)
+        motion = None if "stamp_ns" in data.columns else replays.exact_motion(Path(path))  # older ones hold all bits
+        self.exact = motion is not None or "stamp_ns" in data.columns
+        super().__init__(data.rig, data.columns | (motion or {}))
         self.path, self.metadata = Path(path), data.metadata
         self.truncated, self.lost = data.truncated, data.lost
 
@@ -345,13 +356,14 @@ def simulate(
 ) -> Simulation:
     """Run a rig in virtual time against its emulated stage, for `seconds`: the same bytes every time, on any machine.
 
-    rig: a Rig or a rig file. overrides: key.path=value. scenario: a file of faults to inject. record: write a recording
-    there. Raises RigError where the rig cannot run, RecordingError where `record` cannot be written.
+    rig: a Rig or a rig file. overrides: key.path=value. scenario: a file of faults to inject, or a shipped one's name.
+    record: write a recording there. Raises RigError where the rig cannot run, RecordingError where `record` cannot be
+    written.
     """
     chosen = rig.changed(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     config, folder = chosen.config, chosen.folder
     refuse_unschedulable(config, folder)
-    faults = load_scenario(Path(scenario), config) if scenario is not None else None
+    faults = load_scenario(by_name("scenarios", Path(scenario)), config) if scenario is not None else None
     recorder = LockstepRecorder(Path(record), config, folder / f"{config.name}.toml") if record is not None else None
     kept: list[bytes] = []
 

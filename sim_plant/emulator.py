@@ -337,10 +337,9 @@ class EmulatedStage:
 
     def _note_sampling_of(self, axes: Sequence[int]) -> None:
         """Of drives that sample each in its own time."""
-        before, now = self.sampled, (self._stage.positions, self._stage.velocities)
-        positions, velocities = ([*quantity] for quantity in before)
+        positions, velocities = list(self.sampled[0]), list(self.sampled[1])
         for axis in axes:
-            positions[axis], velocities[axis] = now[0][axis], now[1][axis]
+            positions[axis], velocities[axis] = self._stage.positions[axis], self._stage.velocities[axis]
         self.sampled = positions, velocities
 
     def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:

@@ -97,8 +97,8 @@ class Rhythm:
 class Emulator:
     """The process' loop around an EmulatedStage whose clock starts now (time.monotonic_ns).
 
-    status_path: where the drives' state is written as JSON: after every watchdog expiry, twice a second, and at the
-    end.
+    status_path: where the drives' state is written as JSON: as soon as they are on the bus, which tells others that
+    they are, after every watchdog expiry, twice a second, and at the end.
     """
 
     def __init__(self, stage: EmulatedStage, port: Port, status_path: Path | None = None) -> None:
@@ -116,6 +116,7 @@ class Emulator:
         """Answer until SIGTERM, SIGINT or SIGHUP; the last status is on disk when this returns."""
         with StopSignals() as stop:
             self.realtime = promote()
+            self._write_status(running=True)
             while not stop.seen:
                 self.wait(stop)
                 self.step(time.monotonic_ns())

@@ -23,7 +23,9 @@ COMMANDS: dict[str, Entry] = {
         "hil.operate.demo:demo", "Emulated stage, control, telemetry and live view together, as real processes"
     ),
     "sim": Entry("hil.virtual.commands:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
-    "check": Entry("hil.operate.check:check", "Does the traffic fit the bus, and is the sampled loop stable?"),
+    "check": Entry(
+        "hil.studies.acceptance.command:check", "Does the traffic fit, is the loop stable; --law: may this law run?"
+    ),
     "run": Entry("hil.cli.app:run_directly", "The control process", UNPARSED),
     "emulate": Entry("hil.virtual.commands:emulate", "The plant on the bus, when there is no stage"),
     "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),

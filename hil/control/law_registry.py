@@ -112,7 +112,7 @@ def _from_source(file: str, source: str) -> ModuleType:
     """A module from the text of a law's file: executed once for every text."""
     if not source:
         raise ValueError(f"law.name = '{file}:...': law.source is empty; load the rig from its file")
-    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
+    digest = hashlib.sha256(f"{file}\0{source}".encode()).hexdigest()[:16]
     module = ModuleType(f"hil_law_{digest}")
     module.__file__ = file
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks

@@ -255,6 +255,12 @@ FAULT_TEXTS: Final[dict[Fault, FaultText]] = {
         "the drive does not obey: its brake is open",
         f"cut the drive's power, {_RESET}",
     ),
+    Fault.OSCILLATION: FaultText(
+        "amplitude of the following error's swing",
+        "m",
+        "the loop is at the edge of stability: gains too high, or a mode nobody modelled",
+        f"hil check, lower the gains, {_RESET}",
+    ),
     Fault.AXIS_NOT_AS_STATED: FaultText(
         "motion in the commissioning push",
         "m",

@@ -24,6 +24,7 @@ from drivers.protocols.base import DriveStatus
 from hil.control.laws.base import Reference
 from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.inbox import Inbox
+from hil.cycle.oscillation import OscillationDetector
 from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
@@ -49,6 +50,7 @@ class AxisLimits(NamedTuple):
     position_high: float
     speed: float
     following_error: float
+    oscillation: float  # amplitude of the following error, m
     jump_step: float  # m a sample may differ from the last one per period
     stuck_force: float
     braking: float  # m/s^2 the force limit is good for, halved
@@ -94,6 +96,7 @@ class FaultMonitor:
         self._diverging = [0] * n
         self._stuck = [0] * n
         self._stuck_position = [0.0] * n
+        self._swings = [OscillationDetector(limits.oscillation, period_ns * 1e-9) for limits in axes]
         self.active = 0
         self.evidence: list[Evidence] = []
         self.counts = [0] * len(Fault)
@@ -105,6 +108,8 @@ class FaultMonitor:
         self._diverging = [0] * n
         self._stuck = [0] * n
         self._no_ack_ticks = self._refused_ticks = self._overruns = self._enabled_ticks = 0
+        for swings in self._swings:
+            swings.restart(0.0)
 
     def begin(self) -> None:
         """A new tick: nothing is flagged yet."""
@@ -271,7 +276,7 @@ class FaultMonitor:
     def check_motion(
         self, axis: int, q: float, v: float, force: float, sample: Reference, planned: float, *, following: bool
     ) -> None:
-        """Travel, speed, following error, stuck encoder of one axis; measured and planned. SI units.
+        """Travel, speed, following error and its swings, stuck encoder of one axis; measured and planned. SI units.
 
         q: measured position. v: estimated velocity. sample: setpoint at the sample's instant. planned: setpoint
         position at the end of the coming interval. following: the axis is meant to follow the setpoint (not in a damped
@@ -292,9 +297,11 @@ class FaultMonitor:
         if not (low <= planned <= high and low <= stopped_at <= high):
             outside = stopped_at if low <= planned <= high else planned
             self.flag(Fault.TRAVEL_PLANNED, outside, low if outside < low else high, axis)
-        error, most = abs(q - sample.position), limits.following_error * (1.0 + abs(vd) / limits.speed)
-        if error > most:
-            self.flag(Fault.FOLLOWING_ERROR, error, most, axis)
+        error, most = q - sample.position, limits.following_error * (1.0 + abs(vd) / limits.speed)
+        if abs(error) > most:
+            self.flag(Fault.FOLLOWING_ERROR, abs(error), most, axis)
+        if self._swings[axis].seen(error):
+            self.flag(Fault.OSCILLATION, self._swings[axis].swing, limits.oscillation, axis)
 
     def _check_stuck(self, axis: int, position: float, force: float, threshold: float) -> None:
         if -threshold < force < threshold or position != self._stuck_position[axis]:

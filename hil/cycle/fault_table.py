@@ -55,6 +55,7 @@ class Fault(IntEnum):
     RIG_CHANGED = 33
     DRIVE_STAYS_ENABLED = 34
     AXIS_NOT_AS_STATED = 35
+    OSCILLATION = 36
 
 
 MOVING = TORQUE_STATES
@@ -146,6 +147,12 @@ RULES: dict[Fault, Rule] = {
         "the commissioning push moved the axis the wrong way, too far or too little ([axes.NAME.push])",
         "a push",
         Reaction.ZERO,
+        MOVING,
+    ),
+    Fault.OSCILLATION: Rule(
+        "the following error swings to and fro without fading, 5 Hz to half the rate, by limits.oscillation",
+        "3 swings",
+        Reaction.STOP,
         MOVING,
     ),
 }

@@ -4,6 +4,8 @@ from hil.cycle.fault_monitor import AxisLimits
 from hil.cycle.gate import ForceLimits
 from hil.rig.schema import RigConfig
 
+OSCILLATION = 0.1  # of limits.following_error, where limits.oscillation is not stated
+
 
 def force_limits(rig: RigConfig) -> list[ForceLimits]:
     """The gate's bounds from the rig file, one an axis."""
@@ -21,6 +23,7 @@ def axis_limits(rig: RigConfig) -> list[AxisLimits]:
             position_high=axis.limits.position[1],
             speed=axis.limits.speed,
             following_error=axis.limits.following_error,
+            oscillation=axis.limits.oscillation or OSCILLATION * axis.limits.following_error,
             jump_step=safety.jump_margin * axis.limits.speed * period + 2.0 * axis.encoder_resolution,
             stuck_force=safety.stuck_force_fraction * axis.limits.force,
             braking=0.5 * axis.limits.force / axis.model.mass,

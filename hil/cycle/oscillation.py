@@ -48,7 +48,7 @@ class OscillationDetector:
         """Begin anew at this following error (m)."""
         self._extreme = self._turned_at = error
         self._age = 0  # ticks since the extreme
-        self._count = -1  # swings that last; the first one began who knows where
+        self._count = 0  # swings that last
         self._swing = 0.0  # the latest, between two turning points
         self._rising = True
         self.swing = 0.0  # half the latest that counted, m: the amplitude

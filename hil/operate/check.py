@@ -1,9 +1,10 @@
-"""`hil check`: does the rig's traffic fit its bus, and is its sampled loop stable, before anything moves."""
+"""What `hil check` looks at: does the rig's traffic fit its bus, and is its sampled loop stable."""
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from rich.console import Console
@@ -12,40 +13,36 @@ from rich.table import Table
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
 from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
-from hil.cli.options import Overrides, RigFile
-from hil.cli.output import drawable, writable, write_json
+from hil.cli.output import write_json
 from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
-from hil.rig.bus_load import analyse_rig, microseconds, problems, rig_messages
+from hil.rig.bus_load import analyse_rig, feedback_notes, microseconds, problems, rig_messages
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
 
 
-def check(
-    rig_file: RigFile,
-    overrides: Overrides = None,
-    json_path: Annotated[
-        str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
-    ] = None,
-    measured: Annotated[
-        list[str] | None, typer.Option(metavar="AXIS=FILE", help="CSV with the axis' measured frequency response")
-    ] = None,
-    frd: Annotated[Path | None, typer.Option(metavar="FILE", help="write the loop's frequency response, JSON")] = None,
+def check_rig(
+    rig_file: Path,
+    overrides: Sequence[str] = (),
+    *,
+    json_path: str | None = None,
+    picture: Path | None = None,
+    measured: Sequence[str] = (),
+    frd: Path | None = None,
 ) -> None:
-    """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
-    keeps the limits. Exit status 78 where one of them fails.
+    """Print what was found of a rig, draw its tick, write JSON. Exit status 78 where the rig cannot run as it is.
+
+    json_path: "-" is standard output. picture: default runs/RIG-tick.png. measured: AXIS=FILE, CSV with the axis'
+    measured frequency response. frd: where the loop's frequency response goes, JSON.
     """
-    rig = load_rig(rig_file, overrides or ())
+    rig = load_rig(rig_file, overrides)
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
-    for note in encoder_notes(rig):
+    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent)]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
@@ -58,7 +55,7 @@ def check(
     try:
         infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
         stability = check_stability(rig, lowest_rate=True)
-        corners = findings(rig, measured or (), frd) if stability.stable else []
+        corners = findings(rig, measured, frd) if stability.stable else []
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))

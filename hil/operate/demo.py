@@ -27,7 +27,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, local_client
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
@@ -143,29 +143,25 @@ class Demo:
         start = self._family.start
         self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
         self.sidecar = start("sidecar", ["sidecar", *rig, *listen], environment, scene.out / "sidecar.log")
-        self._await_emulator(scene.out / "emulator.log")
+        # It is there once the drives are on the bus: a frame nobody acknowledges is a fault.
+        self._await_file(scene.paths.emulator, "the emulated stage was not on the bus")
         self.control = start("control process", ["run", *rig], environment, scene.out / "control.log")
         pids = ", ".join(f"{child.name} {child.pid}" for child in self._family.children)
         self.console.print(f"started {pids}", soft_wrap=True)
 
-    def _await_emulator(self, log: Path) -> None:
-        """Until the drives are on the bus, which the emulator then says: a frame nobody acknowledges is a fault."""
+    def _await_file(self, place: Path, otherwise: str) -> None:
+        """Until one of the processes has made this file, which says that it is ready."""
         until = time.monotonic() + START_S
-        while " on " not in log.read_text(encoding="utf-8"):
+        while not place.exists():
             self._check_alive()
             if time.monotonic() > until:
-                raise DemoError(f"the emulated stage was not on the bus within {START_S:.0f} s")
+                raise DemoError(f"{otherwise} within {START_S:.0f} s")
             time.sleep(POLL_S)
 
     def _await_endpoint(self) -> str:
         """Where the sidecar listens, as soon as it does."""
         place = self.scene.paths.endpoint
-        until = time.monotonic() + START_S
-        while not place.exists():
-            self._check_alive()
-            if time.monotonic() > until:
-                raise DemoError(f"the sidecar did not listen within {START_S:.0f} s")
-            time.sleep(POLL_S)
+        self._await_file(place, "the sidecar did not listen")
         endpoint = place.read_text(encoding="utf-8")
         self.console.print(f"watch it from a second terminal: hil monitor {self.scene.rig.name} (it is at {endpoint})")
         return endpoint

@@ -5,18 +5,37 @@ from pathlib import Path
 
 from drivers.bus_load.schedulability import Analysis, analyse
 from drivers.protocols import host_protocol
-from drivers.protocols.base import Message
+from drivers.protocols.base import HostProtocol, Message
 from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
+
+
+def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
+    """The host's side of the rig's frame layout. Raises RigError for one the rig cannot have."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    try:
+        return host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+    except (ValueError, OSError) as error:
+        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
 
 
 def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
     """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
-    rated = [axis.rated_force for axis in rig.axes.values()]
-    try:
-        layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
-        return layout.messages(rig.period_ns)
-    except (ValueError, OSError) as error:
-        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
+    return rig_layout(rig, base_dir).messages(rig.period_ns)
+
+
+def feedback_notes(rig: RigConfig, base_dir: Path) -> list[str]:
+    """What drives that sample in their own time cost the loop, for people; nothing for drives that are triggered."""
+    acts_ns = rig_layout(rig, base_dir).acts_ns
+    if not acts_ns or rig.bus.dbc is None:
+        return []
+    least_ms = max(acts_ns) * 1e-6
+    most_ms = least_ms + (rig.bus.dbc.feedback_period_s * 1e3 or rig.period_ns * 1e-6)
+    more_ms = max(0.0, most_ms - rig.period_ns * 1e-6)
+    return [
+        f"drives sample in their own time: a position is {least_ms:.1f} to {most_ms:.1f} ms old when the force made of "
+        f"it acts; the stability below counts {rig.period_ns * 1e-6:g} ms. The rest, {more_ms:.1f} ms, costs "
+        f"{0.36 * more_ms:.2f} degrees of phase per Hz of the loop's crossover"
+    ]
 
 
 def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:

@@ -32,6 +32,12 @@ class LimitsConfig(BaseModel):
     force: Positive = key(REQUIRED, "greatest force; at most rated_force", "N (N m)")
     force_rate: Positive = key(REQUIRED, "greatest change of the force; zero is never delayed by it", "N/s (N m/s)")
     following_error: Positive = key(REQUIRED, "greatest distance between setpoint and position", "m (rad)")
+    oscillation: Positive | None = key(
+        None,
+        "amplitude of a following error that swings to and fro by itself, 5 Hz to half the rate; not stated: a tenth "
+        "of following_error",
+        "m (rad)",
+    )
 
 
 class ModelConfig(BaseModel):

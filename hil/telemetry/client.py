@@ -1,5 +1,6 @@
 """A client of a sidecar: the newest status. Commands are not given over Zenoh: hil/telemetry/command_client.py."""
 
+import contextlib
 import socket
 import time
 from typing import Any
@@ -16,6 +17,7 @@ from hil.telemetry.session import client_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _POLL_S = 0.01
+_KEPT = 200  # batches for a reader that is late
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
 
 
@@ -66,6 +68,7 @@ class RigClient(Closing):
         self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
+        self._batches: Any = None
 
     def _connect(self) -> bool:
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
@@ -92,6 +95,20 @@ class RigClient(Closing):
             if status := self.status():
                 return status
             time.sleep(_POLL_S)
+        raise NoSidecarError(_NOBODY.format(self.endpoint))
+
+    def wait_telemetry(self, timeout_s: float) -> pb.Telemetry:
+        """The next batch of ticks since this was first called, the oldest of at most _KEPT. Raises NoSidecarError."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            if self._connect() and self._batches is None and self._session is not None:
+                self._batches = self._session.declare_subscriber(f"{self._key}/telemetry", RingChannel(_KEPT))
+            sample = self._batches.try_recv() if self._batches is not None else None
+            if sample is None:
+                time.sleep(_POLL_S)
+                continue
+            with contextlib.suppress(DecodeError):  # as in `status`
+                return pb.Telemetry.FromString(sample.payload.to_bytes())
         raise NoSidecarError(_NOBODY.format(self.endpoint))
 
     def close(self) -> None:

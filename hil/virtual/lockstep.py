@@ -115,6 +115,7 @@ class LockstepRun:
     def tick(self) -> CycleResult:
         """One control period: cycle, send, and let the wire, the drives and the stage live until the next."""
         now = self.index * self.rig.period_ns
+        frames = self._drain()
         tick = Tick(
             self.index,
             now,
@@ -126,7 +127,6 @@ class LockstepRun:
             **self.grants,
         )
         self.estop = False
-        frames = self._drain()
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index

@@ -159,7 +159,7 @@ class Odrive(CyclicNode):
     def _errors(self) -> int:
         status = self.servo.status | self.servo.extra_status
         errors = sum(error for bit, error in _DEFECTS if status & bit)
-        return errors | (ESTOP_REQUESTED if self._estop else 0)
+        return (errors & ~DRIVE_FAULT) | ESTOP_REQUESTED if self._estop else errors
 
     # what it sends ----------------------------------------------------------------------------------------------------
 

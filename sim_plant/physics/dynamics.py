@@ -155,7 +155,8 @@ class Dynamics:
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
-            turning = select(speed <= reach, reach * h * (1.0 / TURN_STEP), 0.0)
+            held = h * BREAKING_LOOSE * s.coulomb * self.inverse_mass  # no part of what turns it round
+            turning = select(speed <= reach, abs(reach - held) * h * (1.0 / TURN_STEP), 0.0)
             turns = root(turning)
             work = greater(work, select(turns > MOST_TURN_STEPS, MOST_TURN_STEPS, turns))
             work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))

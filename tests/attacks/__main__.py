@@ -6,6 +6,7 @@ import platform
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 from tests.attacks import on_commands, on_files, on_processes, on_zenoh
@@ -42,9 +43,13 @@ def main(out: Path, only: str) -> int:
         finally:
             target.close()
     held = sum(result.held for result in results)
+    before = Counter(result.before for result in results)
     took_s = time.monotonic() - began
     summary = {"attacks": len(results), "held": held, "seconds": round(took_s, 1), "python": platform.python_version()}
-    out.write_text(json.dumps({**summary, "results": [result._asdict() for result in results]}, indent=1) + "\n")
+    out.write_text(
+        json.dumps({**summary, "before": before, "results": [result._asdict() for result in results]}, indent=1) + "\n"
+    )
+    print("on the code before: " + ", ".join(f"{count} {fate}" for fate, count in sorted(before.items())))
     print(f"ran: {len(results)} attacks, {held} held, {took_s:.0f} s; {out}")
     return 0 if held == len(results) and (only or held >= LEAST) else 1
 

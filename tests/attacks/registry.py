@@ -4,6 +4,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from tests.attacks.before import before
 from tests.attacks.target import Target
 
 Attack = Callable[[Target], Iterator[str]]
@@ -22,12 +23,20 @@ class Listed(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What came of one."""
+    """What came of one. before, seen_before: on the code before (tests/attacks/before.py)."""
 
     attack: str
     expected: str
     seen: str
     held: bool
+    before: str
+    seen_before: str
+
+
+def result(attack: str, expected: str, seen: str, *, held: bool) -> Result:
+    """Beside what came of it on the code before."""
+    earlier = before(attack)
+    return Result(attack, expected, seen, held, earlier.fate, earlier.seen)
 
 
 ATTACKS: list[Listed] = []
@@ -54,13 +63,13 @@ def tried(listed: Listed, target: Target) -> list[Result]:
         target.ready()
     course = listed.body(target)
     try:
-        results.append(Result(listed.name, listed.expected, next(course), held=True))
+        results.append(result(listed.name, listed.expected, next(course), held=True))
         if listed.moving:
             results.append(_pressed(listed, target))
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         seen = f"{type(error).__name__}: {error} ({last.name}, line {last.lineno})"
-        results.append(Result(listed.name, listed.expected, seen, held=False))
+        results.append(result(listed.name, listed.expected, seen, held=False))
     finally:
         for _ in course:  # the attack is over
             pass
@@ -70,6 +79,6 @@ def tried(listed: Listed, target: Target) -> list[Result]:
 def _pressed(listed: Listed, target: Target) -> Result:
     name, expected = f"stop pressed during: {listed.name}", "ESTOP latched by the loop at once"
     try:
-        return Result(name, expected, target.press(), held=True)
+        return result(name, expected, target.press(), held=True)
     except AssertionError as error:
-        return Result(name, expected, str(error), held=False)
+        return result(name, expected, str(error), held=False)

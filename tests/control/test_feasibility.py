@@ -9,7 +9,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hil.control.feasibility import corner_starts, start_notes, task_problems, unit_questions, violations
+from hil.control.feasibility import (
+    SAMPLES_A_PERIOD,
+    corner_starts,
+    start_notes,
+    task_problems,
+    unit_questions,
+    violations,
+)
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -195,3 +202,12 @@ def test_a_violation_tells_the_first_moment_and_what_is_wanted_then() -> None:
     at = round(found.time_s * 1e9)
     assert abs(trajectory.at(0, at)[1]) > 0.95
     assert max(abs(trajectory.at(0, t)[1]) for t in range(0, at, rig.period_ns)) <= 0.95
+
+
+def test_a_move_of_a_few_control_periods_is_refused_and_one_of_enough_is_not() -> None:
+    def quantities(move_s: float) -> set[str]:
+        sets = ["task.kind=point_to_point", 'task.axes=["x"]', "task.target=[1e-9]", f"task.move_s={move_s}"]
+        return {violation.quantity for violation in violations(load_rig(RIGS / "paper.toml", sets), [0.0, 0.0])}
+
+    assert "control periods per move" in quantities((SAMPLES_A_PERIOD - 1) * 1e-3)
+    assert "control periods per move" not in quantities((SAMPLES_A_PERIOD + 1) * 1e-3)

@@ -1,5 +1,5 @@
 """What every law asks for has not changed, to the bit, and is the same on arrays as on floats. Where a change is meant,
-`python -m tests.support.law_reference` renews tests/reference/law_hashes.json.
+`python -m tests.support.reference laws` renews tests/reference/law_hashes.json.
 """
 
 import json
@@ -13,7 +13,7 @@ KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["forces"]
 
 
 def test_there_is_a_hash_of_every_law() -> None:
-    assert set(KNOWN) == set(laws()), "python -m tests.support.law_reference"
+    assert set(KNOWN) == set(laws()), "python -m tests.support.reference laws"
     assert len({hashes["stiff"] for hashes in KNOWN.values()}) > 0.9 * len(KNOWN), "they do differ"
 
 

@@ -66,6 +66,15 @@ def test_realised_poles_of_the_rigs_loop_are_those_of_its_equations() -> None:
         assert abs(found[2]) == pytest.approx(abs(expected[2]), abs=1e-3)
 
 
+@pytest.mark.parametrize("law", ["pd-feedforward", "disturbance-observer"])
+def test_what_gravity_pulls_does_not_move_a_pole(law: str) -> None:
+    level, steep = (
+        check_stability(load_rig(RIG, [f"law.name={law}", f"axes.x.model.gravity={pull}"])).axes["x"] for pull in (0, 2)
+    )
+    assert np.abs(steep.poles) == pytest.approx(np.abs(level.poles), abs=1e-3)
+    assert steep.gain_margin == pytest.approx(level.gain_margin, rel=1e-3)
+
+
 def test_gain_margin_is_where_the_loop_turns_unstable() -> None:
     rig = load_rig(RIG, ["law.gains.kp=[2000, 1000]", "law.gains.kd=[9, 5]"])
     axis = check_stability(rig).axes["x"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.control.trajectories import make_trajectory
 from hil.control.trajectories.base import Trajectory
-from hil.control.trajectories.paths import spline
+from hil.control.trajectories.paths import spline, waypoints
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
@@ -109,6 +109,19 @@ def test_waypoints_are_reached_within_the_limits() -> None:
     for point in points:
         assert np.abs(sampled.position - point).sum(axis=1).min() < 1e-12
     assert (sampled.position[-1] == points[-1]).all()
+
+
+@pytest.mark.parametrize("tight", range(3), ids=["speed", "acceleration", "jerk"])
+def test_a_move_between_waypoints_is_as_quick_as_its_tightest_limit_allows(tight: int) -> None:
+    limits = [(0.02, 100.0, 1e6), (100.0, 0.1, 1e6), (100.0, 100.0, 2.0)][tight]
+    move = waypoints([[0.0, 0.01], [0.02, 0.01]], limits, lambda seconds: round(seconds * 1e9), 0, repeat=False)
+    assert move.duration_ns is not None
+    times = np.linspace(0, move.duration_ns, 4001).astype(np.int64)
+    sampled = move.sample(np.repeat(times[:, None], 2, axis=1))
+    jerk = np.abs(np.diff(sampled.acceleration, axis=0)).max() / (move.duration_ns / 4000 * 1e-9)
+    reached = (np.abs(sampled.velocity).max(), np.abs(sampled.acceleration).max(), jerk)
+    assert reached[tight] == pytest.approx(limits[tight], rel=3e-3)
+    assert all(value <= limit * 1.001 for value, limit in zip(reached, limits, strict=True))
 
 
 def test_a_spiral_turns_outwards_and_rests_at_both_ends() -> None:

@@ -205,6 +205,14 @@ def test_the_line_that_raised_is_named(rig_file: Path) -> None:
     assert run.cycle.law.failure.endswith(f"./misbehaves.py:{number}: ZeroDivisionError: float division by zero")
 
 
+def test_the_same_text_under_two_names_is_told_by_each(rig_file: Path) -> None:
+    whole = f"law.name={rig_file.parent}/misbehaves.py:Misbehaves"
+    rigs = [load_rig(rig_file, [name]) for name in (beside("misbehaves"), whole)]
+    failures = [fault_of(rig, rig_file.parent).cycle.law.failure for rig in (*rigs, rigs[0])]
+    assert failures[0] == failures[2] != failures[1]
+    assert all("ZeroDivisionError" in failure for failure in failures)
+
+
 def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(users, "CALL_LIMIT_S", 0.3)
     run = fault_of(load_rig(rig_file, [beside("misbehaves"), "law.gains.how='never returns'"]), rig_file.parent)

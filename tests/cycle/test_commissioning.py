@@ -70,6 +70,7 @@ def test_an_axis_that_is_not_as_stated_gets_no_task(torque: float, stated: dict[
     assert says in run.cycle.problems[0]
     assert run.cycle.problems[0].startswith("axis x: pushed by +1.6")
     assert run.cycle.setpoints.trajectory is None
+    assert not run.cycle.supervisor.commissioning.running
     assert max(abs(run.true_position)) < 0.06  # with no brake it runs on until friction has stopped it
 
 

@@ -8,6 +8,7 @@ import pytest
 from drivers.protocols.base import DriveStatus
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
+from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -115,6 +116,11 @@ def test_a_heartbeat_that_ends_brings_a_damped_stop_in_time_and_latches() -> Non
     run.go(round(rig.safety.stop_s * 1e3) + 3)
     assert run.cycle.state is State.FAULT
     assert run.stage.applied_force == [0.0, 0.0]
+
+
+def test_before_its_first_tick_a_cycle_is_in_boot_without_a_fault() -> None:
+    cycle = ControlCycle(paper(), RIGS)
+    assert (cycle.state, cycle.fault, cycle.silent) == (State.BOOT, Fault.NONE, False)
 
 
 def test_a_stale_command_is_refused_and_the_same_one_in_time_is_not() -> None:
@@ -242,8 +248,10 @@ def test_one_drive_that_is_not_well_keeps_the_whole_rig_from_ready(axis: int) ->
     assert [bool(drive.status & DriveStatus.WATCHDOG) for drive in run.stage.drives] == [axis == 0, axis == 1]
 
 
-def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready() -> None:
-    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": 0}
+@pytest.mark.parametrize("from_tick", [0, 10], ids=["ever", "any more"])
+def test_one_drive_that_says_nothing_keeps_the_whole_rig_from_ready(from_tick: int) -> None:
+    silent = {"kind": "encoder_silent", "axis": "y", "at_tick": from_tick}
     run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [silent]}))
     assert run.go(3 * READY_BY).cycle.state is State.CONNECTED
-    assert run.cycle.inbox.samples[0] is not None
+    heard = [sample is not None for sample in run.cycle.inbox.samples]
+    assert heard == [True, from_tick > 0]

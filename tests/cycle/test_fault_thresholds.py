@@ -30,8 +30,8 @@ SAFETY = SafetyConfig(
     transmit_refused_limit=4, overrun_streak=6, overrun_zero_s=0.02, disable_timeout_ticks=30,
 )  # fmt: skip
 LIMITS = [
-    AxisLimits(-0.5, 0.5, 0.25, 1e-3, 4e-4, 3.0, 8.0),
-    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 8e-4, 2.0, 4.0),
+    AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0),
+    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0),
 ]
 INNOVATION = [1e-4, 2e-4]
 AXIS = 1  # the one that a case is about; the other one is well
@@ -179,11 +179,13 @@ EXPECTED: dict[Fault, tuple[Reaction, set[State]]] = {
     Fault.RIG_CHANGED: (Reaction.COUNT, ALWAYS),
     Fault.DRIVE_STAYS_ENABLED: (Reaction.SILENT, RESTING),
     Fault.AXIS_NOT_AS_STATED: (Reaction.ZERO, MOVING),
+    Fault.OSCILLATION: (Reaction.STOP, MOVING),
 }
 DRIVES_OWN = {Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENABLE_TIMEOUT, Fault.ENCODER_FAULT}
 DRIVES_OWN |= {Fault.DRIVE_STAYS_ENABLED}  # the drive holds it, so it does not keep RESET from clearing it
 # Not the monitor's: test_cycle_faults.py, test_commissioning.py.
 WHOLE_CYCLE = {Fault.ENABLE_TIMEOUT, Fault.HEARTBEAT_LOST, Fault.AXIS_NOT_AS_STATED}
+WHOLE_CYCLE |= {Fault.OSCILLATION}  # what one tick shows is no swing: the last test
 
 
 def motion_cases() -> Iterator[Case]:
@@ -386,3 +388,12 @@ def test_of_two_faults_the_graver_one_counts_and_among_equals_the_first() -> Non
 def test_frames_lost_behind_a_stall_are_no_flood() -> None:
     for counter in ("overflow", "discarded"):
         assert Bench().show(Seen(slots=2, counted={counter: 100})) == {Fault.OVERRUN}
+
+
+@pytest.mark.parametrize("times", [1.0, math.nextafter(1.0, 0.0)])
+def test_a_swing_of_just_the_limit_is_an_oscillation_and_one_below_is_none(times: float) -> None:
+    bench, off = Bench(), times * LIMIT.oscillation
+    shown = [bench.show(Seen(setpoint=-off if k // 10 % 2 else off)) for k in range(60)]
+    first = next((k for k, flagged in enumerate(shown) if flagged), -1)
+    assert first == (30 if times == 1.0 else -1)  # three swings, the first of them from the middle
+    assert set().union(*shown) == ({Fault.OSCILLATION} if times == 1.0 else set())

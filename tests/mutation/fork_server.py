@@ -71,7 +71,7 @@ class ForkServer:
 
     def __init__(self, root: Path, scratch: Path) -> None:
         die_with_parent()
-        self._home = Path(tempfile.mkdtemp(dir=scratch))
+        self._home = Path(tempfile.mkdtemp(prefix="", dir=scratch))
         self.tree = self._home / "t"
         self.tree.mkdir()
         copy_tree(root, self.tree)
@@ -182,7 +182,8 @@ def _run_in_child(tests: list[str], writer: int, plugins: Sequence[object], *, e
 
         reporter = _Reporter(writer)
         for path in tests:
-            options = OPTIONS if everything else [*OPTIONS, "-x"]
+            options = [*OPTIONS] if everything else [*OPTIONS, "-x"]
+            options.append(f"--basetemp={os.environ['TMPDIR']}/b")  # short: a socket's path has 107 characters at most
             status = pytest.main([*options, path], plugins=[reporter, *plugins])
             if status not in (0, 5) and not everything:
                 if status != 1:

@@ -26,7 +26,8 @@ class Room(NamedTuple):
 ROOMS = {
     "cycle": Room(
         ("hil/cycle",),
-        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle", _PAGES, *_RUNS,
+        ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle",
+         "tests/telemetry/test_recorder.py", _PAGES, *_RUNS,
          *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
     "users' laws": Room(
@@ -50,8 +51,9 @@ ROOMS = {
         ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
-        ("hil/control/stability.py", "hil/control/feasibility.py"),
-        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/virtual/test_microscope.py"),
+        ("hil/control",),
+        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/control/test_loop_corners.py",
+         "tests/control/test_start_ranges.py", "tests/virtual/test_microscope.py"),
     ),
     "live": Room(
         ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),
@@ -67,7 +69,8 @@ ROOMS = {
     "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
     "drives": Room(
-        ("sim_plant/drives",), ("tests/sim_plant/test_drive.py", "tests/drivers/protocols", "tests/sim_plant", *_RUNS)
+        ("sim_plant/drives",), ("tests/sim_plant/test_drive.py", "tests/drivers/protocols", "tests/sim_plant",
+         "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(

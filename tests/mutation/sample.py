@@ -1,6 +1,7 @@
 """A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
 
-    python -m tests.mutation [--seed S] [--count N] [--room R ...] [--match TEXT] [--workers W] [--json OUT] [--all]
+    python -m tests.mutation [--seed S] [--count N] [--minutes M] [--room R ...] [--match TEXT] [--workers W]
+                             [--json OUT] [--all]
     python -m tests.mutation --hollow     tests that cannot fail: hollow.py
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
@@ -145,6 +146,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__.splitlines()[0])
     parser.add_argument("--seed", default="", help="any text; default: the commit's hash")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no mutant after so many")
     parser.add_argument("--room", action="append", choices=list(ROOMS))
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
@@ -160,15 +162,21 @@ def main() -> int:
         for line in Explained().stale(cases):
             print(f"explained, but no longer there: {line}")
     chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
+    until = time.monotonic() + 60.0 * arguments.minutes
     print(f"seed {seed}: {len(chosen)} of {len(cases)} mutants", flush=True)
     scratch = tempfile.mkdtemp(prefix="m")
     outcomes = []
     try:
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(arguments.workers, spawn, _start, (scratch,)) as pool:
-            for number, future in enumerate(as_completed([pool.submit(_try, case) for case in chosen]), 1):
-                outcomes.append(future.result())
-                _say(number, len(chosen), outcomes[-1])
+            futures = [pool.submit(_try, case) for case in chosen]
+            for future in as_completed(futures):
+                if not future.cancelled():
+                    outcomes.append(future.result())
+                    _say(len(outcomes), len(chosen), outcomes[-1])
+                if time.monotonic() > until:
+                    for waiting in futures:
+                        waiting.cancel()
             killers = sorted({o.killer for o in outcomes if o.killer and not o.hung and not o.killer.endswith(")")})
             honest = list(pool.map(_honest, [killers[k :: arguments.workers] for k in range(arguments.workers)]))
     finally:

@@ -2,7 +2,16 @@
 
 import re
 
-from docs.make_pages import FOLDER, SCHEMA, faults_page, gains_table, laws_page, rig_file_page, rig_schema, states_page
+from docs.make_pages import (
+    FOLDER,
+    SCHEMA,
+    faults_page,
+    gains_table,
+    laws_page,
+    rig_file_page,
+    rig_schema,
+    states_page,
+)
 from hil.control.law_registry import LAWS, law_class
 from hil.cycle.fault_table import RULES, Fault
 from hil.rig.schema import LawConfig

@@ -10,7 +10,7 @@ import pytest
 import hil
 from tests.support.paths import ROOT
 
-FOLDERS = ("hil", "drivers", "sim_plant", "tests", "deploy", "docs", ".ci")
+FOLDERS = ("hil", "examples", "drivers", "sim_plant", "tests", "deploy", "docs", ".ci")
 KINDS = {".py", ".c", ".sh", ".md", ".toml", ".mk", ".proto", ".dbc"}
 GENERATED = {"hil/telemetry/telemetry_pb2.py", "docs/rig-file.md"}
 MOST_LINES = 400

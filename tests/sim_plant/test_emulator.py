@@ -253,6 +253,28 @@ def test_on_a_live_bus_canopen_drives_announce_themselves(tmp_path: Path, monkey
     emulator.port.close()
 
 
+def test_the_status_says_that_the_drives_are_there_before_any_frame_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`hil demo` starts the control process by it."""
+    emulator, _, control = live_pair(tmp_path, monkeypatch)
+    status = tmp_path / "status.json"
+    status.unlink()
+    waited = []
+
+    def wait(stop: StopSignals) -> None:
+        waited.append(json.loads(status.read_text())["running"])
+        stop.seen = True
+
+    monkeypatch.setattr(emulator, "wait", wait)
+    monkeypatch.setattr("sim_plant.process.promote", lambda: False)  # these tests keep their garbage collector
+    emulator.run()
+    assert waited == [True]
+    assert json.loads(status.read_text())["running"] is False
+    control.close()
+    emulator.port.close()
+
+
 @pytest.mark.live
 def test_hil_emulate_ends_on_sigterm_with_its_last_word_on_disk(tmp_path: Path) -> None:
     rig = ROOT / "deploy/rigs/microscope.toml"

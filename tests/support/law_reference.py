@@ -1,6 +1,6 @@
 """What every law asks for over one script, as hashes kept in tests/reference/law_hashes.json.
 
-    python -m tests.support.law_reference     renew the file, after a change that is meant to change forces
+    python -m tests.support.reference laws     renew the file, after a change that is meant to change forces
 
 The script has what wears on a law: moves and rests of two axes of unlike lengths, reversals, noise, samples that are
 missing, slots that were skipped, forces that were cut. Its numbers come from additions and multiplications alone, so
@@ -130,16 +130,12 @@ def hash_of(forces: list[list[float]]) -> str:
     return hashlib.sha256(b"".join(struct.pack("<2d", *force) for force in forces)).hexdigest()
 
 
-def main() -> None:
+def renew() -> None:
     """Write the file anew."""
     kinds = models()
     hashes = {
         name: {kind: hash_of(play(config, model)[0]) for kind, model in kinds.items()}
         for name, config in laws().items()
     }
-    document = {"renew": "python -m tests.support.law_reference", "forces": hashes}
+    document = {"renew": "python -m tests.support.reference laws", "forces": hashes}
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

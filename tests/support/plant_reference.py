@@ -1,6 +1,6 @@
 """What the emulated plant does with any two of its effects, as hashes kept in tests/reference/plant_hashes.json.
 
-python -m tests.support.plant_reference     renew the file, after a change that is meant to change what plants do
+python -m tests.support.reference plants     renew the file, after a change that is meant to change what plants do
 """
 
 import hashlib
@@ -77,11 +77,7 @@ def play(effect: str) -> str:
     return hash_of(shown_by(batch))
 
 
-def main() -> None:
+def renew() -> None:
     """Write the file anew."""
-    document = {"renew": "python -m tests.support.plant_reference", "plants": {name: play(name) for name in EFFECTS}}
+    document = {"renew": "python -m tests.support.reference plants", "plants": {name: play(name) for name in EFFECTS}}
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,12 @@
 """Reference runs: hashes of what the code does, kept in tests/reference/trace_hashes.json and replayed by CI.
 
-    python -m tests.support.reference [traces | campaigns]     renew the file, or that half of it
+    python -m tests.support.reference [traces | campaigns | laws | plants]     renew all of it, or that part
 
-For a new law renew `traces` (a minute), for a new trial `campaigns` (some minutes), and both after a change that is
-meant to change what runs do.
+For a new law renew `traces` (a minute) and `laws`, for a new trial `campaigns` (some minutes), for a new effect of the
+plant `plants`, and all after a change that is meant to change what runs do.
 
 `traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both rigs with every law.
+`laws`, `plants`: files of their own (law_reference.py, plant_reference.py).
 `campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs on their own layouts.
 """
 
@@ -76,10 +77,18 @@ HALVES: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 def main() -> None:
-    """Write a half anew, or both."""
+    """Write a part anew, or all."""
+    from tests.support import law_reference, plant_reference
+
+    others = {"laws": law_reference.renew, "plants": plant_reference.renew}
     parser = argparse.ArgumentParser(prog="python -m tests.support.reference")
-    parser.add_argument("half", nargs="?", choices=HALVES, help="without it: both")
-    asked = parser.parse_args().half
+    parser.add_argument("part", nargs="?", choices=[*HALVES, *others], help="without it: all")
+    asked = parser.parse_args().part
+    for name, renew in others.items():
+        if asked in (None, name):
+            renew()
+    if asked in others:
+        return
     renewed = {name: make() for name, make in HALVES.items() if asked in (None, name)}
     document = known() | {"seconds": SECONDS} | renewed
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -33,6 +33,7 @@ from hil.studies.fault_campaign.injections import (
     status_bit,
     stop_pressed,
     stop_signal,
+    swing,
     torque_constant,
     trip,
     withdrawn,
@@ -248,6 +249,14 @@ TRIALS: tuple[Trial, ...] = (
         within=1,
         armed=frozenset({State.HOMING, State.ACTIVE}),
         demand=Reaction.ZERO,
+    ),
+    Trial(
+        "loop swings at 25 Hz",
+        swing(0.9, 20),
+        (Fault.OSCILLATION, *_STUCK),
+        within=200,
+        following_only=True,
+        armed=frozenset({State.HOMING, State.ACTIVE}),
     ),
     Trial("law asks for 1e9", law_asks(set_to(1e9)), (*_STUCK, Fault.TRAVEL), within=600, moving_only=True),
     Trial(

@@ -113,6 +113,21 @@ def set_to(value: float) -> Callable[[list[float], int], None]:
     return change
 
 
+def swing(share: float, ticks: int) -> Step:
+    """A share of the force limit on top of what the law asks, of another sign every so many ticks."""
+
+    def step(run: LockstepRun, axis: int, k: int) -> None:
+        force = share * run.rig.axes[axis_name(run, axis)].limits.force
+
+        def change(asked: list[float], at: int) -> None:
+            asked[at] += math.copysign(force, ticks - 1 - run.index % (2 * ticks))
+
+        if k == 0:
+            run.cycle.law = _Falsified(run.cycle.law, change, axis)
+
+    return step
+
+
 def filter_nan(run: LockstepRun, axis: int) -> None:
     """The axis' estimated velocity is no number any more."""
     run.cycle.filters[axis].velocity = math.nan

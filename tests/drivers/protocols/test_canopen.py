@@ -306,6 +306,26 @@ def test_a_listener_reads_the_same_torques_as_the_drives(bench: Bench) -> None:
     assert replace(sample, stamp_ns=0) == Sample(1, -7, DriveStatus.ENABLED | DriveStatus.HOMED, -1, 0)
 
 
+def test_a_listener_takes_the_rated_force_and_refuses_a_step_more(bench: Bench) -> None:
+    listener = device_protocol(BusConfig(protocol="cia402"), 4, bench.rated, Path())
+    limits = [rated_torque(rated)[1] for rated in bench.rated]
+
+    def told(torques: list[int]) -> Command | Reject:
+        return listener.decode_command(
+            Frame(0x201, b"".join(raw.to_bytes(2, "little", signed=True) for raw in torques))
+        )
+
+    for sign in (1, -1):
+        full = [sign * limit for limit in limits]
+        heard = told(full)
+        assert isinstance(heard, Command)
+        assert [abs(force) for force in heard.force] == pytest.approx(bench.rated, rel=1e-3)
+        for axis, limit in enumerate(limits):
+            if limit < FULL_SCALE:
+                more = [raw + sign * (number == axis) for number, raw in enumerate(full)]
+                assert told(more) is Reject.INVALID_VALUE
+
+
 def test_frames_that_are_no_samples_are_refused_for_their_reason(bench: Bench) -> None:
     tpdo = Frame(0x181, bytes(4) + b"\x27\x02")
     cases = {

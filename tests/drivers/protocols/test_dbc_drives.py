@@ -152,6 +152,18 @@ def test_a_command_arrives_with_the_makers_values() -> None:
         assert command.force == pytest.approx(force)
 
 
+@pytest.mark.parametrize(("on", "means"), [(1, {0: False, 1: True, 3: True}), (5, {0: False, 1: False, 5: True})])
+def test_a_reset_is_any_number_where_it_is_a_flag_and_one_value_where_the_maker_says_so(
+    on: int, means: dict[int, bool]
+) -> None:
+    host, device = ends(reset=both("Clear_Errors", "Identify", on=on), on_change=[])
+    for raw, reset in means.items():
+        frames = host.encode(Command(0, [0.0, 0.0], 0, False))
+        sent = [f._replace(data=bytes([raw]) + f.data[1:]) if f.can_id & 0x1F == 0x18 else f for f in frames]
+        commands = [c for c in map(device.decode_command, sent) if isinstance(c, Command)]
+        assert [c.reset for c in commands] == [reset], raw
+
+
 def test_a_rig_of_odrives_does_its_task() -> None:
     document = tomllib.loads((RIGS / "paper-dbc.toml").read_text())
     document["bus"] |= odrive()

@@ -1,0 +1,14 @@
+"""One law on twenty stages that are not as the model says: mass and friction up to 30 % off."""
+
+import numpy as np
+
+import hil
+
+draw = np.random.default_rng(1)
+rig = hil.load_rig("paper", ["law.name=structured-kalman"])
+worst = []
+for mass, friction in draw.uniform(0.7, 1.3, (20, 2)):
+    run = hil.simulate(rig.changed(f"plant.mass_scale={mass}", f"plant.friction_scale={friction}"), seconds=2.0)
+    worst.append(run.summary()["axes"]["x"]["max_error"])
+    print(f"mass x {mass:.2f}, friction x {friction:.2f}: {worst[-1] * 1e6:.2f} um")
+print(f"median {np.median(worst) * 1e6:.2f} um, worst {max(worst) * 1e6:.2f} um")

@@ -1,0 +1,108 @@
+"""A running rig in Python: `hil.connect`. What is said and asked goes through its sidecar, as in `hil monitor`."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.cycle.fault_table import Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.live.mapped_file import Closing
+from hil.operate.command import at_hand
+from hil.runs import Event
+from hil.telemetry import codec
+from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+from hil.telemetry.command_client import NoGatewayError, Verdict
+
+FIRST_S = 5.0
+_CHANGE = (("state", State), ("fault", Fault))
+
+
+class LiveRig(Closing):
+    """A running rig on this machine (or, with `endpoint`, elsewhere: then it can be watched, not commanded).
+
+    Use it in a `with` block. Raises NoSidecarError where no sidecar of that rig answers.
+    """
+
+    def __init__(self, name: str, endpoint: str | None = None, key: str = "hil") -> None:
+        self.name = name
+        self._client = RigClient(endpoint or find_endpoint(name), key, name)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._client.close)
+            self._client.wait_status(FIRST_S)
+            undo.pop_all()
+
+    def status(self, timeout_s: float = FIRST_S) -> pb.Status:
+        """The next status, of ten a second: state, fault, positions, forces, lateness. Raises NoSidecarError."""
+        return self._client.wait_status(timeout_s)
+
+    def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[dict[str, NDArray[Any]]]:
+        """Every tick from now on, in batches of columns as hil.Run.columns has them: (ticks,) or (ticks, n_axes).
+
+        Without end. A reader that is too slow loses the oldest batches, and column `index` then has a gap. Raises
+        NoSidecarError where none comes for that long.
+        """
+        while True:
+            yield codec.columns(self._client.wait_telemetry(timeout_s))
+
+    def events(self, timeout_s: float = FIRST_S) -> Iterator[Event]:
+        """Every change of the state and of the latched fault from now on; the first is the state as it is.
+
+        time: s, on the clock of the rig's machine. Without end. Raises NoSidecarError as `telemetry`.
+        """
+        last: dict[str, int] = {"fault": int(Fault.NONE)}
+        for columns in self.telemetry(timeout_s):
+            yield from _changes(columns, last)
+
+    def wait_for(self, state: str, timeout_s: float = 30.0) -> pb.Status:
+        """The first status in that state, such as "READY". Raises TimeoutError, NoSidecarError."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            status = self.status()
+            if status.state == state:
+                return status
+        raise TimeoutError(f"{self.name} is {status.state}, fault {status.fault}, not {state}, after {timeout_s:g} s")
+
+    def command(self, action: str) -> Verdict:
+        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict.
+
+        accepted: whether it did; reason: why not; state: after it. Raises ValueError for another word, NoGatewayError
+        where nobody takes it; `hil estop` then still stops the rig.
+        """
+        kinds = {kind.name.lower(): kind for kind in CommandKind}
+        if action not in kinds:
+            raise ValueError(f"{action!r}: the commands are {', '.join(kinds)}")
+        with at_hand(self.name) as client:
+            return client.command(kinds[action])
+
+    def close(self) -> None:
+        """Leave; the rig goes on."""
+        self._client.close()
+
+
+def connect(name: str, endpoint: str | None = None) -> LiveRig:
+    """A running rig by its name; endpoint: of a sidecar elsewhere, such as tcp/10.0.0.5:7447. Raises NoSidecarError."""
+    return LiveRig(name, endpoint)
+
+
+def _changes(columns: dict[str, NDArray[Any]], last: dict[str, int]) -> Iterator[Event]:
+    """Where state or fault are other than the tick before; last: what they were, kept up to date."""
+    found = []
+    for name, kind in _CHANGE:
+        values = columns[name].astype(np.int64)
+        before = np.concatenate([[last.get(name, -1)], values[:-1]])
+        for place in np.flatnonzero(values != before).tolist():
+            value = kind(int(values[place]))
+            if name == "state" or value:
+                found.append(Event(float(columns["scheduled_ns"][place]) * 1e-9, f"{name} {value.name}"))
+        if len(values):
+            last[name] = int(values[-1])
+    yield from sorted(found)
+
+
+__all__ = ["LiveRig", "NoGatewayError", "NoSidecarError", "Verdict", "connect"]

@@ -1,0 +1,77 @@
+"""`hil check`: the rig by calculation (hil/operate/check.py); with --law, whether a law may go to it, by trying."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from hil.cli.options import Overrides, RigFile
+from hil.cli.output import drawable, writable, write_json
+from hil.operate.check import check_rig
+from hil.rig.file import law_file
+from hil.studies.acceptance.law import Demand, accept_law
+
+_USUAL = Demand()
+_VERDICTS = {True: Text("passed", "green"), False: Text("FAILED", "bold red"), None: Text("not tried", "yellow")}
+
+
+def check(
+    rig_file: RigFile,
+    *,
+    overrides: Overrides = None,
+    json_path: Annotated[
+        str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
+    ] = None,
+    measured: Annotated[
+        list[str] | None, typer.Option(metavar="AXIS=FILE", help="CSV with the axis' measured frequency response")
+    ] = None,
+    frd: Annotated[Path | None, typer.Option(metavar="FILE", help="write the loop's frequency response, JSON")] = None,
+    law: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="accept this law: a name, ./file.py:Class, package.module:Class"),
+    ] = None,
+    margin: Annotated[float, typer.Option(min=0.0, help="with --law: least gain margin, dB")] = _USUAL.gain_db,
+    phase_margin: Annotated[
+        float, typer.Option(min=0.0, help="with --law: least phase margin, degrees")
+    ] = _USUAL.phase_deg,
+    stride: Annotated[
+        int, typer.Option(min=1, help="with --law: every n-th cell of the fault campaign")
+    ] = _USUAL.stride,
+) -> None:
+    """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
+    keeps the limits. Exit status 78 where one of them fails.
+
+    With --law: try that law on the rig's task, measure its ticks and its memory, compare two processes, take its
+    margins, and a slice of the fault campaign. Exit status 1 where one of them fails.
+    """
+    if law is None:
+        check_rig(rig_file, overrides or (), json_path=json_path, picture=picture, measured=measured or (), frd=frd)
+        return
+    name = f"law.name={json.dumps(_found(law, rig_file))}"
+    console = Console(stderr=json_path == "-")
+    findings = []
+    demand = Demand(margin, phase_margin, stride=stride)
+    for finding in accept_law(rig_file, [*(overrides or ()), name], demand):
+        findings.append(finding)
+        verdict = _VERDICTS[finding.passed]
+        console.print(Text(f"{finding.step:16} ").append(verdict).append(f"  {finding.text}"), soft_wrap=True)
+    accepted = all(finding.passed for finding in findings)
+    console.print(f"law {law}: " + ("accepted" if accepted else "not accepted"), markup=False, highlight=False)
+    if json_path:
+        write_json({"law": law, "accepted": accepted, "steps": [step._asdict() for step in findings]}, json_path)
+    if not accepted:
+        raise typer.Exit(1)
+
+
+def _found(law: str, rig_file: Path) -> str:
+    """The law's name; a file that is not beside the rig, but in the present folder, by its whole path."""
+    file = law_file(law)
+    if file and not (rig_file.parent / file).exists() and Path(file).exists():
+        return str(Path(file).resolve()) + law.removeprefix(file)
+    return law

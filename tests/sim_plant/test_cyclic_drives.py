@@ -1,0 +1,140 @@
+"""Emulated ODrive and VESC: frames in, frames and force out, as their makers' pages say."""
+
+import struct
+
+import pytest
+
+from drivers.frame import EXTENDED, REMOTE, Frame
+from sim_plant.drives.odrive import Odrive
+from sim_plant.drives.servo import ServoDrive
+from sim_plant.drives.vesc import Motor, Vesc
+
+MS = 1_000_000
+NODE = 3
+IDLE, CLOSED_LOOP = 1, 8
+WATCHDOG, ESTOP = 1 << 24, 1 << 25
+
+
+class OdriveBench:
+    """One ODrive with node number 3, a motor of 2 N m and a watchdog of 10 ms, at 1.5 turns."""
+
+    def __init__(self, **more: int) -> None:
+        self.servo = ServoDrive(0, 2.0, 1e-7, 10 * MS, False, 0)
+        self.drive = Odrive(NODE, self.servo, lambda: 1.5, 0, feedback_ns=MS, heartbeat_ns=20 * MS, **more)
+        self.now = 0
+
+    def send(self, command: int, data: bytes = b"", *, remote: bool = False) -> list[Frame]:
+        self.now += MS
+        self.drive.advance(self.now)  # what it sends in its own time
+        return self.drive.on_frame(Frame(NODE << 5 | command | (REMOTE if remote else 0), data, 0, self.now))
+
+    def heartbeat(self) -> tuple[int, int, int]:
+        """Axis_Error, Axis_State, Procedure_Result."""
+        (frame,) = self.send(0x01, remote=True)
+        return struct.unpack("<IBBBx", frame.data)[:3]  # type: ignore[return-value]
+
+    def torque_control(self, torque: float = 1.0) -> None:
+        self.send(0x0B, struct.pack("<II", 1, 1))
+        self.send(0x07, struct.pack("<I", CLOSED_LOOP))
+        self.send(0x0E, struct.pack("<f", torque))
+
+
+def test_odrive_applies_torque_in_closed_loop_torque_control_alone() -> None:
+    bench = OdriveBench()
+    bench.send(0x0E, struct.pack("<f", 1.0))
+    assert bench.servo.force == 0.0  # idle
+    bench.send(0x07, struct.pack("<I", CLOSED_LOOP))
+    assert bench.servo.force == 0.0  # position control, as it comes
+    bench.send(0x0B, struct.pack("<II", 1, 1))
+    assert bench.servo.force == 1.0
+    bench.send(0x0E, struct.pack("<f", -50.0))
+    assert bench.servo.force == -2.0  # what the motor has
+    bench.send(0x0B, struct.pack("<II", 2, 1))
+    assert bench.servo.force == 0.0  # velocity control
+    assert bench.heartbeat() == (0, CLOSED_LOOP, 0)
+    bench.send(0x07, struct.pack("<I", IDLE))
+    assert bench.heartbeat() == (0, IDLE, 0)
+
+
+@pytest.mark.parametrize(("error", "provoke"), [(WATCHDOG, "silence"), (ESTOP, "estop")])
+def test_odrive_latches_errors_until_they_are_cleared(error: int, provoke: str) -> None:
+    bench = OdriveBench()
+    bench.torque_control()
+    if provoke == "estop":
+        bench.send(0x02)
+    else:
+        bench.now += 10 * MS
+        bench.servo.trip(bench.now)  # as the stage does, at the deadline
+    assert bench.heartbeat() == (error, IDLE, 3)
+    assert bench.servo.force == 0.0
+    bench.send(0x07, struct.pack("<I", CLOSED_LOOP))
+    assert bench.heartbeat()[1] == IDLE  # refused
+    bench.send(0x18)
+    assert bench.heartbeat()[0] == 0
+    bench.torque_control()
+    assert bench.servo.force == 1.0
+
+
+def test_odrive_restarts_in_position_control() -> None:
+    bench = OdriveBench()
+    bench.torque_control()
+    bench.send(0x16)
+    bench.send(0x07, struct.pack("<I", CLOSED_LOOP))
+    bench.send(0x0E, struct.pack("<f", 1.0))
+    assert bench.servo.force == 0.0
+
+
+def test_odrive_sends_in_its_own_time_and_answers_remote_frames() -> None:
+    bench = OdriveBench()
+    sent = [frame for at in range(41 * 10) for frame in bench.drive.advance(at * MS // 10)]
+    assert {frame.can_id for frame in sent} == {NODE << 5 | 0x01, NODE << 5 | 0x09}
+    estimates = [frame for frame in sent if frame.can_id & 0x1F == 0x09]
+    assert len(estimates) == 41
+    assert len(sent) - len(estimates) == 3
+    assert struct.unpack("<ff", estimates[-1].data) == (1.5, 0.0)
+    bench.now = 50 * MS
+    (answer,) = bench.send(0x09, remote=True)
+    assert answer.data == estimates[-1].data
+    assert bench.send(0x14, remote=True) == []  # Get_Iq: not emulated
+
+
+def test_odrive_hears_no_other_node_and_takes_its_time_to_enable() -> None:
+    bench = OdriveBench(enable_delay_ns=5 * MS)
+    bench.torque_control()
+    assert bench.servo.force == 0.0
+    bench.drive.advance(bench.now + 5 * MS)
+    assert bench.servo.force == 1.0
+    bench.drive.on_frame(Frame(4 << 5 | 0x07, struct.pack("<I", IDLE), 0, bench.now + 6 * MS))
+    assert bench.servo.force == 1.0
+
+
+def vesc() -> tuple[Vesc, ServoDrive]:
+    servo = ServoDrive(0, 2.0, 1e-7, 10 * MS, False, 0)
+    return Vesc(7, servo, lambda: -0.25, 0, motor=Motor(0.05, 7), feedback_ns=MS, status_ns=20 * MS), servo
+
+
+def test_vesc_makes_torque_of_current_and_of_nothing_else() -> None:
+    drive, servo = vesc()
+
+    def send(can_id: int, milliamperes: int) -> float:
+        drive.on_frame(Frame(can_id, struct.pack(">i", milliamperes), 0, MS))
+        return servo.force
+
+    assert send(EXTENDED | 0x107, 20_000) == pytest.approx(1.0)
+    assert send(EXTENDED | 0x108, 0) == pytest.approx(1.0)  # another VESC
+    assert send(0x107, 0) == pytest.approx(1.0)  # 11 bits
+    assert send(EXTENDED | 0x107, -100_000) == -2.0  # its limit
+    assert send(EXTENDED | 0x307, 20_000) == 0.0  # SET_RPM: a loop of its own
+
+
+def test_vesc_begins_again_after_its_timeout_and_tells_one_turn() -> None:
+    drive, servo = vesc()
+    drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", 20_000), 0, MS))
+    servo.trip(11 * MS)
+    drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", 20_000), 0, 12 * MS))
+    assert servo.force == pytest.approx(1.0)
+    sent = {frame.can_id & 0xFFFF: frame.data for frame in drive.advance(40 * MS)}
+    assert set(sent) == {0x0907, 0x1007, 0x1B07}
+    assert struct.unpack(">hhhh", sent[0x1007])[3] == 13_500  # 270 degrees times 50
+    assert struct.unpack(">ihh", sent[0x0907])[1] == 200  # 20 A
+    assert struct.unpack(">ihxx", sent[0x1B07])[0] == round(-0.25 * 7 * 6)
