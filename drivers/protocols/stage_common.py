@@ -11,7 +11,7 @@ from drivers.protocols.base import DriveStatus, LayoutError, Message, Reject
 MAX_AXES: Final = 4
 STATUS_MASK: Final = 0x7F  # every bit DriveStatus knows
 assert sum(DriveStatus) == STATUS_MASK
-INT32: Final = (-(2.0**31), 2.0**31 - 1.0)  # counts of a position
+INT32 = (-(2.0**31), 2.0**31 - 1.0)  # counts of a position; no Final: mypyc takes such a tuple of floats for unset
 
 
 def check_ids(bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:

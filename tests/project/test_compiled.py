@@ -79,6 +79,24 @@ def test_no_compiled_module_counts_on_a_generator_being_lazy() -> None:
     assert {name: lines for name in names if (lines := lazy_generators((ROOT / name).read_text()))} == {}
 
 
+def final_tuples_of_floats(source: str) -> list[int]:
+    """Lines with a Final that is a tuple with a float in it."""
+    finals = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.AnnAssign) and "Final" in ast.unparse(n)]
+    return [
+        n.lineno
+        for n in finals
+        if isinstance(n.value, ast.Tuple)
+        and any(isinstance(part, ast.Constant) and isinstance(part.value, float) for part in ast.walk(n.value))
+    ]
+
+
+def test_no_compiled_module_has_a_final_tuple_of_floats() -> None:
+    """mypyc tests whether it was set the wrong way round (1.x): whoever reads it gets a NameError."""
+    assert final_tuples_of_floats("A: Final = (-(2.0**31), 1.0)\nB: Final = 1.0\nC: Final = ('a', 'b')") == [1]
+    names = [*listed(FOR_BOTH), *listed(ONE_RIG), *listed(OTHERS)]
+    assert {name: lines for name in names if (lines := final_tuples_of_floats((ROOT / name).read_text()))} == {}
+
+
 @needs_build
 def test_the_build_says_that_it_is_compiled_even_among_the_sources(tmp_path: Path) -> None:
     for folder in (ROOT, tmp_path):
