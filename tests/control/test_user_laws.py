@@ -168,9 +168,12 @@ def test_a_law_that_looks_ahead_sees_the_reference_of_the_periods_to_come(rig_fi
     setpoints, x = run.cycle.setpoints, run.cycle.inputs[1]
     assert setpoints.trajectory is not None
     expected = [setpoints.trajectory.at(1, x.task_ns + k * rig.period_ns) for k in range(13)]
-    assert [(r.position, r.velocity, r.acceleration) for r in x.preview] == expected
-    assert x.preview[0] == x.start
-    assert x.preview[1] == x.end
+    seen, begins, ends = [
+        [(reference.position, reference.velocity, reference.acceleration) for reference in references]
+        for references in (x.preview, [x.start], [x.end])
+    ]
+    assert seen == expected
+    assert seen[:2] == begins + ends
 
 
 def test_before_a_task_begins_the_preview_rests(rig_file: Path) -> None:

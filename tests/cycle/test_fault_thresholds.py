@@ -16,7 +16,7 @@ from drivers.bus.counters import BusState, PortCounters
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, Sample
-from hil.control.laws.base import Reference
+from hil.cycle import fault_monitor
 from hil.cycle.fault_monitor import AxisLimits, FaultMonitor
 from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.inbox import Inbox
@@ -24,6 +24,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
 
+Reference = vars(fault_monitor)["Reference"]  # in the compiled build, that of native floats
 PERIOD_NS = 1_000_000
 SAFETY = SafetyConfig(
     silent_stop_ticks=3, silent_zero_ticks=10, bad_frame_limit=5, stuck_ticks=50, nis_ticks=20, flood_frames=12,

@@ -110,6 +110,7 @@ def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path
     assert drives.recalls == 0
 
 
+@pytest.mark.replaces_methods
 @pytest.mark.parametrize("kind", CommandKind, ids=lambda kind: kind.name)
 def test_after_bus_off_no_command_restarts_the_controller_but_reset(tmp_path, monkeypatch, kind):
     drives = UnpoweredDrives(BUS_OFF, purges=[])

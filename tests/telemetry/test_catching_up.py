@@ -27,6 +27,7 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
+@pytest.mark.replaces_methods
 def test_of_a_full_ring_whose_writer_overtakes_the_reader_a_sidecar_tells_no_old_state(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
