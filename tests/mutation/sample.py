@@ -104,12 +104,12 @@ def draw(cases: list[Case], seed: str, count: int) -> list[Case]:
     return chosen
 
 
-def most_survivors(tried: int) -> int:
+def most_survivors(tried: int, demanded: float = DEMANDED) -> int:
     """How many may survive of `tried` before the demanded rate is refuted."""
     below, k = 0.0, -1
     while below < 1.0 - UNFAIR and k < tried:
         k += 1
-        below += math.comb(tried, k) * (1.0 - DEMANDED) ** k * DEMANDED ** (tried - k)
+        below += math.comb(tried, k) * (1.0 - demanded) ** k * demanded ** (tried - k)
     return k
 
 
@@ -149,6 +149,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no mutant after so many")
     parser.add_argument("--room", action="append", choices=list(ROOMS))
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
+    parser.add_argument("--demand", type=float, default=DEMANDED, help="rate that is demanded; default: 0.95")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--hollow", action="store_true", help="list tests that pass while the product does nothing")
@@ -185,7 +186,7 @@ def main() -> int:
     if broken:
         print("These fail on the honest code too, so that what they killed says nothing:", *broken, sep="\n  ")
         return 2
-    return _judge(outcomes, arguments.json, seed, exact=arguments.all)
+    return _judge(outcomes, arguments.json, seed, arguments.demand, exact=arguments.all)
 
 
 def _green(folder: str) -> list[str]:
@@ -207,12 +208,12 @@ def _list_green(workers: int) -> int:
     return 1 if unexplained else 0
 
 
-def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, *, exact: bool) -> int:
+def _judge(outcomes: list[Outcome], json_path: Path | None, seed: str, demanded: float, *, exact: bool) -> int:
     explained = Explained()
     survivors = [o.case for o in outcomes if not o.killer]
     open_cases = [case for case in survivors if not explained.covers(case)]
     counted = len(outcomes) - len(survivors) + len(open_cases)
-    allowed = math.floor((1.0 - DEMANDED) * counted) if exact else most_survivors(counted)
+    allowed = math.floor((1.0 - demanded) * counted) if exact else most_survivors(counted, demanded)
     print(*_by_room(outcomes, explained), sep="\n")
     for case in open_cases:
         print(f"survived, unexplained: {case.mutant.path}:{case.mutant.line}\n    - {case.before}\n    + {case.after}")
