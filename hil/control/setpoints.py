@@ -47,8 +47,8 @@ class Setpoints:
             x.task_ns = -1
             for reference in (x.sample, x.start, x.end):
                 reference.position, reference.velocity, reference.acceleration = q, 0.0, 0.0
-            for reference in x.preview or ():
-                reference.position, reference.velocity, reference.acceleration = q, 0.0, 0.0
+            for ahead in x.preview or ():  # not of the floats' Reference: a user's law makes them
+                ahead.position, ahead.velocity, ahead.acceleration = q, 0.0, 0.0
             x.mean_velocity = x.mean_acceleration = x.mean_sign = 0.0
 
     def follow(self, trajectory: Trajectory, origin_ns: Sequence[int]) -> None:

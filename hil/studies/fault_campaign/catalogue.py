@@ -55,7 +55,7 @@ from hil.studies.fault_campaign.trial import (
 )
 
 _STUCK = (Fault.FOLLOWING_ERROR, Fault.ENCODER_STUCK, Fault.FILTER_DIVERGED, Fault.SPEED, Fault.TRAVEL_PLANNED)
-_OLD = (*_STUCK, Fault.TRAVEL)  # what a loop may come to that runs on old positions
+_OLD = (*_STUCK, Fault.TRAVEL, Fault.OSCILLATION)  # what a loop may come to that runs on old positions
 _DRIVE = (Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENCODER_FAULT)
 _ACCEPTED = (*_OLD, *_DRIVE, *GONE, Fault.ENCODER_JUMP, Fault.BAD_FRAMES)  # what a damaged frame may say
 _HELD_UP = (Fault.OVERRUN_LONG, Fault.OVERRUN_BURST, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, *GONE)
