@@ -1,4 +1,4 @@
-"""A client of a sidecar: the newest status, every tick. Commands go elsewhere: hil/telemetry/command_client.py."""
+"""A client of a sidecar: the newest status, every tick. Commands do not go over Zenoh: hil/telemetry/command_client.py."""
 
 import contextlib
 import json
