@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.text_file import UnsuitableFileError, read_bounded
 from hil.control.flexible_plant import FlexiblePlant
 from hil.control.laws.base import Array
-from hil.control.loop_corners import Corner, CornerFinding, gain_db
+from hil.control.loop_corners import Corner, CornerFinding
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import PulseLoop, responses
-from hil.control.stability import margins_of_loop
+from hil.control.stability import decibels, margins_of_loop
 from hil.rig.schema import RigConfig, RigError
 
 Complex = NDArray[np.complex128]
@@ -56,12 +57,9 @@ def read_response(path: Path) -> tuple[Array, Complex]:
     naming line and value.
     """
     try:
-        with path.open(newline="") as stream:
-            text = stream.read(LARGEST_FILE + 1)
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_bounded(path, LARGEST_FILE).decode()
+    except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
         raise RigError([f"{path}: {error}"]) from None
-    if len(text) > LARGEST_FILE:
-        raise RigError([f"{path}: larger than {LARGEST_FILE} bytes"])
     rows = list(csv.reader(text.splitlines()))
     if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
         raise RigError([f"{path}: the first line has to be {','.join(COLUMNS)}"])
@@ -98,7 +96,7 @@ def measured_finding(rig: RigConfig, response: LoopResponse, axis: str, path: Pa
     turned = np.unwrap(np.angle((1.0 + loop) / (1.0 + modelled)))
     beyond = np.abs(turned - turned[0]) > np.pi  # from where on the one has gone round -1 more often than the other
     stable = not beyond[-1]
-    gain, degrees = gain_db(met), np.inf if met.phase_deg is None else met.phase_deg
+    gain, degrees = decibels(met.gain_up, met.gain_down), np.inf if met.phase_deg is None else met.phase_deg
     where = met.gain_at if gain / 6.0 < degrees / 30.0 else met.phase_at
     if not stable:
         where = float(here[beyond.argmax()])

@@ -17,7 +17,7 @@ from hil.control.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import CRUISE, PulseLoop, responses
-from hil.control.stability import REALISED, LoopMargins, is_stable, margins, realise_poles
+from hil.control.stability import REALISED, LoopMargins, decibels, is_stable, margins, realise_poles
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ModelConfig
 
@@ -193,17 +193,10 @@ def _finding(
     poles = realise_poles(motion[:REALISED])
     stable = is_stable(motion, poles)
     met = margins(answer) if stable else LoopMargins(None, None, None)
-    gain, phase = gain_db(met), math.inf if met.phase_deg is None else met.phase_deg
+    gain, phase = decibels(met.gain_up, met.gain_down), math.inf if met.phase_deg is None else met.phase_deg
     at = met.gain_at if gain / 6.0 < phase / 30.0 else met.phase_at
     if not stable:
         at = abs(float(np.angle(poles[0]))) / (2.0 * math.pi) if poles else 0.5
     text, at_rest = corner.text(model), corner.stuck is not None
     nominal = corner == Corner()
     return CornerFinding(name, text, at_rest, nominal, stable, gain, phase, at * rate_hz)
-
-
-def gain_db(met: LoopMargins) -> float:
-    """How many decibels the gain may rise or fall, whichever is less; infinite where nothing is met."""
-    up, down = met.gain_up or math.inf, met.gain_down or 0.0
-    factor = min(up, 1.0 / down if down else math.inf)
-    return 20.0 * math.log10(factor) if factor < math.inf else math.inf

@@ -7,6 +7,7 @@ damp it. The same around the axis a stage really has is in loop_corners.py.
 """
 
 import importlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -108,6 +109,12 @@ def realise_poles(answer: Array) -> list[complex]:
     root = np.sqrt(s[:order])
     a = (u[:, :order] / root).T @ hankel[1:] @ (v[:order].T / root)
     return sorted((complex(z) for z in np.linalg.eigvals(a)), key=lambda z: (-abs(z), z.real, z.imag))
+
+
+def decibels(up: float | None, down: float | None) -> float:
+    """How many decibels a gain may rise or fall, whichever is less, of the two factors; infinite where none is met."""
+    factor = min(up or math.inf, 1.0 / down if down else math.inf)
+    return 20.0 * math.log10(factor) if factor < math.inf else math.inf
 
 
 class LoopMargins(NamedTuple):

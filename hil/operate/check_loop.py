@@ -1,5 +1,6 @@
 """What `hil check` says of the loop on the stage that is really there: corners, measured responses, files."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def frd_document(rig: RigConfig, response: LoopResponse) -> dict[str, Any]:
     """Keys: sample_time (s), omega (rad/s, (k,)), axes.NAME.{loop, plant}.{real, imag}, each (k,)."""
     return {
         "sample_time": rig.period_ns * 1e-9,
-        "omega": (6.283185307179586 * response.frequency_hz).tolist(),
+        "omega": (math.tau * response.frequency_hz).tolist(),
         "axes": {
             name: {
                 key: {"real": values[:, at].real.tolist(), "imag": values[:, at].imag.tolist()}

@@ -14,7 +14,7 @@ from hil.control.estimator.gains import per_axis
 from hil.control.gain import Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
-from hil.control.stability import AxisStability, check_stability
+from hil.control.stability import AxisStability, check_stability, decibels
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
@@ -126,10 +126,8 @@ def margins_of(axis: AxisStability) -> Margins:
     """Infinite where nothing is met; NO_MARGINS where the axis is unstable."""
     if not axis.stable:
         return NO_MARGINS
-    up, down = axis.gain_margin or math.inf, axis.gain_margin_down or 0.0
-    factor = min(up, 1.0 / down if down else math.inf)
     phase = math.inf if axis.phase_margin_deg is None else axis.phase_margin_deg
-    return Margins(20.0 * math.log10(factor) if factor < math.inf else math.inf, phase)
+    return Margins(decibels(axis.gain_margin, axis.gain_margin_down), phase)
 
 
 class Outcome(NamedTuple):
