@@ -50,6 +50,16 @@ class AxisStability:
         """Largest magnitude of a pole."""
         return max((abs(pole) for pole in self.poles), default=0.0)
 
+    @property
+    def gain_db(self) -> float:
+        """Least gain margin, up or down; infinite where none is met."""
+        return decibels(self.gain_margin, self.gain_margin_down)
+
+    @property
+    def phase_deg(self) -> float:
+        """Phase margin, infinite where none is met."""
+        return math.inf if self.phase_margin_deg is None else self.phase_margin_deg
+
 
 @dataclass(frozen=True)
 class StabilityReport:

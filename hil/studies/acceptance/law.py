@@ -1,7 +1,6 @@
 """The acceptance of a law, step by step, each with a verdict. Nothing here prints."""
 
 import json
-import math
 import os
 import subprocess
 import sys
@@ -11,7 +10,7 @@ from typing import NamedTuple
 
 from hil.control.gain import declared
 from hil.control.law_registry import law_class
-from hil.control.stability import AxisStability, check_stability
+from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import by_name
@@ -132,7 +131,7 @@ def _margins(law: _Candidate) -> Finding:
         report = check_stability(law.rig)
     except ValueError as error:
         return Finding("margins", False, f"on arrays the law fails, so that no margin is known: {error}")
-    rows = {name: _margin(axis) for name, axis in report.axes.items()}
+    rows = {name: (axis.gain_db, axis.phase_deg) for name, axis in report.axes.items()}
     gain_db, phase_deg = law.demand.gain_db, law.demand.phase_deg
     weak = not report.stable or any(db < gain_db or degrees < phase_deg for db, degrees in rows.values())
     texts = [
@@ -140,13 +139,6 @@ def _margins(law: _Candidate) -> Finding:
         for name, (db, degrees) in rows.items()
     ]
     return Finding("margins", not weak, "; ".join(texts) + (f"; wanted {gain_db:g} dB, {phase_deg:g} deg" * weak))
-
-
-def _margin(axis: AxisStability) -> tuple[float, float]:
-    """Least gain margin up or down (dB), phase margin (degrees); infinite where none was met."""
-    factors = [factor for factor in (axis.gain_margin, axis.gain_margin_down) if factor]
-    decibels = min((abs(20.0 * math.log10(factor)) for factor in factors), default=math.inf)
-    return decibels, math.inf if axis.phase_margin_deg is None else axis.phase_margin_deg
 
 
 def _faults(law: _Candidate) -> Finding:

@@ -14,7 +14,7 @@ from hil.control.estimator.gains import per_axis
 from hil.control.gain import Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
-from hil.control.stability import AxisStability, check_stability, decibels
+from hil.control.stability import AxisStability, check_stability
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
@@ -126,8 +126,7 @@ def margins_of(axis: AxisStability) -> Margins:
     """Infinite where nothing is met; NO_MARGINS where the axis is unstable."""
     if not axis.stable:
         return NO_MARGINS
-    phase = math.inf if axis.phase_margin_deg is None else axis.phase_margin_deg
-    return Margins(decibels(axis.gain_margin, axis.gain_margin_down), phase)
+    return Margins(axis.gain_db, axis.phase_deg)
 
 
 class Outcome(NamedTuple):
