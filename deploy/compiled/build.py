@@ -47,8 +47,8 @@ HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/
 
 # What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
-hil/cycle: axes command_desk commissioning damped_stop fault_monitor fault_table gate inbox limits record_builder
-hil/cycle: sampling state_machine step supervisor tick
+hil/cycle: axes command_desk commissioning damped_stop fault_monitor fault_table gate inbox limits oscillation
+hil/cycle: record_builder sampling state_machine step supervisor tick
 hil/live: loop miss_ledger pacing timing_record
 sim_plant/physics: events real_axis single_axis single_stage
 """
@@ -56,7 +56,7 @@ sim_plant/physics: events real_axis single_axis single_stage
 OTHERS = """
 hil/control/trajectories: base displaced figures minimum_jerk paths segments
 hil/cycle: record
-hil/live: mailbox ring
+hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length
 drivers/bus: port counters local_link local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd

@@ -133,6 +133,31 @@ def test_the_sources_say_that_they_are_interpreted() -> None:
 
 
 @needs_build
+def test_no_interpreted_function_runs_in_every_tick() -> None:
+    """One forgotten in the tables costs a tick more than any of its compiled neighbours."""
+    run_profiled = """
+import sys
+from collections import Counter
+from tests.support.hashes import run_hash
+
+inside, seen, ticks = False, Counter(), 1500
+
+def note(frame, event, argument):
+    global inside
+    if event.startswith("c_") and getattr(argument, "__qualname__", "") == "ControlCycle.step":
+        inside = event == "c_call"
+    elif event == "call" and inside:
+        seen[f"{frame.f_code.co_filename}:{frame.f_code.co_qualname}"] += 1
+
+sys.setprofile(note)
+run_hash("microscope.toml", (), ticks)
+sys.setprofile(None)
+print([name for name, calls in seen.items() if calls > ticks // 10])  # at a change of state there may be some
+"""
+    assert told(HERE / "bin" / "python", "-P", "-c", run_profiled) == "[]"
+
+
+@needs_build
 def test_a_rig_runs_on_native_floats_and_a_batch_on_arrays() -> None:
     ask_both = """
 import numpy as np
