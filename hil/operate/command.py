@@ -76,6 +76,8 @@ def at_hand(rig: str) -> CommandClient:
 def _ask(client: CommandClient, action: Action) -> bool:
     verdict = client.command(CommandKind[action.name])
     print(f"{action}: {'accepted' if verdict.accepted else verdict.reason}; state {verdict.state}", flush=True)
+    if verdict.accepted and (silent := client.silent()):  # why it may not lead where it was meant to
+        print(f"hil command: {silent}", file=sys.stderr)
     return verdict.accepted
 
 

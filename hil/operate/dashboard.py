@@ -10,6 +10,7 @@ from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.operate.monitor import Newest, silence
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, find_endpoint
+from hil.telemetry.window import silent_axes
 
 ROLLOVER = 1200  # points kept per line: two minutes at 10 Hz
 UPDATE_MS = 100
@@ -37,10 +38,13 @@ def headline(status: pb.Status, age_s: float = 0.0) -> str:
     fate = "" if status.control_alive else " · control process " + ("ended" if status.control_ended else "killed")
     fault = f" · fault {status.fault}" if status.fault not in ("", "NONE") else ""
     dead = silence(status, age_s)
+    silent = silent_axes(status.axes, status.answer_age)
+    wrong = html.escape(" · ".join([*([silent] if silent else []), *status.drive_problems]))
     text = html.escape(
         f"{status.rig} · {status.law} · {status.state or '-'}{fault}{fate} · missed {counts.missed_own} own, "
         f"{counts.missed_host} the host's · {counts.samples_lost} samples lost · {status.dropped} ticks not published"
     )
+    text += f' · <b style="color: red">{wrong}</b>' if wrong else ""
     return f'<b style="color: red">{html.escape(dead)}</b> · it was: {text}' if dead else text
 
 

@@ -24,6 +24,7 @@ from hil.operate.estop import stop_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
+from hil.telemetry.window import silent_axes
 
 STALE_S = 0.5  # a status comes ten times a second, a tick a hundred times and more
 POLL_S = 0.05
@@ -60,6 +61,8 @@ def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
         text.append(f"  seen now: {', '.join(status.faults_active)}", style="red")
     for problem in status.drive_problems:
         text.append(f"\n  drive refused: {problem}", style="bold red")
+    if silent := silent_axes(status.axes, status.answer_age):
+        text.append(f"\n  {silent}", style="bold red")
     if not status.control_alive:
         fate = "ended" if status.control_ended else "was killed" if status.pid else "is not running"
         text.append(f"  the control process {fate}", style="yellow" if status.control_ended else "bold red")

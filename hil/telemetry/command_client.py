@@ -4,6 +4,7 @@ On this machine the verdict is read from the control process' own record in the 
 its place, that says anything else is caught. From elsewhere the reply carries the MAC of whoever holds the secret.
 """
 
+import contextlib
 import os
 import socket
 import time
@@ -20,6 +21,7 @@ from hil.live.ring import RingError, RingReader
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.command_wire import LIMIT, REPLY, REQUEST, WireError, frame, opened, peer, seal, unframe
 from hil.telemetry.credentials import SIDECAR, Credentials, identity
+from hil.telemetry.window import silent_axes
 
 COMMAND_LIFE_NS = 300_000_000
 _RETRY_S = 0.01
@@ -68,6 +70,18 @@ class CommandClient(Closing):
             raise NoGatewayError("the reply belongs to another request")
         self._challenge, self._challenged_ns = reply.challenge, time.monotonic_ns()
         return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
+
+    def silent(self) -> str:
+        """Axes that have not answered for long, by the newest tick's record, in words; from elsewhere nothing."""
+        if self._ring is None:
+            return ""
+        with contextlib.suppress(RingError), RingReader(self._ring) as reader:
+            reader.next = max(reader.written - 1, 0)
+            records = reader.read(1, ("age_ticks",)).records
+            if len(records):
+                ages_s = records[-1]["age_ticks"] * (reader.period_ns * 1e-9)
+                return silent_axes(reader.metadata["rig"]["axes"], ages_s.tolist())
+        return ""
 
     def _verified(self, kind: CommandKind, reply: pb.CommandReply) -> Verdict:
         """The same from the control process' own record."""

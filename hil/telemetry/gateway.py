@@ -10,7 +10,7 @@ Rules:
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,12 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
-from hil.rig.schema import RigConfig
+from hil.rig.provenance import rig_of_run
+from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP, REALTIME_OK, RECORDER_OK, RIG_OK
 from hil.telemetry.command_server import Asked
+from hil.telemetry.window import silent_axes
 
 VERDICT_TIMEOUT_NS = 500_000_000
 _NOBODY = "no control process is running this rig"
@@ -36,18 +38,26 @@ class _Pending(NamedTuple):
 class Gateway:
     """Judges requests and keeps those whose verdict is still to come.
 
-    rig: longest life of a command, and why its task cannot begin somewhere. stop: the rig's stop page. record: takes
-    every entry.
+    rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
+    counts. stop: the rig's stop page. record: takes every entry.
     """
 
     def __init__(self, rig: RigConfig, stop: Path, record: Callable[[pb.CommandEntry], None]) -> None:
         self._rig = rig
-        self._expiry_ns = round(rig.safety.command_expiry_s * 1e9)
+        self._doubt = ""  # about reasons told from `rig`
         self._stop = stop
         self._record = record
         self._pending: dict[int, _Pending] = {}  # by mailbox sequence
         self._stops: list[_Pending] = []  # presses of the stop page
         self.refused = 0
+
+    def follow(self, metadata: dict[str, Any]) -> None:
+        """From now on that of the control process whose ring has this metadata, whatever the sidecar's file says."""
+        try:
+            with rig_of_run(metadata) as (rig, _):
+                self._rig, self._doubt = rig, ""
+        except RigError:  # it is of another version of hil
+            self._doubt = "; by the sidecar's own rig file: what the control process runs cannot be read"
 
     def judge(self, asked: Asked, now_ns: int) -> str:
         """Why the request is refused; empty when it is not. Notes the sequence number."""
@@ -62,8 +72,9 @@ class Gateway:
             return f"replayed: sequence {request.sequence} is not above {last}"
         if request.expires_ns <= now_ns:
             return f"stale: expired {(now_ns - request.expires_ns) * 1e-6:.1f} ms ago"
-        if request.expires_ns > now_ns + self._expiry_ns:
-            return f"expires too late: at most {self._expiry_ns * 1e-9:g} s ahead (safety.command_expiry_s)"
+        if request.expires_ns > now_ns + round(self._rig.safety.command_expiry_s * 1e9):
+            longest = self._rig.safety.command_expiry_s
+            return f"expires too late: at most {longest:g} s ahead (safety.command_expiry_s)"
         asked.connection.last_sequence = request.sequence
         return ""
 
@@ -110,7 +121,7 @@ class Gateway:
                 if pending:
                     kind, expires_ns = CommandKind(pending.asked.request.kind), int(command["expires_ns"])
                     accepted = bool(command["accepted"])
-                    reason = "" if accepted else explain(kind, expires_ns, record, self._rig)
+                    reason = "" if accepted else explain(kind, expires_ns, record, self._rig) + self._doubt
                     reply = _reply(record, first + int(place), now_ns, reason)
                     reply.posted = int(command["sequence"])
                     self._answer(pending.asked, reply)
@@ -164,6 +175,9 @@ def _reply(record: np.void, index: int, now_ns: int, reason: str) -> pb.CommandR
 def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig) -> str:
     """Why the control process refused a command, from the tick that did. rig: which it runs."""
     state, late_ns = State(int(record["state"])), int(record["now_ns"]) - expires_ns
+    ages_s = record["age_ticks"][: len(rig.axes)] * (rig.period_ns * 1e-9)
+    silent = silent_axes(rig.axes, ages_s.tolist())
+    also = f"; {silent}" if silent else ""
     if late_ns > 0 and kind is not CommandKind.ESTOP:
         return f"stale: expired {late_ns * 1e-6:.1f} ms before the tick that took it"
     if kind in (CommandKind.ACTIVATE, CommandKind.HOME) and state is State.READY:
@@ -179,8 +193,8 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
         missing_heartbeat = "no operator heartbeat" if rig.safety.heartbeat_s else "the task cannot begin here"
         return "refused: " + (" and ".join(reasons) or missing_heartbeat)
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
-        return f"refused in {state.name}: the cause of the fault is still there"
-    return f"{kind.name} is not possible in state {state.name}"
+        return f"refused in {state.name}: the cause of the fault is still there{also}"
+    return f"{kind.name} is not possible in state {state.name}{also}"
 
 
 def _infeasible(rig: RigConfig, record: np.void) -> list[str]:

@@ -72,7 +72,7 @@ class Attached:
 
 
 class Sidecar:
-    """The loop's body. rig: for keys and limits; what is published about a run comes from its ring."""
+    """The loop's body. rig: for keys; what is published about a run, and why it refuses, comes from its ring."""
 
     def __init__(
         self, rig: RigConfig, paths: RuntimePaths, publisher: Publisher, commands: CommandServer, out: Path | None
@@ -115,6 +115,7 @@ class Sidecar:
             return
         self._leave()
         self._seen_run = reader.run_id
+        self._gateway.follow(reader.metadata)
         self.attached = Attached(reader, self._open_mailbox(), self._new_recorder(reader))
 
     def _open_mailbox(self) -> Mailbox | None:

@@ -1,6 +1,7 @@
 """The last second of ticks, in the few figures a status message shows."""
 
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,16 @@ from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 
 STALE_NS = 500_000_000  # a control process whose newest tick is older hangs, or is gone
+SILENT_S = 0.5  # an axis that has not answered for so long has fallen silent
 _TORQUE = [int(state) for state in TORQUE_STATES]
+
+
+def silent_axes(names: Iterable[str], ages_s: Iterable[float]) -> str:
+    """Which axes' drives have fallen silent and how long ago, in words; empty where all answer. ages_s: since each
+    answered last.
+    """
+    silent = [f"{name} for {age:.1f} s" for name, age in zip(names, ages_s, strict=False) if age > SILENT_S]
+    return f"no answer from {', '.join(silent)}" if silent else ""
 
 
 class Window:
@@ -66,6 +76,7 @@ class Window:
         status.setpoint.extend(last["setpoint_position"][:n].tolist())
         status.force.extend(last["force"][:n].tolist())
         status.drive_status.extend(last["drive_status"][:n].tolist())
+        status.answer_age.extend((last["age_ticks"][:n] * (status.period_ns * 1e-9)).tolist())
         status.max_error.extend(np.max([batch.max(axis=0) for batch in self._errors], axis=0).tolist())
         lateness = np.concatenate(self._lateness) * 1e-9
         status.lateness_p50, status.lateness_p99 = np.percentile(lateness, (50, 99)).tolist()

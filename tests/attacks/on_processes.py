@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.cycle.fault_table import Fault
+from hil.cycle.fault_table import WATCHING, Fault
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
@@ -26,12 +26,13 @@ from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.recorder import Recording
+from hil.telemetry.window import silent_axes
 from tests.attacks.registry import attack
 from tests.attacks.target import NAME, PATIENCE_S, Target
 
 MOMENTS = 2
 SETTLED_TICKS = 25
-SILENCE_S = 1.2  # beyond safety.silent_stop_ticks and silent_zero_ticks of tests/support/live_rig.py
+CONNECT_S = 0.3  # for a monitor that connects only then
 LATEST_S = 0.03  # after the state was asked for
 WATCHDOG_NS = 500_000_000  # drives.watchdog_s of tests/support/live_rig.py
 _random = random.Random(24)
@@ -151,7 +152,7 @@ def explained(target: Target) -> str:
             quiet = State(int(last["state"])) not in TORQUE_STATES and not last["force"].any()
             return Fault(int(last["fault"])) if quiet else Fault.NONE
 
-        target.until(lambda: fault() is not Fault.NONE or target.newest() not in TORQUE_STATES, "it stops")
+        target.until(lambda: fault() is not Fault.NONE or target.newest() not in WATCHING, "it stops")
         return f"{target.newest().name}, {fault().name}"
 
 
@@ -230,8 +231,9 @@ def killed_emulator(target: Target, situation: str) -> Iterator[str]:
     said = []
     for state in moments(target, situation, 1):
         target.signal("emulate", signal.SIGKILL)
+        struck_s = time.monotonic()
         target.processes["emulate"].wait()
-        said.append(f"in {state.name}: {explained(target)}")
+        said.append(f"in {state.name}: {told_silent(target, struck_s)}")
         target.start("emulate")
     yield "; ".join(said)
 
@@ -240,12 +242,25 @@ def stopped_emulator(target: Target, situation: str) -> Iterator[str]:
     said = []
     for state in moments(target, situation, 1):
         target.signal("emulate", signal.SIGSTOP)
-        time.sleep(SILENCE_S)
         try:
-            said.append(f"in {state.name}: {explained(target)}")
+            said.append(f"in {state.name}: {told_silent(target, time.monotonic())}")
         finally:
             target.signal("emulate", signal.SIGCONT)
     yield "; ".join(said)
+
+
+def told_silent(target: Target, since_s: float) -> str:
+    """Monitors hear within a second which axes fell silent, and an operator why nothing is possible."""
+    with RigClient(target.endpoint, rig=NAME) as client:
+        while not (silent := silent_axes((status := client.wait_status(PATIENCE_S)).axes, status.answer_age)):
+            assert time.monotonic() - since_s < PATIENCE_S, "nobody says that the drives are silent"
+        took = time.monotonic() - since_s
+    assert took < 1.0 + CONNECT_S, f"{took:.1f} s"
+    assert all(name in silent for name in status.axes), silent
+    seen = explained(target)
+    verdict = target.command(CommandKind.ACTIVATE)
+    assert "no answer from" in verdict.reason, verdict
+    return f"told after {took:.1f} s: {silent}; {seen}"
 
 
 def routed(target: Target) -> str:
@@ -301,6 +316,7 @@ def starved_sidecar(target: Target) -> Iterator[str]:
 
 Struck = Callable[[Target, str], Iterator[str]]
 RIG_GOES_ON = "the rig goes on; what was recorded is readable; commands are obeyed again"
+SILENT = "within a second it is told which axes are silent; a state that needs them is left, with the fault named"
 STRIKES: dict[tuple[str, str], tuple[Struck, str]] = {
     ("control", "killed"): (killed_control, "zero torque within the watchdog; told as killed; every tick recorded"),
     ("control", "stopped and continued"): (stopped_control, "zero torque within the watchdog; then it says why"),
@@ -308,11 +324,11 @@ STRIKES: dict[tuple[str, str], tuple[Struck, str]] = {
     ("sidecar", "stopped and continued"): (stopped_sidecar, RIG_GOES_ON),
     ("emulator", "killed"): (
         killed_emulator,
-        "a state with torque is left, with the fault named; no torque is asked for",
+        SILENT,
     ),
     ("emulator", "stopped and continued"): (
         stopped_emulator,
-        "a state with torque is left, with the fault named; no torque is asked for",
+        SILENT,
     ),
     ("router", "killed"): (lambda target, at: struck_router(target, at, signal.SIGKILL), RIG_GOES_ON),
     ("router", "stopped and continued"): (lambda target, at: struck_router(target, at, signal.SIGSTOP), RIG_GOES_ON),

@@ -53,6 +53,16 @@ def status(**changes: Any) -> pb.Status:
     return pb.Status(**values)
 
 
+def test_an_axis_that_has_fallen_silent_is_named_with_how_long_ago() -> None:
+    silent = status(answer_age=[0.0, 0.7], drive_problems=["theta: <b>1018h</b> differs"])
+    for text in (shown(silent), line(silent), dashboard.headline(silent)):
+        assert "no answer from theta for 0.7 s" in text
+        assert "1018h" in text
+        assert "x for" not in text
+    assert "<b>1018h" not in dashboard.headline(silent)
+    assert "no answer" not in shown(status(answer_age=[0.1, 0.4]))
+
+
 def shown(message: pb.Status) -> str:
     console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(view(message))

@@ -11,13 +11,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.live.mailbox import Mailbox
 from hil.rig.file import load_rig
+from hil.rig.provenance import describe_run
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.command_client import CommandClient, NoGatewayError, local_client, remote_client
 from hil.telemetry.command_server import CONNECTIONS, Asked, Connection
@@ -144,6 +148,43 @@ def test_a_task_that_cannot_begin_where_the_stage_stands_is_refused_by_axis_time
     reason = explain(CommandKind(int(command["kind"])), int(command["expires_ns"]), refused, run.cycle.rig)
     assert reason.startswith("refused: the task cannot begin here: axis x: speed 0.076032 m/s 0.400 s after the start")
     assert reason.endswith("the limit less its margin is 0.076; change [task] or axes.x.limits.speed = 0.08")
+
+
+def test_what_cannot_be_done_because_drives_are_silent_is_refused_by_axis_and_age() -> None:
+    rig = load_rig(RIGS / "paper.toml")
+    record = np.zeros(1, RECORD)[0]
+    record["state"], record["age_ticks"][:2] = State.CONNECTED, (0, 1200)
+    reason = explain(CommandKind.ACTIVATE, 1, record, rig)
+    assert reason == "ACTIVATE is not possible in state CONNECTED; no answer from y for 1.2 s"
+    record["age_ticks"][:2] = 100
+    assert explain(CommandKind.ACTIVATE, 1, record, rig) == "ACTIVATE is not possible in state CONNECTED"
+
+
+def test_reasons_are_told_by_the_rig_that_the_control_process_runs_not_by_the_sidecars_file() -> None:
+    gateway = gateway_of(0.5)
+    running = load_rig(RIGS / "paper.toml", ["safety.command_expiry_s=0.25"])
+    gateway.follow(describe_run(running, RIGS))
+    late = asked(expires_ns=1_000 + 300_000_000)
+    assert gateway.judge(late, 1_000) == "expires too late: at most 0.25 s ahead (safety.command_expiry_s)"
+
+
+@pytest.mark.parametrize("damaged", [True, False])
+def test_where_what_the_control_process_runs_cannot_be_read_the_reason_says_whose_rig_it_is(damaged: bool) -> None:
+    replies: list[pb.CommandReply] = []
+    metadata = describe_run(load_rig(RIGS / "paper.toml"), RIGS)
+    if damaged:
+        metadata["rig"]["of_a_later_version"] = 1
+    gateway = Gateway(load_rig(RIGS / "paper.toml"), Path("/nowhere"), lambda _: None)
+    gateway.follow(metadata)
+    request = asked()
+    request.connection.answer = replies.append  # type: ignore[method-assign]
+    gateway.take(request, cast(Mailbox, SimpleNamespace(post=lambda *_: 7)), 1_000, "READY")
+    records = np.zeros(1, RECORD)
+    records["n_commands"], records["state"] = 1, State.CONNECTED
+    records["commands"][0, 0] = (CommandKind.STOP, 0, 7, 1_100)
+    gateway.verdicts(records, 0, 1_050)
+    assert replies[0].reason.endswith("cannot be read") is damaged
+    assert replies[0].reason.startswith("STOP is not possible in state CONNECTED")
 
 
 # on this machine ------------------------------------------------------------------------------------------------------
