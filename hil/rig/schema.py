@@ -130,20 +130,21 @@ def _task_problems(rig: RigConfig) -> list[str]:
     ]
     if len(set(rig.task.axes)) != len(rig.task.axes):
         problems.append(f"task.axes = {rig.task.axes}: an axis twice")
-    if not problems:
-        problems += _path_problems(rig)
     if rig.task.kind in TWO_AXES and len(rig.task.axes) != 2:
         problems.append(f"task.axes = {rig.task.axes}: a {rig.task.kind} needs two axes")
-    return problems
+    return problems or _path_problems(rig)
 
 
 def _path_problems(rig: RigConfig) -> list[str]:
     """The first point of a path or of waypoints that is beyond an axis' travel, or too fast to get to."""
     task = rig.task
-    if task.kind not in ("path", "waypoints"):
+    if task.kind not in ("path", "waypoints", "spline", "raster"):
         return []
     timed = task.kind == "path"
     table, rows = ("task.samples", task.samples) if timed else ("task.waypoints", task.waypoints)
+    if task.kind == "raster":
+        opposite = [begin + length for begin, length in zip(task.corner, task.size, strict=True)]
+        table, rows = "task.corner and task.corner + task.size", [task.corner, opposite]
     if task.repeat and timed and rows[0][1:] != rows[-1][1:]:
         return [f"task.repeat = true: row {len(rows)} of {table} must have the positions of row 1"]
     for column, name in enumerate(task.axes, 1 if timed else 0):

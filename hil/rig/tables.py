@@ -4,6 +4,7 @@
 Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 """
 
+from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, model_validator
@@ -166,16 +167,16 @@ class InjectionConfig(BaseModel):
     withdraw_s: Duration = key(0.6, "duration of the way back to q_s", "s")
 
 
-TWO_AXES = ("circle", "lissajous", "spiral")  # kinds of task that need exactly two
+TWO_AXES = ("circle", "lissajous", "spiral", "raster")  # kinds of task that need exactly two
 
 
 class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
     model_config = STRICT
-    kind: Literal["hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spiral"] = key(
-        "hold", "the kind of motion"
-    )
+    kind: Literal[
+        "hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spline", "raster", "spiral"
+    ] = key("hold", "the kind of motion")
     axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
@@ -185,17 +186,29 @@ class TaskConfig(BaseModel):
     settle_s: Pause = key(6.0, "after the approach; statistics start then", "s")
     target: list[float] = key([], "point_to_point: target per axis in `axes`", "m (rad)")
     move_s: Duration = key(1.0, "point_to_point: duration of one move; spiral: of all of it", "s")
-    dwell_s: Pause = key(0.5, "point_to_point, waypoints: rest between moves", "s")
+    dwell_s: Pause = key(
+        0.5, "point_to_point, waypoints, raster: rest between moves; with `blend`, and of a spline: at the end", "s"
+    )
     file: str = key("", "path: CSV or NPZ beside the rig file, with time_s and a column for each axis that moves")
     samples: list[list[float]] = key(
         [], "path: rows of time and positions in the order of `axes`; read from `file`", "s, then m (rad)"
     )
-    waypoints: list[list[float]] = key([], "waypoints: positions in the order of `axes`", "m (rad)")
-    speed: Positive = key(0.1, "waypoints: greatest speed of an axis", "m/s (rad/s)")
-    acceleration: Positive = key(1.0, "waypoints: greatest acceleration of an axis", "m/s^2 (rad/s^2)")
-    jerk: Positive = key(100.0, "waypoints: greatest jerk of an axis", "m/s^3 (rad/s^3)")
+    waypoints: list[list[float]] = key([], "waypoints, spline: positions in the order of `axes`", "m (rad)")
+    speed: Positive = key(0.1, "waypoints, spline, raster: greatest speed of an axis", "m/s (rad/s)")
+    acceleration: Positive = key(1.0, "waypoints, spline, raster: greatest acceleration of an axis", "m/s^2 (rad/s^2)")
+    jerk: Positive = key(100.0, "waypoints, spline, raster: greatest jerk of an axis", "m/s^3 (rad/s^3)")
+    blend: NonNegative = key(
+        0.0, "waypoints, raster: points are passed at no more than this, without stopping; 0: rest at each", "m (rad)"
+    )
+    corner: list[float] = key([], "raster: where the first line begins, in the order of `axes`", "m (rad)")
+    size: list[float] = key([], "raster: along the lines (first axis), and across them (second axis)", "m (rad)")
+    lines: int = key(10, "raster: number of lines, to and fro", "1", ge=2, le=5000)
     turns: float = key(3.0, "spiral: number of turns", "1", ge=0.25, le=300)
-    repeat: bool = key(False, "path, waypoints: over and over again")
+    repeat: bool = key(
+        False,
+        "path, waypoints, spline, raster, spiral: over and over again; what ends elsewhere than it begins goes back "
+        "(a spiral the way it came; a path must end where it began)",
+    )
     injection: InjectionConfig | None = key(None, "the injection plan; needed for kind = 'injection'")
 
     @model_validator(mode="after")
@@ -206,13 +219,25 @@ class TaskConfig(BaseModel):
             raise ValueError(f"target has {len(self.target)} values for {len(self.axes)} axes")
         if self.kind == "path" and (problems := sample_problems(self.axes, self.samples)):
             raise ValueError(f"samples: {problems[0]}")
-        if self.kind == "waypoints":
+        if self.kind in ("waypoints", "spline"):
             self._check_waypoints()
+        if self.kind == "raster":
+            self._check_raster()
         return self
+
+    def _check_raster(self) -> None:
+        for name, values in (("corner", self.corner), ("size", self.size)):
+            if len(values) != 2:
+                raise ValueError(f"kind = 'raster' needs `{name}` with 2 values; it has {len(values)}")
+        if not all(self.size):
+            raise ValueError(f"size = {self.size}: allowed: two numbers other than 0")
 
     def _check_waypoints(self) -> None:
         if not self.axes or not 2 <= len(self.waypoints) <= MOST_ROWS:
-            raise ValueError(f"kind = 'waypoints' needs `axes` and from 2 to {MOST_ROWS} waypoints")
+            raise ValueError(f"kind = {self.kind!r} needs `axes` and from 2 to {MOST_ROWS} waypoints")
+        for number, (before, after) in enumerate(pairwise(self.waypoints), 2):
+            if self.kind == "spline" and before == after:
+                raise ValueError(f"waypoints: row {number} is row {number - 1} again; a spline does not stop")
         for number, point in enumerate(self.waypoints, 1):
             if len(point) != len(self.axes):
                 raise ValueError(f"waypoints: row {number} has {len(point)} values for {len(self.axes)} axes")

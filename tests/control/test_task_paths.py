@@ -1,4 +1,4 @@
-"""Tasks from files, waypoints and spirals: what is followed, and what is refused with its row and column."""
+"""Tasks from files, by waypoints, rasters and spirals: what is followed, and what is refused with row and column."""
 
 from pathlib import Path
 
@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.control.feasibility import horizon
 from hil.control.trajectories import make_trajectory
 from hil.control.trajectories.base import Trajectory
-from hil.control.trajectories.paths import spline, waypoints
+from hil.control.trajectories.paths import raster_points, spline, waypoints
 from hil.rig.file import build_rig, load_rig, rig_hash
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigConfig, RigError, TaskConfig
 from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.batch import BatchRun
@@ -23,6 +24,8 @@ from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
 STRUCTURED = "law.name=structured-kalman"
+RASTER = ["task.kind=raster", "task.axes=['x', 'y']", "task.corner=[0.0, 0.0]", "task.size=[5e-3, 1e-3]"]
+ZIGZAG = [[0.0, 0.0], [0.01, 0.002], [0.0, 0.004], [0.01, 0.006]]
 EARLY = ["task.approach_s=0.2", "task.settle_s=0.0"]
 
 
@@ -82,7 +85,8 @@ def test_a_spline_is_smooth_up_to_its_acceleration(steps: list[tuple[float, floa
         (q0, v0, a0), (q1, v1, a1) = path.at(0, at - 1), path.at(0, at)
         assert q0 == pytest.approx(q1, abs=1e-9 + 2e-9 * abs(v1))
         assert v0 == pytest.approx(v1, abs=1e-6 * (1.0 + largest))
-        assert a0 == pytest.approx(a1, abs=1e-4 * (1.0 + largest))
+        a_by_now = 2.0 * a0 - path.at(0, at - 2)[2]
+        assert a_by_now == pytest.approx(a1, abs=1e-4 * (1.0 + largest))
         assert q1 == pytest.approx(row[1], abs=1e-9)
     times = np.array([round(row[0] * 1e9) for row in rows[:-1]] * 20, dtype=np.int64)[:, None]
     many, few = path.sample(times), [path.at(0, t) for t in times[:, 0].tolist()]
@@ -141,13 +145,17 @@ def test_a_spiral_turns_outwards_and_rests_at_both_ends() -> None:
     assert 3.0 < (angle[-1] - angle[0]) / (2 * np.pi) < 4.01
 
 
-@pytest.mark.parametrize("kind", ["path", "waypoints", "spiral"])
+@pytest.mark.parametrize("kind", ["path", "waypoints", "blend", "spline", "raster", "spiral"])
 def test_a_path_is_followed_to_a_micrometre_and_a_batch_is_the_same(kind: str, tmp_path: Path) -> None:
     own = {
         "path": [f"task.file={wave(tmp_path / 'w.csv')}"],
         "waypoints": ["task.axes=['x']", "task.waypoints=[[0.0], [0.01]]", "task.repeat=true"],
-        "spiral": ["task.axes=['x', 'y']", "task.radius=0.005"],
+        "blend": ["task.axes=['x', 'y']", f"task.waypoints={ZIGZAG}", "task.blend=1e-3", "task.repeat=true"],
+        "spline": ["task.axes=['x', 'y']", f"task.waypoints={ZIGZAG}", "task.dwell_s=0.1", "task.repeat=true"],
+        "raster": ["task.axes=['x', 'y']", "task.corner=[0.0, 0.0]", "task.size=[5e-3, 1e-3]", "task.blend=1e-4"],
+        "spiral": ["task.axes=['x', 'y']", "task.radius=0.005", "task.repeat=true"],
     }[kind]
+    kind = "waypoints" if kind == "blend" else kind
     rig = load_rig(PAPER, [f"task.kind={kind}", *own, *EARLY, STRUCTURED, "wire.stuffing=worst"])
     report, _ = simulate(rig, RIGS, 1.0)
     assert (report.state, report.faults) == ("ACTIVE", {})
@@ -218,12 +226,101 @@ def test_a_file_that_holds_no_task_is_refused_by_row_and_column(text: str, tmp_p
         (["task.kind=waypoints", "task.axes=['x']", "task.waypoints=[[0.0], [2.0]]"], "row 2, column x: 2 is outside"),
         (["task.kind=waypoints", "task.axes=['x', 'x']", "task.waypoints=[[0.0, 0.0], [0.1, 0.1]]"], "an axis twice"),
         (["task.kind=spiral", "task.axes=['x']"], "a spiral needs two axes"),
+        (["task.kind=spline"], "kind = 'spline' needs `axes` and from 2"),
+        (["task.kind=spline", "task.axes=['x']", "task.waypoints=[[0.0], [0.0]]"], "row 2 is row 1 again"),
+        (["task.kind=raster", "task.axes=['x', 'y']"], "kind = 'raster' needs `corner` with 2 values; it has 0"),
+        ([*RASTER, "task.axes=['x']"], "a raster needs two axes"),
+        ([*RASTER, "task.size=[0.0, 1e-3]"], "size = [0.0, 0.001]: allowed: two numbers other than 0"),
+        ([*RASTER, "task.size=[9.0, 1e-3]"], "task.size: row 2, column x: 9 is outside axes.x.limits.position"),
+        ([*RASTER, "task.lines=1"], "task.lines = 1: Input should be greater than or equal to 2"),
+        ([*RASTER, "task.blend=-1e-3"], "task.blend = -0.001: Input should be"),
+        ([*RASTER, "task.jerk=0"], "task.jerk = 0: Input should be"),
     ],
 )  # fmt: skip
 def test_a_task_that_is_not_complete_is_refused(changes: list[str], text: str) -> None:
     with pytest.raises(RigError) as caught:
         load_rig(PAPER, changes)
     assert text in str(caught.value)
+
+
+LIMITS = st.tuples(st.floats(1e-3, 0.5), st.floats(1e-2, 10.0), st.floats(1.0, 1e4))
+PLACES = st.integers(-2000, 2000).map(lambda value: value * 1e-5)
+
+
+@st.composite
+def bodies(draw: st.DrawFn) -> tuple[TaskConfig, Trajectory]:
+    """Any raster, spline or waypoints, and how they go on once their first point is reached."""
+    kind = draw(st.sampled_from(["waypoints", "spline", "raster"]))
+    speed, acceleration, jerk = draw(LIMITS)
+    points = draw(st.lists(st.lists(PLACES, min_size=2, max_size=2), min_size=2, max_size=8))
+    points = [p for i, p in enumerate(points) if not i or p != points[i - 1]]
+    task = TaskConfig(
+        kind=kind, axes=["x", "y"], waypoints=points if len(points) > 1 else [[0.0, 0.0], [1e-3, 0.0]],
+        speed=speed, acceleration=acceleration, jerk=jerk, dwell_s=draw(st.sampled_from([0.0, 0.02])),
+        corner=[draw(PLACES), 0.0], size=[draw(st.sampled_from([-2e-3, 1e-4])), draw(st.sampled_from([-1e-4, 3e-3]))],
+        lines=draw(st.integers(2, 5)), blend=draw(st.sampled_from([0.0, 1e-9, 1e-4, 1.0])), repeat=draw(st.booleans()),
+        approach_s=0.001,
+    )  # fmt: skip
+    begin = task.corner if kind == "raster" else task.waypoints[0]
+    return task, make_trajectory(task, ["x", "y"], begin, 1_000_000)
+
+
+@given(bodies())
+@settings(max_examples=60, deadline=None)
+def test_what_is_accepted_is_smooth_and_keeps_its_limits(given_body: tuple[TaskConfig, Trajectory]) -> None:
+    """Between instants 1/4000 of the whole apart nothing changes by more than the next derivative's limit allows."""
+    task, run = given_body
+    end = run.duration_ns if run.repeat_ns is None else run.repeat_from_ns + 2 * run.repeat_ns
+    assert end is not None
+    assert end % 1_000_000 == 0
+    times = np.unique(np.linspace(0, end, 4001).astype(np.int64))
+    sampled = run.sample(np.repeat(times[:, None], 2, axis=1))
+    step = np.diff(times)[:, None] * 1e-9
+    for values, limit, change in (
+        (sampled.position, np.inf, task.speed),
+        (sampled.velocity, task.speed, task.acceleration),
+        (sampled.acceleration, task.acceleration, task.jerk),
+    ):
+        assert np.abs(values).max() <= limit * (1 + 1e-4)
+        assert (np.abs(np.diff(values, axis=0)) <= change * step * (1 + 1e-4) + 1e-9 * change).all()
+    few = [[run.at(axis, t) for axis in range(2)] for t in times[::97].tolist()]
+    many = np.stack([sampled.position, sampled.velocity, sampled.acceleration], axis=-1)[::97]
+    assert many.tolist() == [[list(motion) for motion in row] for row in few]
+    assert [motion[1:] for motion in few[0]] == [(0.0, 0.0), (0.0, 0.0)]
+
+
+@given(bodies())
+@settings(max_examples=40, deadline=None)
+def test_points_are_passed_within_the_blend(given_body: tuple[TaskConfig, Trajectory]) -> None:
+    task, run = given_body
+    points = task.waypoints
+    if task.kind == "raster":
+        points = raster_points(task.corner, task.size, task.lines)
+        assert len(points) == 2 * task.lines
+    end = horizon(run)
+    times = np.unique(np.linspace(run.repeat_from_ns, end, 8001).astype(np.int64))
+    positions = run.sample(np.repeat(times[:, None], 2, axis=1)).position
+    reach = task.speed * 2**0.5 * (end * 1e-9) / 8000 + 1e-9
+    for point in points:
+        away = np.hypot(*(positions - point).T).min()
+        assert away <= (task.blend if task.kind != "spline" else 0.0) + reach
+
+
+def test_a_blend_is_quicker_than_a_rest_at_every_point() -> None:
+    bow = [[0.02 * np.sin(k / 5), 0.02 * np.cos(k / 5)] for k in range(10)]
+    own = ["task.kind=waypoints", "task.axes=['x', 'y']", f"task.waypoints={np.array(bow).tolist()}", *EARLY]
+    own.append("task.dwell_s=0.0")
+    lasts = [horizon(trajectory(load_rig(PAPER, [*own, f"task.blend={blend}"]))) for blend in (0.0, 1e-4, 2e-3)]
+    assert lasts[2] < 0.6 * lasts[0]
+    assert lasts[2] < lasts[1] < lasts[0]
+
+
+def test_a_spiral_that_repeats_goes_back_the_way_it_came() -> None:
+    own = ["task.kind=spiral", "task.axes=['x', 'y']", "task.radius=0.01", "task.move_s=2.0", "task.repeat=true"]
+    run = trajectory(load_rig(PAPER, [*own, *EARLY]))
+    assert (run.repeat_from_ns, run.repeat_ns) == (200_000_000, 4_000_000_000)
+    there, back = (run.at(0, 200_000_000 + t)[0] for t in (700_000_000, 3_300_000_000))
+    assert there == pytest.approx(back, abs=1e-15)
 
 
 @given(st.binary(max_size=200))

@@ -25,6 +25,9 @@ MOVES = TaskConfig(kind="point_to_point", axes=["y"], target=[0.2], move_s=0.5, 
 HOLD = TaskConfig()
 SPIRAL = TaskConfig(kind="spiral", axes=["x", "y"], radius=0.01, turns=2.0, move_s=4.0)
 WAYPOINTS = TaskConfig(kind="waypoints", axes=["x", "y"], waypoints=[[0.0, 0.0], [0.05, 0.02], [0.01, 0.0]])
+SPLINE = WAYPOINTS.model_copy(update={"kind": "spline", "repeat": True})
+BLENDED = WAYPOINTS.model_copy(update={"blend": 5e-3})
+RASTER = TaskConfig(kind="raster", axes=["x", "y"], corner=[0.0, 0.01], size=[0.02, 0.01], lines=4, blend=1e-3)
 PATH = TaskConfig(kind="path", axes=["y"], samples=[[0.0, 0.0], [0.5, 0.01], [1.0, 0.03], [2.0, 0.0]])
 
 
@@ -39,7 +42,7 @@ def trajectories() -> list[Trajectory]:
     return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
 
 
-TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, PATH]
+TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, BLENDED, SPLINE, RASTER, PATH]
 NAMES = [*(task.kind for task in TASKS), "injection", "displaced"]
 
 

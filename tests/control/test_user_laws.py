@@ -1,4 +1,4 @@
-"""Laws that users bring (tests/laws_of_users): found in every way, run by every command, and trusted with nothing."""
+"""Laws that users bring: found in every way, run by every command, and trusted with nothing."""
 
 import importlib.metadata
 import shutil
@@ -35,10 +35,9 @@ from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
 from sim_plant.physics.stage import Truth
-from tests.laws_of_users.misbehaves import WAYS
-from tests.support.paths import RIGS, ROOT
+from tests.support.misbehaves import WAYS
+from tests.support.paths import LAWS_OF_USERS, MISBEHAVES, RIGS
 
-FOLDER = ROOT / "tests" / "laws_of_users"
 GOOD = {"lqr": "Lqr", "lqg": "Lqg", "mpc": "PreviewMpc", "network": "Network"}
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
 
@@ -46,7 +45,7 @@ QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Path:
     """paper.toml in a folder of its own, with the users' files beside it."""
-    for path in (RIGS / "paper.toml", *FOLDER.glob("*.py")):
+    for path in (RIGS / "paper.toml", *LAWS_OF_USERS):
         shutil.copy(path, tmp_path)
     return tmp_path / "paper.toml"
 
@@ -65,10 +64,10 @@ def test_a_users_law_follows_the_circle(name: str, rig_file: Path) -> None:
 
 
 def test_a_file_a_module_and_an_entry_point_are_the_same_law(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = importlib.metadata.EntryPoint("my-lqr", "tests.laws_of_users.lqr:Lqr", law_registry.GROUP)
+    entry = importlib.metadata.EntryPoint("my-lqr", "examples.laws.lqr:Lqr", law_registry.GROUP)
     monkeypatch.setattr(law_registry, "entry_points", lambda group: [entry] if group == "hil.laws" else [])
     hashes = set()
-    for name in ("./lqr.py:Lqr", "tests.laws_of_users.lqr:Lqr", "my-lqr"):
+    for name in ("./lqr.py:Lqr", "examples.laws.lqr:Lqr", "my-lqr"):
         rig = load_rig(rig_file, [f"law.name={name}", *QUICK])
         hashes.add(simulate(rig, rig_file.parent, 0.4)[0].trace_sha256)
     assert len(hashes) == 1
@@ -80,8 +79,8 @@ def test_a_file_a_module_and_an_entry_point_are_the_same_law(rig_file: Path, mon
     [
         ("lqr2", "the laws are pd-feedforward, robust-pd"),
         ("no.such.module:Lqr", "No module named 'no'"),
-        ("tests.laws_of_users.lqr:Nothing", "'Nothing' is no class with reset and force"),
-        ("tests.laws_of_users.lqr:np", "'np' is no class"),
+        ("examples.laws.lqr:Nothing", "'Nothing' is no class with reset and force"),
+        ("examples.laws.lqr:np", "'np' is no class"),
         ("unittest.mock:Mock", "'Mock' is no class with reset and force"),
         ("./lqr.py:Lqr2", "'Lqr2' is no class"),
         ("./broken.py:Lqr", "./broken.py:2: invalid syntax"),
@@ -203,7 +202,7 @@ def test_a_law_that_goes_wrong_ends_in_zero_torque_and_is_named(how: str, rig_fi
 
 def test_the_line_that_raised_is_named(rig_file: Path) -> None:
     run = fault_of(load_rig(rig_file, [beside("misbehaves")]), rig_file.parent)
-    lines = (FOLDER / "misbehaves.py").read_text().splitlines()
+    lines = MISBEHAVES.read_text().splitlines()
     number = next(index for index, line in enumerate(lines, 1) if "len([])" in line)
     assert run.cycle.law.failure.endswith(f"./misbehaves.py:{number}: ZeroDivisionError: float division by zero")
 
@@ -302,7 +301,7 @@ def test_the_fault_campaign_passes_with_a_users_law(name: str, rig_file: Path) -
 
 def test_a_users_law_answers_one_axis_as_arrays_of_one() -> None:
     rig = load_rig(RIGS / "paper.toml")
-    config = LawConfig(name="tests.laws_of_users.lqr:Lqr")
+    config = LawConfig(name="examples.laws.lqr:Lqr")
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     model = rig_model(rig)
     single = make_axis_laws(config, model, 1e-3, limit)

@@ -8,11 +8,11 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from tests.support.live_rig import Control, emulated, every_record, order
-from tests.support.paths import ROOT
+from tests.support.paths import MISBEHAVES
 
 pytestmark = pytest.mark.live
 
-LAW = f"law.name={ROOT}/tests/laws_of_users/misbehaves.py:Misbehaves"
+LAW = f"law.name={MISBEHAVES}:Misbehaves"
 
 
 @pytest.mark.parametrize("how", ["raises", "never returns"])

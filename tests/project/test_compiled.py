@@ -200,8 +200,10 @@ def test_it_computes_the_same_bytes_as_the_interpreted_source() -> None:
 def test_users_laws_run_in_it_and_compute_the_same_bytes() -> None:
     hash_all = """
 from tests.support.hashes import run_hash
-for law in ("lqr.py:Lqr", "lqg.py:Lqg", "mpc.py:PreviewMpc", "network.py:Network", "misbehaves.py:Misbehaves"):
-    print(law, run_hash("paper.toml", (f"law.name=../../tests/laws_of_users/{law}", "task.radius=1e-3"), 300))
+from tests.support.paths import LAWS_OF_USERS
+for path in LAWS_OF_USERS:
+    law = {"lqr": "Lqr", "lqg": "Lqg", "mpc": "PreviewMpc", "network": "Network", "misbehaves": "Misbehaves"}[path.stem]
+    print(law, run_hash("paper.toml", (f"law.name={path}:{law}", "task.radius=1e-3"), 300))
 """
     compiled = told(HERE / "bin" / "python", "-P", "-c", hash_all)
     assert len(set(compiled.split()[1::2])) == 5

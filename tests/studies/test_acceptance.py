@@ -13,9 +13,8 @@ from hil.rig.schema import RigError
 from hil.studies.acceptance.law import Demand, accept_law
 from hil.studies.acceptance.law_cost import law_cost
 from hil.virtual.sim import simulate
-from tests.support.paths import RIGS, ROOT
+from tests.support.paths import LAWS_OF_USERS, RIGS
 
-LAWS = ROOT / "tests" / "laws_of_users"
 PD = """\
 from hil import Law
 
@@ -37,7 +36,7 @@ class Own(Law):
 
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Path:
-    for path in (RIGS / "paper.toml", *LAWS.glob("*.py")):
+    for path in (RIGS / "paper.toml", *LAWS_OF_USERS):
         shutil.copy(path, tmp_path)
     return tmp_path / "paper.toml"
 

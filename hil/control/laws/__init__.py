@@ -133,7 +133,7 @@ def _construct(
     learning = {f"learning_{key}": own[key] for key in ("kp", "kd") if key in own} | learning
     if repeat is None:
         raise ValueError(
-            "law.iterative_learning = true: the task does not repeat (circle, lissajous and point_to_point do; path "
-            "and waypoints with task.repeat = true)"
+            "law.iterative_learning = true: the task does not repeat (circle, lissajous and point_to_point do; path, "
+            "waypoints, spline, raster and spiral with task.repeat = true)"
         )
     return IterativeLearning(inner, model, period, force_limit, *repeat, **learning)

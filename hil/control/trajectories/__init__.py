@@ -1,5 +1,5 @@
 """Reference trajectories: circle, Lissajous, point to point, hold, the injection plan, and paths through samples,
-waypoints or a spiral; see `plan_task`.
+waypoints, a raster or a spiral; see `plan_task`.
 """
 
 import math
@@ -10,9 +10,11 @@ from hil.control.laws.base import Array
 from hil.control.trajectories.base import Plan, Trajectory
 from hil.control.trajectories.figures import Figure, circle_oscillations, lissajous_oscillations
 from hil.control.trajectories.injection import injection
-from hil.control.trajectories.paths import Path, spiral_samples, spline, waypoints
+from hil.control.trajectories.paths import Path, fitted_spline, raster_points, spiral_samples, spline, waypoints
 from hil.control.trajectories.segments import Segments, move, rest
 from hil.rig.schema import TaskConfig
+
+PATHS = ("path", "waypoints", "spline", "raster", "spiral")
 
 __all__ = ["Plan", "Trajectory", "make_trajectory", "plan_task", "task_repeat"]
 
@@ -37,7 +39,7 @@ def plan_task(task: TaskConfig, axis_names: Sequence[str], period_ns: int) -> Pl
     if task.kind == "injection":
         assert task.injection is not None  # TaskConfig has seen to it
         return injection(task.injection, ns, settle_ns)
-    if task.kind in ("path", "waypoints", "spiral"):
+    if task.kind in PATHS:
         columns = [task.axes.index(name) if name in task.axes else -1 for name in axis_names]
         body = _path_body(task, period_ns)
         return lambda start: Path(body, columns, start, ns(task.approach_s), settle_ns)
@@ -54,12 +56,15 @@ def _path_body(task: TaskConfig, period_ns: int) -> Segments:
     def up(seconds: float) -> int:
         return math.ceil(max(seconds * 1e9 / period_ns - 1e-9, 1.0)) * period_ns
 
-    if task.kind == "waypoints":
-        dwell_ns = round(task.dwell_s * 1e9 / period_ns) * period_ns
-        limits = (task.speed, task.acceleration, task.jerk)
-        return waypoints(task.waypoints, limits, up, dwell_ns, repeat=task.repeat)
+    limits = (task.speed, task.acceleration, task.jerk)
+    dwell_ns = round(task.dwell_s * 1e9 / period_ns) * period_ns
+    if task.kind == "spline":
+        return fitted_spline(task.waypoints, limits, up, dwell_ns, repeat=task.repeat)
+    if task.kind in ("waypoints", "raster"):
+        points = task.waypoints if task.kind == "waypoints" else raster_points(task.corner, task.size, task.lines)
+        return waypoints(points, limits, up, dwell_ns, task.blend, repeat=task.repeat)
     if task.kind == "spiral":
-        return spline(spiral_samples(task.radius, task.turns, task.move_s), repeat=False)
+        return spline(spiral_samples(task.radius, task.turns, task.move_s, back=task.repeat), repeat=task.repeat)
     return spline(task.samples, repeat=task.repeat)
 
 

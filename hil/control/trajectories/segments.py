@@ -14,6 +14,10 @@ from hil.control.laws.base import Array
 from hil.control.trajectories.base import Times, Trajectory
 
 NS: Final = 1e-9  # s
+# Of a minimum-jerk move over d in T: times d/T, d/T^2 and d/T^3.
+PEAK_SPEED: Final = 1.875
+PEAK_ACCELERATION: Final = 10.0 / 3.0**0.5
+PEAK_JERK: Final = 60.0
 _NEVER: Final = 1 << 60  # ns
 
 Values = Sequence[float]  # one per axis
