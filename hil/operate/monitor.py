@@ -59,7 +59,7 @@ def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
     if status.faults_active:
         text.append(f"  seen now: {', '.join(status.faults_active)}", style="red")
     for problem in status.drive_problems:
-        text.append(f"\n  drive refused: {problem}", style="bold red")
+        text.append(f"\n  drive not ready: {problem}", style="bold red")
     if not status.control_alive:
         fate = "ended" if status.control_ended else "was killed" if status.pid else "is not running"
         text.append(f"  the control process {fate}", style="yellow" if status.control_ended else "bold red")

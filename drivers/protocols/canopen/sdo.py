@@ -16,6 +16,7 @@ _SEGMENT_ANSWER, _UPLOAD_ANSWER, _DOWNLOAD_ANSWER = 0x00, 0x40, 0x60
 _EXPEDITED, _SIZE_TOLD = 0x02, 0x01
 _TOGGLE, _LAST = 0x10, 0x01
 _LONGEST = 8  # bytes of the longest number
+LONGEST_STRING = 256  # bytes
 
 
 class Step(NamedTuple):
@@ -43,15 +44,19 @@ class Progress(Enum):
 
 
 class Transfer:
-    """One step under way. value: what was read, once it is done. code: why the server aborted it."""
+    """One step under way. value: what was read, once it is done; data: its bytes. code: why the server aborted it.
 
-    def __init__(self, step: Step) -> None:
+    longest: bytes that are read at most; more aborts the transfer.
+    """
+
+    def __init__(self, step: Step, longest: int = _LONGEST) -> None:
         self.step = step
         self.value = 0
+        self.data = b""
         self.code = 0
+        self._longest = longest
         self._segmented = False
         self._toggle = 0
-        self._read = b""
 
     def request(self) -> bytes:
         """The eight bytes to send next."""
@@ -85,18 +90,19 @@ class Transfer:
             self._segmented = True
             return Progress.CONTINUE
         length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else min(self.step.width, 4)
-        self.value = int.from_bytes(payload[:length], "little")
+        self.data = payload[:length]
+        self.value = int.from_bytes(self.data, "little")
         return Progress.DONE
 
     def _segment(self, command: int, payload: bytes) -> Progress:
         if command & _TOGGLE != self._toggle:
             return Progress.FOREIGN
-        self._read += payload[: 7 - (command >> 1 & 7)]
+        self.data += payload[: 7 - (command >> 1 & 7)]
         self._toggle ^= _TOGGLE
-        if len(self._read) > _LONGEST:
+        if len(self.data) > self._longest:
             self.code = Abort.TOO_LONG
             return Progress.ABORTED
         if not command & _LAST:
             return Progress.CONTINUE
-        self.value = int.from_bytes(self._read, "little")
+        self.value = int.from_bytes(self.data, "little")
         return Progress.DONE
