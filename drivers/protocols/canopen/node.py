@@ -17,7 +17,7 @@ from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.protocols.canopen.eds import object_name
 from drivers.protocols.canopen.emergency import emergency_words
-from drivers.protocols.canopen.sdo import Progress, Step, Transfer
+from drivers.protocols.canopen.sdo import Progress, Step, Transfer, describe_abort
 
 SDO_TIMEOUT_TICKS = 100
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
@@ -204,9 +204,3 @@ class NodeMaster:
 
     def _frame(self, data: bytes) -> Frame:
         return Frame(cia301.SDO_REQUEST_ID + self.node_id, data)
-
-
-def describe_abort(code: int) -> str:
-    """An SDO abort code in figures and, where it is one of CiA 301's, in words."""
-    words = next((abort.name.lower().replace("_", " ") for abort in Abort if abort == code), "")
-    return f"{code:#010x}" + (f" ({words})" if words else "")

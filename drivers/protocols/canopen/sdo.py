@@ -9,6 +9,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from drivers.protocols.canopen.cia301 import SDO, Abort
+from drivers.protocols.canopen.eds import object_name
 
 _UPLOAD, _DOWNLOAD, _UPLOAD_SEGMENT, _ABORT = 0x40, 0x23, 0x60, 0x80
 _COMMAND = 0xE0  # bits of a command byte that tell the kind of answer
@@ -106,3 +107,41 @@ class Transfer:
             return Progress.CONTINUE
         self.value = int.from_bytes(self.data, "little")
         return Progress.DONE
+
+
+def request_words(data: bytes) -> str:
+    """An SDO request of eight bytes, for people."""
+    command, index, subindex, payload = SDO.unpack(data)
+    name = object_name(index, subindex)
+    match command >> 5:
+        case 1:
+            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
+            value = f" = {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ""
+            return f"SDO write {name}{value}"
+        case 2:
+            return f"SDO read {name}"
+        case 4:
+            return f"SDO abort {name} with {describe_abort(int.from_bytes(payload, 'little'))}"
+    return "SDO segment"
+
+
+def response_words(data: bytes) -> str:
+    """An SDO answer of eight bytes, for people."""
+    command, index, subindex, payload = SDO.unpack(data)
+    name = object_name(index, subindex)
+    match command >> 5:
+        case 2:
+            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
+            value = f" is {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ": segmented"
+            return f"SDO {name}{value}"
+        case 3:
+            return f"SDO {name} written"
+        case 4:
+            return f"SDO {name} aborted with {describe_abort(int.from_bytes(payload, 'little'))}"
+    return "SDO segment"
+
+
+def describe_abort(code: int) -> str:
+    """An SDO abort code in figures and, where it is one of CiA 301's, in words."""
+    words = next((abort.name.lower().replace("_", " ") for abort in Abort if abort == code), "")
+    return f"{code:#010x}" + (f" ({words})" if words else "")
