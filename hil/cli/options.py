@@ -8,9 +8,9 @@ import typer
 from hil.rig.shipped import by_name
 
 
-def shipped_rig(rig: Path) -> Path:
+def shipped_rig(rig: Path | None) -> Path | None:
     """A rig file's path, where one of the shipped rigs was named instead."""
-    return by_name("rigs", rig)
+    return rig if rig is None else by_name("rigs", rig)
 
 
 def shipped_scenario(scenario: Path | None) -> Path | None:

@@ -29,7 +29,7 @@ class DriveProblems:
         with contextlib.suppress(OSError):  # the terminal or the runtime directory is gone: the loop goes on
             write_private(self._path, "".join(f"{problem}\n" for problem in new))
             for problem in fresh:
-                print(f"hil run: drive refused: {problem}", file=sys.stderr, flush=True)
+                print(f"hil run: drive not ready: {problem}", file=sys.stderr, flush=True)
 
 
 def read_problems(path: Path) -> list[str]:

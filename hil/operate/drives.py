@@ -1,4 +1,4 @@
-"""`hil drives`: can this CiA 402 drive be used, how is it configured, and if not, which objects stand against it?"""
+"""`hil drives`: bring up a rig's drives on the bus (bringup/), or say offline by an EDS how a drive can be used."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,24 +13,57 @@ from drivers.protocols.canopen.eds import Eds, EdsError, object_name, read_eds
 from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
 from drivers.protocols.stage_common import MAX_AXES
 from hil.cli.exit_status import EXIT_FILE
+from hil.cli.options import Overrides, shipped_rig
 from hil.cli.output import writable, write_json
+from hil.operate.bringup.command import JogAsked, bring_up
 
 _REFUSED = 1  # exit status
 
 
 def drives(
-    eds: Annotated[Path, typer.Option("--eds", help="EDS or DCF file of the drive", exists=True, dir_okay=False)],
-    axes: Annotated[int, typer.Option(min=1, max=MAX_AXES, help="so many of them on one bus")] = 1,
-    node: Annotated[int, typer.Option(min=1, max=MASTER_ID - MAX_AXES, help="node number of the first one")] = 1,
-    rated_torque: Annotated[
-        float | None, typer.Option(min=1e-6, max=1e6, help="what 6076h stands for, N m (N); else it is read")
+    rig: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RIG]", callback=shipped_rig, show_default=False, help="rig file, or a shipped rig"),
     ] = None,
-    rate_hz: Annotated[float, typer.Option(min=1, max=10_000, help="ticks per second")] = 1000.0,
+    *,
+    eds: Annotated[
+        Path | None,
+        typer.Option("--eds", help="offline: EDS or DCF file of a CiA 402 drive", exists=True, dir_okay=False),
+    ] = None,
+    axes: Annotated[int, typer.Option(min=1, max=MAX_AXES, help="--eds: so many of them on one bus")] = 1,
+    node: Annotated[int, typer.Option(min=1, max=MASTER_ID - MAX_AXES, help="--eds: node of the first one")] = 1,
+    rated_torque: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e6, help="--eds: what 6076h stands for, N m (N); else it is read")
+    ] = None,
+    rate_hz: Annotated[float, typer.Option(min=1, max=10_000, help="--eds: ticks per second")] = 1000.0,
+    jog: Annotated[str | None, typer.Option(metavar="AXIS", help="then jog this axis while a key is held")] = None,
+    force: Annotated[float | None, typer.Option(help="--jog: N (N m) at most [axes.NAME.push.force]")] = None,
+    speed: Annotated[float | None, typer.Option(help="--jog: m/s (rad/s) [a twentieth of limits.speed]")] = None,
+    distance: Annotated[float | None, typer.Option(help="--jog: m (rad) at most [a twentieth of the travel]")] = None,
+    keys: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="--jog: read held keys from this pipe", hidden=True)
+    ] = None,
+    overrides: Overrides = None,
     json_file: Annotated[
         str | None, typer.Option("--json", help="write the answer here; - for standard output", callback=writable)
     ] = None,
 ) -> None:
-    """Say offline, from a drive's EDS or DCF file, whether and how it can be used. Exit status 1: it cannot."""
+    """Bring up the drives of RIG: who is on the bus, how each took its configuration, what it sends; --jog moves one.
+
+    With --eds instead of RIG: say offline whether and how a drive can be used. Exit status 1: it cannot, or not yet.
+    """
+    if (rig is None) == (eds is None):
+        raise typer.BadParameter("name a rig, or a drive's file with --eds")
+    if eds is not None:
+        _offline(eds, axes, node, rated_torque, rate_hz, json_file)
+    elif rig is not None:
+        asked = JogAsked(jog, force, speed, distance, keys) if jog else None
+        bring_up(rig, overrides or [], json_file, asked)
+
+
+def _offline(
+    eds: Path, axes: int, node: int, rated_torque: float | None, rate_hz: float, json_file: str | None
+) -> None:
     try:
         files = [read_eds(eds, node + axis) for axis in range(axes)]
     except EdsError as error:

@@ -60,7 +60,7 @@ def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
     if status.faults_active:
         text.append(f"  seen now: {', '.join(status.faults_active)}", style="red")
     for problem in status.drive_problems:
-        text.append(f"\n  drive refused: {problem}", style="bold red")
+        text.append(f"\n  drive not ready: {problem}", style="bold red")
     if silent := silent_axes(status.axes, status.answer_age):
         text.append(f"\n  {silent}", style="bold red")
     if not status.control_alive:

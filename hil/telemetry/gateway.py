@@ -8,12 +8,13 @@ Rules:
 - Every request is recorded, and every press of stop: who, what, when, verdict, why.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.toml_file import short
 from hil.control.feasibility import violations
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -28,6 +29,7 @@ from hil.telemetry.window import silent_axes
 
 VERDICT_TIMEOUT_NS = 500_000_000
 _NOBODY = "no control process is running this rig"
+_MOST_PROBLEMS, _LONGEST_PROBLEM = 3, 160  # in a reply: it has to fit a message (command_wire.LIMIT)
 
 
 class _Pending(NamedTuple):
@@ -39,12 +41,20 @@ class Gateway:
     """Judges requests and keeps those whose verdict is still to come.
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
-    counts. stop: the rig's stop page. record: takes every entry.
+    counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
+    words (hil/live/drive_problems.py).
     """
 
-    def __init__(self, rig: RigConfig, stop: Path, record: Callable[[pb.CommandEntry], None]) -> None:
+    def __init__(
+        self,
+        rig: RigConfig,
+        stop: Path,
+        record: Callable[[pb.CommandEntry], None],
+        problems: Callable[[], Sequence[str]] = tuple,
+    ) -> None:
         self._rig = rig
         self._doubt = ""  # about reasons told from `rig`
+        self._problems = problems
         self._stop = stop
         self._record = record
         self._pending: dict[int, _Pending] = {}  # by mailbox sequence
@@ -121,10 +131,16 @@ class Gateway:
                 if pending:
                     kind, expires_ns = CommandKind(pending.asked.request.kind), int(command["expires_ns"])
                     accepted = bool(command["accepted"])
-                    reason = "" if accepted else explain(kind, expires_ns, record, self._rig) + self._doubt
+                    reason = "" if accepted else self._explain(kind, expires_ns, record)
                     reply = _reply(record, first + int(place), now_ns, reason)
                     reply.posted = int(command["sequence"])
                     self._answer(pending.asked, reply)
+
+    def _explain(self, kind: CommandKind, expires_ns: int, record: np.void) -> str:
+        """Why it was refused, and what stands against the drives, which is most often why."""
+        reason = explain(kind, expires_ns, record, self._rig) + self._doubt
+        problems = [short(problem, _LONGEST_PROBLEM) for problem in self._problems()[:_MOST_PROBLEMS]]
+        return "; ".join([reason, *problems])
 
     def _stopped(self, record: np.void, index: int, now_ns: int) -> None:
         """A tick in which stop was pressed: by whom the page says, or by those who asked here."""

@@ -82,7 +82,7 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command)
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems))
         self._noted = 0  # entries of this round
         self._out = out
         self._status_due_ns = 0

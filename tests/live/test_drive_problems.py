@@ -24,8 +24,8 @@ def test_a_refusal_is_told_once_and_read_by_others(tmp_path: Path, capsys: pytes
     problems.tell(["node 3: 6502h = 0x5", "node 4: 1000h"])
     assert read_problems(path) == ["node 3: 6502h = 0x5", "node 4: 1000h"]
     assert capsys.readouterr().err.splitlines() == [
-        "hil run: drive refused: node 3: 6502h = 0x5",
-        "hil run: drive refused: node 4: 1000h",
+        "hil run: drive not ready: node 3: 6502h = 0x5",
+        "hil run: drive not ready: node 4: 1000h",
     ]
     problems.tell([])
     assert read_problems(path) == []
@@ -39,7 +39,7 @@ def test_a_runtime_directory_that_is_gone_does_not_end_the_loop(tmp_path: Path) 
 
 def test_the_monitor_shows_it_under_the_state() -> None:
     status = pb.Status(state="BOOT", control_alive=True, drive_problems=["node 3: 6502h:00 aborted"])
-    assert "drive refused: node 3: 6502h:00 aborted" in control_line(status).plain
+    assert "drive not ready: node 3: 6502h:00 aborted" in control_line(status).plain
 
 
 def test_mounted_drives_say_it_too() -> None:

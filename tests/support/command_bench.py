@@ -32,6 +32,7 @@ class CommandBench:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.directory = directory
         self.entries: list[pb.CommandEntry] = []
+        self.problems: list[str] = []  # what stands against the drives
         self.dead = False  # the control process takes nothing
         self._ended = threading.Event()
         self._stop = StopLine(directory)
@@ -40,7 +41,7 @@ class CommandBench:
         self._reader = RingReader(directory / "ring")
         self._record = np.zeros(1, RECORD)[0]
         self._server = CommandServer(directory / "commands", remote)
-        self._gateway = Gateway(RIG, directory / "stop", self.entries.append)
+        self._gateway = Gateway(RIG, directory / "stop", self.entries.append, lambda: self.problems)
         self._thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:

@@ -127,6 +127,15 @@ def test_the_gateway_refuses_with_the_reason(changes: dict[str, int], reason: st
     assert bool(answer) == bool(reason)
 
 
+def test_a_refusal_says_what_stands_against_the_drives(bench: CommandBench) -> None:
+    bench.problems = ["node 3: 6502h:00 aborted", "n" * 5000, *(f"node {node}" for node in range(100))]
+    with local_client(bench.directory) as client:
+        assert client.command(CommandKind.STOP).accepted
+        verdict = client.command(CommandKind.RESET)
+    assert not verdict.accepted
+    assert "RESET is not possible in state READY; node 3: 6502h:00 aborted; nnn" in verdict.reason
+
+
 def test_a_refused_request_uses_no_sequence_number() -> None:
     gateway, request = gateway_of(500e-9), asked(expires_ns=900)
     assert gateway.judge(request, 1_000).startswith("stale")

@@ -195,7 +195,7 @@ class Cia402Host:
         elif kind == cia301.HEARTBEAT_ID:
             node.on_heartbeat(data[0] & 0x7F)
         else:
-            node.on_emergency(data[0] | data[1] << 8)
+            node.on_emergency(data)
         return Reject.SERVICE
 
     def _note_unit(self, axis: int) -> None:
@@ -235,8 +235,8 @@ class Cia402Host:
 
     @property
     def problems(self) -> list[str]:
-        """Why nodes were refused, for people."""
-        return [node.problem for node in self.nodes if node.problem]
+        """Why nodes were refused, and what their emergency messages say, for people."""
+        return [text for node in self.nodes for text in (node.problem, node.emergency) if text]
 
     def messages(self, period_ns: int) -> list[Message]:
         """The cyclic frames and the service traffic."""

@@ -9,13 +9,15 @@ Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clo
 
 from collections.abc import Sequence
 from enum import Enum, auto
+from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.protocols.canopen.eds import object_name
-from drivers.protocols.canopen.sdo import Progress, Step, Transfer
+from drivers.protocols.canopen.emergency import emergency_words
+from drivers.protocols.canopen.sdo import Progress, Step, Transfer, describe_abort
 
 SDO_TIMEOUT_TICKS = 100
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
@@ -33,12 +35,20 @@ class Phase(Enum):
     REFUSED = auto()
 
 
+class Answer(NamedTuple):
+    """What the drive answered to a step, for people."""
+
+    step: Step
+    text: str
+
+
 class NodeMaster:
     """One drive as the master sees it.
 
     phase: progress. state: of its power state machine, None before the first TPDO. alarms: DriveStatus bits its
-    emergency messages stand for. problem: why it was refused, for people. notes: optional steps that failed. values:
-    what was read from it, by index and sub-index.
+    emergency messages stand for. emergency: the last of them that is not over, for people. problem: why it was refused,
+    or that it is silent, for people. answers: to the steps since it was last begun with. values: what was read from it,
+    by index and sub-index.
     """
 
     def __init__(self, node_id: int, steps: Sequence[Step], *, autostart: bool = False) -> None:
@@ -47,7 +57,9 @@ class NodeMaster:
         self._steps = tuple(steps)
         self._autostart = autostart
         self.problem = ""
-        self.notes: list[str] = []
+        self.emergency = ""
+        self.answers: list[Answer] = []
+        self._silent = False  # the problem is that it does not answer
         self.values: dict[tuple[int, int], int] = {}
         self._tick = 0
         self._heard_tick = 0
@@ -58,7 +70,8 @@ class NodeMaster:
         self.phase = Phase.CONFIGURE
         self.state: DriveState | None = None
         self.alarms = 0
-        self.notes.clear()
+        self.emergency = ""
+        self.answers.clear()
         self._step = 0
         self._transfer = Transfer(self._steps[0])
         self._asked_tick = -1  # of the request not answered yet
@@ -78,13 +91,15 @@ class NodeMaster:
         """The state in a TPDO."""
         self._heard_tick = self._tick
         if self.state is DriveState.FAULT and state is not DriveState.FAULT:
-            self.alarms = 0
+            self.alarms, self.emergency = 0, ""
         self.state = state
         if self.phase is Phase.START:
             self._enter(Phase.RUNNING)
 
-    def on_emergency(self, code: int) -> None:
-        """An emergency message: the reason of a fault that the statusword does not tell."""
+    def on_emergency(self, data: bytes) -> None:
+        """An emergency message of 8 bytes: the reason of a fault that the statusword does not tell."""
+        code = data[0] | data[1] << 8
+        self.emergency = "" if code == Emergency.NONE else f"node {self.node_id}: {emergency_words(data)}"
         if code == Emergency.NONE:
             self.alarms = 0
         elif code in (Emergency.HEARTBEAT, Emergency.RPDO_TIMEOUT):
@@ -101,25 +116,38 @@ class NodeMaster:
         if progress is Progress.FOREIGN:
             return False
         self._asked_tick = -1
+        if self._silent:
+            self._silent, self.problem = False, ""
         step = transfer.step
-        name = object_name(step.object_index, step.subindex)
-        if progress is Progress.ABORTED and not step.required:
-            self.notes.append(f"{name} aborted with {describe_abort(transfer.code)}")
-            self._next()
-        elif progress is Progress.ABORTED:
-            self.refuse(f"{name} aborted with {describe_abort(transfer.code)}")
+        if progress is Progress.ABORTED:
+            aborted = f"aborted with {describe_abort(transfer.code)}"
+            self._note(aborted)
+            if step.required:
+                self.refuse(f"{object_name(step.object_index, step.subindex)} {aborted}")
+            else:
+                self._next()
         elif progress is Progress.DONE and not step.size:
             self._check(step, transfer.value)
         elif progress is Progress.DONE:
+            self._note("done")
             self._next()
         return True
 
     def _check(self, step: Step, value: int) -> None:
         self.values[step.object_index, step.subindex] = value
         if value & step.mask == step.value:
+            self._note(f"is {value:#x}")
             self._next()
         else:
+            self._note(f"is {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
             self.refuse(f"{step.object_index:04X}h = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
+
+    def _note(self, text: str) -> None:
+        """The answer to the step under way; one that is asked again has its last."""
+        step = self._transfer.step
+        if self.answers and self.answers[-1].step is step:
+            self.answers.pop()
+        self.answers.append(Answer(step, text))
 
     def _next(self) -> None:
         self._step += 1
@@ -166,14 +194,13 @@ class NodeMaster:
         if self.phase is Phase.START:
             self.restart()  # it was started and sends no TPDO: perhaps it lost its configuration
             return None
-        overdue, self._transfer = self._transfer, Transfer(self._transfer.step)
+        step = self._transfer.step
+        self._note("no answer")
+        if not self.problem:
+            self._silent = True
+            self.problem = f"node {self.node_id}: no answer to {object_name(step.object_index, step.subindex)}"
+        overdue, self._transfer = self._transfer, Transfer(step)
         return self._frame(overdue.abort(Abort.TIMEOUT))
 
     def _frame(self, data: bytes) -> Frame:
         return Frame(cia301.SDO_REQUEST_ID + self.node_id, data)
-
-
-def describe_abort(code: int) -> str:
-    """An SDO abort code in figures and, where it is one of CiA 301's, in words."""
-    words = next((abort.name.lower().replace("_", " ") for abort in Abort if abort == code), "")
-    return f"{code:#010x}" + (f" ({words})" if words else "")

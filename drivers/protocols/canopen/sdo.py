@@ -9,6 +9,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from drivers.protocols.canopen.cia301 import SDO, Abort
+from drivers.protocols.canopen.eds import object_name
 
 _UPLOAD, _DOWNLOAD, _UPLOAD_SEGMENT, _ABORT = 0x40, 0x23, 0x60, 0x80
 _COMMAND = 0xE0  # bits of a command byte that tell the kind of answer
@@ -16,6 +17,7 @@ _SEGMENT_ANSWER, _UPLOAD_ANSWER, _DOWNLOAD_ANSWER = 0x00, 0x40, 0x60
 _EXPEDITED, _SIZE_TOLD = 0x02, 0x01
 _TOGGLE, _LAST = 0x10, 0x01
 _LONGEST = 8  # bytes of the longest number
+LONGEST_STRING = 256  # bytes
 
 
 class Step(NamedTuple):
@@ -43,15 +45,19 @@ class Progress(Enum):
 
 
 class Transfer:
-    """One step under way. value: what was read, once it is done. code: why the server aborted it."""
+    """One step under way. value: what was read, once it is done; data: its bytes. code: why the server aborted it.
 
-    def __init__(self, step: Step) -> None:
+    longest: bytes that are read at most; more aborts the transfer.
+    """
+
+    def __init__(self, step: Step, longest: int = _LONGEST) -> None:
         self.step = step
         self.value = 0
+        self.data = b""
         self.code = 0
+        self._longest = longest
         self._segmented = False
         self._toggle = 0
-        self._read = b""
 
     def request(self) -> bytes:
         """The eight bytes to send next."""
@@ -85,18 +91,57 @@ class Transfer:
             self._segmented = True
             return Progress.CONTINUE
         length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else min(self.step.width, 4)
-        self.value = int.from_bytes(payload[:length], "little")
+        self.data = payload[:length]
+        self.value = int.from_bytes(self.data, "little")
         return Progress.DONE
 
     def _segment(self, command: int, payload: bytes) -> Progress:
         if command & _TOGGLE != self._toggle:
             return Progress.FOREIGN
-        self._read += payload[: 7 - (command >> 1 & 7)]
+        self.data += payload[: 7 - (command >> 1 & 7)]
         self._toggle ^= _TOGGLE
-        if len(self._read) > _LONGEST:
+        if len(self.data) > self._longest:
             self.code = Abort.TOO_LONG
             return Progress.ABORTED
         if not command & _LAST:
             return Progress.CONTINUE
-        self.value = int.from_bytes(self._read, "little")
+        self.value = int.from_bytes(self.data, "little")
         return Progress.DONE
+
+
+def request_words(data: bytes) -> str:
+    """An SDO request of eight bytes, for people."""
+    command, index, subindex, payload = SDO.unpack(data)
+    name = object_name(index, subindex)
+    match command >> 5:
+        case 1:
+            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
+            value = f" = {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ""
+            return f"SDO write {name}{value}"
+        case 2:
+            return f"SDO read {name}"
+        case 4:
+            return f"SDO abort {name} with {describe_abort(int.from_bytes(payload, 'little'))}"
+    return "SDO segment"
+
+
+def response_words(data: bytes) -> str:
+    """An SDO answer of eight bytes, for people."""
+    command, index, subindex, payload = SDO.unpack(data)
+    name = object_name(index, subindex)
+    match command >> 5:
+        case 2:
+            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
+            value = f" is {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ": segmented"
+            return f"SDO {name}{value}"
+        case 3:
+            return f"SDO {name} written"
+        case 4:
+            return f"SDO {name} aborted with {describe_abort(int.from_bytes(payload, 'little'))}"
+    return "SDO segment"
+
+
+def describe_abort(code: int) -> str:
+    """An SDO abort code in figures and, where it is one of CiA 301's, in words."""
+    words = next((abort.name.lower().replace("_", " ") for abort in Abort if abort == code), "")
+    return f"{code:#010x}" + (f" ({words})" if words else "")

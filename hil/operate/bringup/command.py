@@ -1,0 +1,112 @@
+"""`hil drives RIG`: the survey, and the jog of one axis, at a terminal."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+import typer
+from rich.console import Console
+
+from drivers.bus.port import PortError
+from drivers.config import BusConfig
+from drivers.protocols.frame_text import Reader, layout_reader
+from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.cli.output import write_json
+from hil.live.stop_line import RigInUseError
+from hil.operate.bringup.drive_host import DriveHost
+from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, JogSettings, jog_settings
+from hil.operate.bringup.report_text import as_document, show
+from hil.operate.bringup.session import Bus, NoTerminalError, Session, held_keys, open_rig_port, open_session
+from hil.operate.bringup.survey import Survey, SurveyReport
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
+
+_NOT_READY = 1  # exit status
+
+
+class JogAsked(NamedTuple):
+    """What the command line says of a jog. keys: a pipe to read held keys from instead of the terminal."""
+
+    axis: str
+    force: float | None
+    speed: float | None
+    distance: float | None
+    keys: Path | None
+
+
+def bring_up(
+    path: Path,
+    overrides: list[str],
+    json_file: str | None,
+    asked: JogAsked | None,
+    open_bus: Callable[[BusConfig, DriveHost], Bus] = open_rig_port,
+) -> None:
+    """Survey, show, jog where asked for. Exit status 0: ready; 1: not ready; 69: no bus, or the rig is being run."""
+    rig = load_rig(path, overrides)
+    try:
+        settings = jog_settings(rig, asked.axis, asked.force, asked.speed, asked.distance) if asked else None
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    try:
+        reader = _reader(rig, path.parent)
+        if asked and settings:
+            with held_keys(asked.keys) as keys, open_session(rig, path.parent, open_bus) as session:
+                report = _survey(session, reader, json_file)
+                _jog(session, report, settings, keys)
+        else:
+            with open_session(rig, path.parent, open_bus) as session:
+                report = _survey(session, reader, json_file)
+    except ValueError as error:
+        raise RigError([f"{path}: {error}"]) from None
+    except NoTerminalError as error:
+        raise typer.BadParameter(str(error), param_hint="--jog") from None
+    except (PortError, RigInUseError) as error:
+        _fail(str(error))
+    if not report.ready:
+        raise typer.Exit(_NOT_READY)
+
+
+def _fail(text: str) -> NoReturn:
+    print(f"hil drives: {text}", file=sys.stderr)
+    raise typer.Exit(EXIT_UNAVAILABLE)
+
+
+def _reader(rig: RigConfig, base_dir: Path) -> Reader:
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    return layout_reader(rig.bus, rig.axis_names, rated, base_dir, rig.mountings)
+
+
+def _survey(session: Session, reader: Reader, json_file: str | None) -> SurveyReport:
+    survey = Survey(session.host)
+    session.run(survey)
+    report = survey.report()
+    if session.stopped:
+        _fail(f"stopped by {session.stopped}")
+    if json_file:
+        write_json(as_document(report, reader), json_file)
+    if json_file != "-":
+        show(report, reader, Console(highlight=False))
+    return report
+
+
+def _jog(session: Session, report: SurveyReport, settings: JogSettings, keys: Callable[[], str]) -> None:
+    """One jog. Nothing is printed while torque may be applied: a terminal that does not take it would hold the loop."""
+    axis = report.axes[settings.axis]
+    if report.intruder or axis.problem or axis.position is None:
+        _fail(f"axis {axis.name} is not jogged: its drive is not ready")
+    unit = "m" if session.host.rig.axes[axis.name].kind == "linear" else "rad"
+    newton = "N" if unit == "m" else "N m"
+    print(
+        f"hold {POSITIVE} (positive) or {NEGATIVE} (negative): axis {axis.name}, at most {settings.force:g} {newton}, "
+        f"{settings.speed:g} {unit}/s, {settings.distance:g} {unit}; any other key ends",
+        flush=True,
+    )
+    jog = Jog(session.host, settings, keys)
+    try:
+        session.run(jog)
+    finally:
+        session.release()
+    print(f"ended: {jog.ended or session.stopped}; moved {jog.moved:+.6g} {unit}, farthest {jog.farthest:.6g} {unit}")
+    if not jog.was_enabled:
+        print("the drive never said that it was enabled")
