@@ -43,15 +43,18 @@ def limit_force(request: float, previous: float, position: float, limits: ForceL
 
 
 class TorqueGate:
-    """Holds the force applied last, per axis (N), and counts what it had to change."""
+    """Holds the force applied last, per axis (N), and counts what it had to change.
 
-    def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits]) -> None:
+    drives: bit i for axis i; those enabled where torque is permitted, by default all.
+    """
+
+    def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits], drives: int | None = None) -> None:
         self._encode = protocol.encode
         self._limits = list(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
         self.force = self._zero  # applied in the latest tick
-        self._all_axes = (1 << n) - 1
+        self._drives = (1 << n) - 1 if drives is None else drives
         self.saturations = [0] * n
 
     def release(
@@ -81,7 +84,7 @@ class TorqueGate:
             if applied != wanted:
                 self.saturations[axis] += 1
         self.force = force
-        return self._encode(Command(sequence, force, self._all_axes, False))
+        return self._encode(Command(sequence, force, self._drives, False))
 
     def zero(self, sequence: int, reset: bool = False) -> list[Frame]:
         """Command frames with zero force and every drive disabled."""

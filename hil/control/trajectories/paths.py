@@ -91,7 +91,7 @@ def spline(rows: Sequence[Sequence[float]], dwell_ns: int = 0, *, repeat: bool) 
             pairs = zip(columns, speeds, strict=True)
             parts.append(cubic(length, [(q[index], v[index], q[index + 1], v[index + 1]) for q, v in pairs]))
         else:
-            begin, end = (_motion(columns, speeds, lengths, place) for place in (index, index + 1))
+            begin, end = [_motion(columns, speeds, lengths, place) for place in (index, index + 1)]
             parts.append(quintic(length, begin, end))
     last = [column[-1] for column in columns]
     if dwell_ns:
@@ -143,7 +143,7 @@ def fitted_spline(
         times.append(times[-1] + math.sqrt(math.dist(before, after)))
     shares = [time / times[-1] for time in times]
     peaks = _peaks(spline([[UNSCALED_S * s, *q] for s, q in zip(shares, through, strict=True)], repeat=False))
-    speed, acceleration, jerk = (peak / limit for peak, limit in zip(peaks, limits, strict=True))
+    speed, acceleration, jerk = [peak / limit for peak, limit in zip(peaks, limits, strict=True)]
     seconds = ns(UNSCALED_S * max(speed, acceleration**0.5, jerk ** (1.0 / 3.0))) * 1e-9
     rows = [[seconds * s, *q] for s, q in zip(shares, through, strict=True)]
     return spline(rows, dwell_ns, repeat=repeat)

@@ -5,16 +5,18 @@ from pathlib import Path
 
 from drivers.frame import ECHO, Frame
 from drivers.protocols import host_protocol
-from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
+from drivers.protocols.base import DriveStatus, HostProtocol, Reject, Sample
 from drivers.protocols.canopen.host import Cia402Host
 from drivers.protocols.mounting import MountedHost
+from hil.cycle.gate import TorqueGate
+from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
 
 _ENABLED = int(DriveStatus.ENABLED)
 
 
 class DriveHost:
-    """The rig's host, tick by tick: `take` what was received, then `command` once.
+    """The rig's host, tick by tick: `take` what was received, then `push` or `zero` once; both through a torque gate.
 
     protocol: the layout, in the terms of the axes. cia402: the CANopen master in it, None under other layouts.
     samples: the newest of each axis. heard_ns: when it came. rejects: why the newest frame of an identifier was none.
@@ -29,7 +31,7 @@ class DriveHost:
         layout = self.protocol.layout if isinstance(self.protocol, MountedHost) else self.protocol
         self.cia402 = layout if isinstance(layout, Cia402Host) else None
         self._resolution = [axis.encoder_resolution for axis in axes]
-        self._zero = [0.0] * len(axes)
+        self._gate = TorqueGate(self.protocol, force_limits(rig), 0)
         self._sequence = -1
         self.samples: list[Sample | None] = [None] * len(axes)
         self.heard_ns = [0] * len(axes)
@@ -45,10 +47,26 @@ class DriveHost:
             elif not frame.flags & ECHO:
                 self.rejects[frame.can_id] = outcome
 
-    def command(self, force: Sequence[float], enable: int) -> list[Frame]:
-        """The frames of one tick. force: N or N m per axis. enable: bit i for axis i."""
+    def allow(self, axis: int, most_force: float) -> None:
+        """From here on `push` may enable the drive of this axis, and no other, with at most so much force (N, N m), its
+        limits in the rig file apart.
+        """
+        limits = force_limits(self.rig)
+        limits[axis] = limits[axis]._replace(force=min(limits[axis].force, most_force))
+        self._gate = TorqueGate(self.protocol, limits, 1 << axis)
+
+    def push(self, axis: int, force: float) -> list[Frame]:
+        """The frames of one tick, with force (N, N m) on the allowed axis; zero while its position is unknown."""
+        request = [0.0] * len(self.samples)
+        request[axis] = force
+        positions = [self.position(place) or 0.0 for place in range(len(self.samples))]
         self._sequence += 1
-        return self.protocol.encode(Command(self._sequence, force, enable, False))
+        known = self.samples[axis] is not None
+        return self._gate.release(request, positions, permitted=known, sequence=self._sequence)
+
+    def force(self, axis: int) -> float:
+        """Told to the drive of the axis in the latest tick, N (N m)."""
+        return self._gate.force[axis]
 
     @property
     def started(self) -> bool:
@@ -57,7 +75,8 @@ class DriveHost:
 
     def zero(self) -> list[Frame]:
         """The frames of one tick: zero force, every drive disabled."""
-        return self.command(self._zero, 0)
+        self._sequence += 1
+        return self._gate.zero(self._sequence)
 
     def position(self, axis: int) -> float | None:
         """Newest position, m (rad)."""

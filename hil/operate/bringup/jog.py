@@ -1,8 +1,8 @@
 """Jogging one axis: a capped force while a key is held, and zero force within a period of its time-out.
 
 Rules. One drive is enabled, the one of the axis, and only while a key is held (a terminal repeats it). The force is at
-most `force` beyond what holds the axis against gravity by its nominal model, bounded in magnitude, rate and travel as
-the gate bounds every force (hil/cycle/gate.py). It rises slowly, from half the nominal friction, until the axis moves
+most `force` beyond what holds the axis against gravity by its nominal model, and goes through the torque gate
+(hil/cycle/gate.py). It rises slowly, from half the nominal friction, until the axis moves
 at `speed`, falls ten times as fast beyond it, and damps the motion by the nominal mass. The jog ends, with zero force
 in the same tick, at any other key, at a fault of the drive, where its position stays away, beyond `distance` from the
 start, and beyond twice `speed`.
@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols.base import UNHEALTHY, DriveStatus
-from hil.cycle.gate import ForceLimits, limit_force
-from hil.cycle.limits import force_limits
 from hil.operate.bringup.drive_host import DriveHost
 from hil.rig.schema import RigConfig
 
@@ -68,9 +66,8 @@ def jog_settings(
 class Jog:
     """The procedure; `step` once a tick until `done`, then `host.zero` for a while.
 
-    keys: what was pressed since the last call, oldest first. ended: why it is over, in words. force: told to the drive
-    in the latest tick, N (N m). moved: since the start, m (rad). farthest: the greatest of it either way.
-    was_enabled: the drive said once that it applies torque.
+    keys: what was pressed since the last call, oldest first. ended: why it is over, in words. moved: since the start,
+    m (rad). farthest: the greatest of it either way. was_enabled: the drive said once that it applies torque.
     """
 
     def __init__(self, host: DriveHost, settings: JogSettings, keys: Callable[[], str]) -> None:
@@ -79,9 +76,7 @@ class Jog:
         axis = list(rig.axes.values())[settings.axis]
         self._keys = keys
         self._model = axis.model
-        bounds = force_limits(rig)[settings.axis]
-        most = min(bounds.force, settings.force + abs(axis.model.gravity))
-        self._bounds = ForceLimits(most, bounds.position_low, bounds.position_high, bounds.step)
+        host.allow(settings.axis, settings.force + abs(axis.model.gravity))
         self._key_timeout_ns = round(settings.key_timeout_s * 1e9)
         feedback_ns = min((m.period_ns for m in host.protocol.messages(rig.period_ns) if m.sender != "host"), default=0)
         self._lost_ns = max(round(_LOST_S * 1e9), _LOST_PERIODS * feedback_ns)
@@ -91,7 +86,6 @@ class Jog:
         self._direction = 0
         self._pressed_ns = self._begun_ns = 0
         self._push = 0.0
-        self.force = 0.0
         self.moved = 0.0
         self.farthest = 0.0
         self.was_enabled = False
@@ -101,6 +95,11 @@ class Jog:
     def done(self) -> bool:
         """It is over."""
         return bool(self.ended)
+
+    @property
+    def force(self) -> float:
+        """Told to the drive in the latest tick, N (N m)."""
+        return self.host.force(self.settings.axis)
 
     @property
     def held(self) -> bool:
@@ -114,13 +113,9 @@ class Jog:
         position = self.host.position(self.settings.axis)
         self._watch(now_ns, position)
         if self.ended or not self._direction or position is None:
-            self.force = self._push = 0.0
+            self._push = 0.0
             return self.host.zero()
-        wanted = self._model.gravity + self._direction * self._pushed()
-        self.force = limit_force(wanted, self.force, position, self._bounds)
-        force = [0.0] * self.host.protocol.n_axes
-        force[self.settings.axis] = self.force
-        return self.host.command(force, 1 << self.settings.axis)
+        return self.host.push(self.settings.axis, self._model.gravity + self._direction * self._pushed())
 
     def _read_keys(self, now_ns: int) -> None:
         for key in self._keys():
