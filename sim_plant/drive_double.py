@@ -8,8 +8,7 @@ from math import pi
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.bus.counters import BusState
-from drivers.bus.port import Port
+from drivers.bus.any_bus import AnyPort
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.frame_text import service_text
@@ -21,9 +20,7 @@ from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.process import StopSignals
 
 ORDERS = ("fault", "reboot", "off", "mute", "unmute")
-_WAIT_MS = 2  # how late a heartbeat or an expiry may be
-_REBIND_NS = 200_000_000
-_SECOND_NS = 1_000_000_000
+_WAIT_S = 0.002  # how late a heartbeat or an expiry may be
 
 
 class DoubleSettings(NamedTuple):
@@ -93,7 +90,13 @@ class DriveDouble:
     """The loop around the drives of one bus; time.monotonic_ns is its clock. say: takes one line of text."""
 
     def __init__(
-        self, drives: Sequence[MotionDrive], port: Port, say: Callable[[str], None], *, every: bool, boot_s: float = 0.0
+        self,
+        drives: Sequence[MotionDrive],
+        port: AnyPort,
+        say: Callable[[str], None],
+        *,
+        every: bool,
+        boot_s: float = 0.0,
     ) -> None:
         self.drives = list(drives)
         self._port = port
@@ -101,30 +104,25 @@ class DriveDouble:
         self._say = say
         self._muted = False
         self._boot_ns = time.monotonic_ns() + round(boot_s * 1e9)
-        self._rebind_ns = 0
 
     def run(self, seconds: float | None, orders: int | None = None) -> None:
         """Until SIGTERM, SIGINT or SIGHUP, or for so long. orders: a descriptor to read lines of ORDERS from."""
         end_ns = time.monotonic_ns() + round(seconds * 1e9) if seconds is not None else NEVER_NS
         with StopSignals() as stop:
             while not stop.seen and time.monotonic_ns() < end_ns:
-                if self._wait(stop, orders):
-                    assert orders is not None
-                    text = os.read(orders, 4096).decode(errors="replace")
-                    orders = orders if text else None
-                    for word in text.split():
-                        self.order(word)
-                self.step(time.monotonic_ns())
+                orders = self._take_orders(orders)
+                first = self._port.wait(_WAIT_S)
+                now_ns = time.monotonic_ns()
+                self.step(([first] if first else []) + self._port.drain(now_ns), now_ns)
 
-    def _wait(self, stop: StopSignals, orders: int | None) -> bool:
-        """Until something comes or may be due; True: there are orders."""
-        poll = select.poll()
-        poll.register(stop.fileno(), select.POLLIN)
-        if self._port.counters().state is not BusState.DOWN:
-            poll.register(self._port.fileno(), select.POLLIN)
-        if orders is not None:
-            poll.register(orders, select.POLLIN)
-        return any(fd == orders for fd, _ in poll.poll(_WAIT_MS))
+    def _take_orders(self, orders: int | None) -> int | None:
+        """Follow the orders there are; the descriptor as long as more may come."""
+        if orders is None or not select.select([orders], [], [], 0)[0]:
+            return orders
+        text = os.read(orders, 4096).decode(errors="replace")
+        for word in text.split():
+            self.order(word)
+        return orders if text else None
 
     def order(self, word: str) -> None:
         """One of ORDERS, to every drive: what their surroundings do to them."""
@@ -136,9 +134,8 @@ class DriveDouble:
             for drive in self.drives:
                 {"fault": drive.servo.fail, "reboot": drive.reboot, "off": drive.switch_off}[word]()
 
-    def step(self, now_ns: int) -> None:
-        """Answer all frames that have come, then let the drives live until now_ns (read before they were fetched)."""
-        frames = self._port.drain(now_ns)
+    def step(self, frames: Sequence[Frame], now_ns: int) -> None:
+        """Answer frames, then let the drives live until now_ns."""
         if now_ns < self._boot_ns:
             return
         for frame in frames:
@@ -149,9 +146,6 @@ class DriveDouble:
         for drive, reporter in zip(self.drives, self._reporters, strict=True):
             self._expire(drive, now_ns)
             self._send(reporter, drive.advance(now_ns))
-        if self._port.counters().state is BusState.DOWN and now_ns - self._rebind_ns > _REBIND_NS:
-            self._rebind_ns = now_ns
-            self._port.rebind()
 
     def _expire(self, drive: MotionDrive, now_ns: int) -> None:
         if drive.servo.deadline_ns < now_ns:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import can
 import typer
@@ -16,13 +16,15 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from drivers.bus.any_bus import open_bus
 from drivers.bus.local_bus import from_message
-from drivers.bus.port import resolve_interface
+from drivers.bus.port import PortError, resolve_interface
 from drivers.config import BusConfig
 from drivers.frame import REMOTE
 from drivers.protocols.base import LayoutError
 from drivers.protocols.dbc_codec import load_dbc
 from drivers.protocols.frame_text import Reader, dbc_reader, layout_reader
+from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
 from hil.operate.candump_log import TraceError
 from hil.operate.traces import open_writer, read_trace, suffix_of
@@ -36,10 +38,8 @@ LAST_MESSAGES = 10_000  # taken after the end was asked for; more is a flood
 
 bus = typer.Typer(no_args_is_help=True, help="Watch, record or play back a CAN bus.")
 
-Interface = Literal["auto", "socketcan", "local"]
 RigOption = Annotated[Path | None, typer.Option("--rig", help="take channel, interface and bit rates from a rig file")]
 ChannelOption = Annotated[str, typer.Option("--channel", "-c", help="such as can0")]
-InterfaceOption = Annotated[Interface, typer.Option("--interface", "-i", help="auto: SocketCAN where it exists")]
 SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after this time; otherwise at Ctrl-C")]
 
 
@@ -47,6 +47,8 @@ SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after th
 def view(
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
     dbc: Annotated[
         Path | None,
@@ -55,7 +57,7 @@ def view(
     seconds: SecondsOption = None,
 ) -> None:
     """Rate, load, age and last data per identifier, and errors; live in a terminal, once at the end otherwise."""
-    config = _config(channel, interface, rig)
+    config = _config(channel, interface, bitrate, options, rig)
     reader = _reader(rig, dbc)
     console = Console()
     with _until_stopped(seconds) as stopped, _open(config) as member:
@@ -80,6 +82,8 @@ def record(
     file: Annotated[Path, typer.Argument(help="candump .log (.log.gz), or Vector .blf")],
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
     seconds: SecondsOption = None,
 ) -> None:
@@ -88,7 +92,7 @@ def record(
     Formats in which something would be lost are refused: others than .log and .blf have no place for FD flags, the
     lengths of remote frames or the classes of error frames.
     """
-    config = _config(channel, interface, rig)
+    config = _config(channel, interface, bitrate, options, rig)
     frames = errors = 0
     with _until_stopped(seconds) as stopped, _open(config) as member, _writer(file) as writer:
         for message in _messages(member, stopped):
@@ -107,17 +111,21 @@ def play(
     ],
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
+    *,
     speed: Annotated[float, typer.Option(min=0.001, help="2: twice as fast as recorded")] = 1.0,
     real: Annotated[bool, typer.Option("--real", help="also onto a real bus, where it may move a stage")] = False,
 ) -> None:
     """Send a recording's frames at their recorded intervals. Error frames are left out; refused frames are counted."""
     with _traces():
         suffix_of(file)
-    config = _config(channel, interface, rig)
-    if resolve_interface(config) == "socketcan" and not real:
+    config = _config(channel, interface, bitrate, options, rig)
+    kind = resolve_interface(config)
+    if kind != "local" and not real:
         raise typer.BadParameter(
-            f"{config.channel} is a SocketCAN bus: recorded torques would move a stage; see --real"
+            f"{config.channel} is a real bus ({kind}): recorded torques would move a stage; see --real"
         )
     sent = refused = 0
     with _open(config) as member, _traces(), contextlib.suppress(KeyboardInterrupt):
@@ -148,22 +156,19 @@ def _at_speed(messages: Iterable[can.Message], speed: float) -> Iterator[can.Mes
             yield message
 
 
-def _config(channel: str, interface: Interface, rig: Path | None) -> BusConfig:
+def _config(channel: str, interface: str, bitrate: int, options: list[str] | None, rig: Path | None) -> BusConfig:
     if rig is not None:
         return load_rig(rig).bus
-    try:
-        return BusConfig(channel=channel, interface=interface)
-    except ValueError:
-        raise typer.BadParameter(f"channel {channel!r}: 1 to 15 letters, digits, '_', '.' or '-'") from None
+    return stated_bus(channel, interface, bitrate, options or [])
 
 
 @contextlib.contextmanager
 def _open(config: BusConfig) -> Iterator[can.BusABC]:
-    """Join the bus with CAN FD; exits with a message where it cannot be opened."""
+    """Join the bus with CAN FD where it can; exits with a message where it cannot be opened."""
     try:
-        member = can.Bus(interface=resolve_interface(config), channel=config.channel, fd=True)
-    except (can.CanError, OSError) as error:
-        raise typer.BadParameter(f"bus {config.channel}: {error}") from None
+        member = open_bus(config)
+    except PortError as error:
+        raise typer.BadParameter(str(error)) from None
     with member:
         yield member
 

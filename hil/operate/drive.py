@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import typer
 from pydantic import ValidationError
 
-from drivers.bus.port import PortError, open_port, resolve_interface
-from drivers.config import BusConfig
+from drivers.bus.any_bus import joined
+from drivers.bus.port import PortError, resolve_interface
 from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
+from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, invalid_words, stated_bus
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drive_double import ORDERS, DoubleSettings, DriveDouble, make_drive
 from sim_plant.drives.motion_drive import EMULATED, MotionDrive
@@ -30,9 +31,9 @@ def drive(
     ],
     node: Annotated[list[int], typer.Option(min=1, max=127, help="its number; several: as many drives")] = [1],  # noqa: B006
     channel: Annotated[str, typer.Option("--channel", "-c", help="such as can0")] = "can0",
-    interface: Annotated[
-        Literal["auto", "socketcan", "local"], typer.Option("--interface", "-i", help="auto: SocketCAN where it exists")
-    ] = "auto",
+    interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     *,
     rated_torque: Annotated[float, typer.Option(min=1e-6, max=1e6, help="of its motor, N m; what 6076h says")] = 1.0,
     counts: Annotated[int, typer.Option(min=1, max=2**31 - 1, help="of its encoder, per turn")] = 4096,
@@ -71,9 +72,9 @@ def drive(
             status_bits=status_bits,
             dummy_mapping=dummy_mapping,
         )
-        bus = BusConfig(channel=channel, interface=interface)
     except ValidationError as error:
-        raise typer.BadParameter("; ".join(_words(problem) for problem in error.errors())) from None
+        raise typer.BadParameter(invalid_words(error)) from None
+    bus = stated_bus(channel, interface, bitrate, options or [])
     if len(set(node)) != len(node):
         raise typer.BadParameter(f"nodes {node}: each needs a number of its own", param_hint="--node")
     settings = DoubleSettings(rated_torque, counts, inertia, friction, watchdog_s, boot_s, quirks)
@@ -84,22 +85,13 @@ def drive(
         print(f"hil drive: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_FILE) from None
     try:
-        port = open_port(bus, role="device", fd=False)
+        with joined(bus, fd=False) as port:
+            _introduce(eds, drives, f"{channel} ({resolve_interface(bus)})")
+            double = DriveDouble(drives, port, _say, every=every, boot_s=boot_s)
+            double.run(seconds, sys.stdin.fileno() if orders else None)
     except (PortError, RuntimeDirectoryError) as error:
         print(f"hil drive: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
-    try:
-        _introduce(eds, drives, f"{channel} ({resolve_interface(bus)})")
-        double = DriveDouble(drives, port, _say, every=every, boot_s=boot_s)
-        double.run(seconds, sys.stdin.fileno() if orders else None)
-    finally:
-        port.close()
-
-
-def _words(problem: object) -> str:
-    assert isinstance(problem, dict)
-    place = ".".join(str(part) for part in problem["loc"])
-    return f"{place} = {problem['input']!r}: {problem['msg']}" if place else str(problem["msg"])
 
 
 def _introduce(eds: Path, drives: list[MotionDrive], where: str) -> None:

@@ -259,7 +259,7 @@ def test_quirks_are_what_a_master_meets(eds: Path, network: canopen.Network) -> 
         (["--node", "3", "--node", "3"], "each needs a number of its own"),
         (["--missing", "10zz"], "missing.0 = '10zz'"),
         (["--status-bits", "1"], "only bits 8, 14 and 15"),
-        (["--channel", "a/b"], "channel = 'a/b'"),
+        (["--channel", "a/b"], "channel 'a/b'"),
     ],
 )
 def test_what_cannot_be_is_refused_before_a_bus_is_opened(options: list[str], said: str, eds: Path) -> None:
