@@ -104,9 +104,9 @@ def can_findings(net: Path = NET, usb: Path = USB) -> list[Finding]:
             *adapters,
         ]
     interfaces = can_interfaces(net)
-    if not interfaces and not adapters:
+    if not interfaces:
         advice = "plug in an adapter, or: ip link add vcan0 type vcan && ip link set vcan0 up"
-        return [Finding("CAN", "note", "SocketCAN, but no interface", advice)]
+        return [Finding("CAN", "note", "SocketCAN, but no interface", advice), *adapters]
     return [*(_interface_finding(name, net) for name in interfaces), *adapters]
 
 

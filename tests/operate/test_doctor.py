@@ -99,7 +99,7 @@ def test_an_adapter_without_an_interface_is_told_how_to_get_one(tmp_path, with_s
     usb_device(usb, "1-1", "ad50", "60c4", name="CANable", tty="ttyACM3")
     usb_device(usb, "1-2", "0c72", "0012", name="PCAN-USB FD")
     usb_device(usb, "1-3", "046d", "c077", name="Mouse")
-    serial, peak = doctor.can_findings(tmp_path / "net", usb)
+    _, serial, peak = doctor.can_findings(tmp_path / "net", usb)
     assert "slcand -o -c -s8 /dev/ttyACM3 can0" in serial.advice
     assert "not for a control loop" in serial.detail
     assert peak.topic == "adapter PEAK PCAN-USB FD"
