@@ -50,7 +50,7 @@ def _array(data: bytes) -> NDArray[Any]:
         raise ValueError("an array of another version than 1.0 or 2.0")
     try:
         shape, columns_first, dtype = read_header(stream)
-    except (SyntaxError, TypeError, RecursionError) as error:
+    except Exception as error:  # numpy parses Python source there, and says what that says
         raise ValueError(f"an array whose header is damaged: {error}") from None
     count, left = math.prod(shape), len(data) - stream.tell()
     if dtype.hasobject or not dtype.itemsize or min(shape, default=0) < 0 or count * dtype.itemsize != left:
