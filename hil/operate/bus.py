@@ -19,7 +19,7 @@ from rich.text import Text
 
 from drivers.bus.local_bus import from_message
 from drivers.bus.port import resolve_interface
-from drivers.config import BusConfig
+from drivers.config import CHANNEL_RULE, BusConfig
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
 from hil.operate.trace_file import FORMATS, TraceError, has_known_format, read_trace
 from hil.rig.file import load_rig
@@ -145,7 +145,7 @@ def _config(channel: str, interface: Interface, rig: Path | None) -> BusConfig:
     try:
         return BusConfig(channel=channel, interface=interface)
     except ValueError:
-        raise typer.BadParameter(f"channel {channel!r}: 1 to 15 letters, digits, '_', '.' or '-'") from None
+        raise typer.BadParameter(f"channel {channel!r}: {CHANNEL_RULE}") from None
 
 
 @contextlib.contextmanager

@@ -14,7 +14,6 @@ from typing import Any
 
 from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import short
-from hil.rig.npz_file import read_arrays
 
 TIME = "time_s"
 MOST_ROWS = 20_000
@@ -93,6 +92,8 @@ def _numbers(path: Path, number: int, header: Sequence[str], line: Sequence[str]
 
 def _from_npz(path: Path, data: bytes) -> tuple[list[str], Rows]:
     import numpy as np
+
+    from hil.rig.npz_file import read_arrays
 
     try:
         archive = read_arrays(io.BytesIO(data), LARGEST)

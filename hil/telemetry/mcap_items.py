@@ -31,8 +31,8 @@ def mcap_items(path: Path) -> Iterator[Any]:
     """Records of the file, those in chunks among them, with their checksums checked.
 
     Raises OSError and drivers.text_file.UnsuitableFileError where it cannot be opened, BombError; McapError,
-    ValueError, struct.error, zstandard.ZstdError where it ends too early or is damaged, which a length beyond belief
-    is, too.
+    ValueError, struct.error, zstandard.ZstdError where it ends too early or is damaged, as a length is that no record
+    has.
     """
     with open_untrusted(path, LARGEST_FILE) as file:
         reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=LARGEST_RECORD)
