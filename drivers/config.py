@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
+CHANNEL_RULE = "1 to 15 letters, digits, '_', '.' or '-', not '.' first"
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 REQUIRED = ...
 
@@ -155,7 +157,6 @@ class Cia402Config(BaseModel):
 
 
 KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emulated drives run on
-_CHANNEL = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 
 
 Option = bool | int | float | str
@@ -171,7 +172,7 @@ class BusConfig(BaseModel):
         "other of python-can's (pcan, kvaser, slcan, ...): for `hil bus`, `hil drives` and `hil bench bus` alone",
     )
     channel: Annotated[str, Field(pattern=r"^[!-~]{1,100}$")] = key(
-        "can0", "name of the CAN interface: 1 to 15 letters, digits, '_', '.' or '-'; or what the adapter calls it"
+        "can0", f"name of the CAN interface: {CHANNEL_RULE}; or what the adapter calls it"
     )
     options: dict[str, Option] = key(
         {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
@@ -192,8 +193,8 @@ class BusConfig(BaseModel):
     @model_validator(mode="after")
     def _every_key_acts(self) -> "BusConfig":
         if self.interface in KERNEL_INTERFACES:
-            if not _CHANNEL.fullmatch(self.channel):
-                raise ValueError(f"channel {self.channel!r}: 1 to 15 letters, digits, '_', '.' or '-'")
+            if not re.fullmatch(CHANNEL_NAME, self.channel):
+                raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")
             if self.options:
                 raise ValueError(f"options: none are taken with interface = {self.interface!r}")
         return self

@@ -2,6 +2,7 @@
 
 import contextlib
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +28,8 @@ from drivers.protocols.frame_text import Reader, dbc_reader, layout_reader
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
 from hil.operate.candump_log import TraceError
-from hil.operate.traces import open_writer, read_trace, suffix_of
+from hil.operate.trace_file import read_trace
+from hil.operate.traces import open_writer, suffix_of
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 
@@ -128,14 +130,21 @@ def play(
             f"{config.channel} is a real bus ({kind}): recorded torques would move a stage; see --real"
         )
     sent = refused = 0
-    with _open(config) as member, _traces(), contextlib.suppress(KeyboardInterrupt):
-        for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0):
-            try:
-                member.send(message)
-                sent += 1
-            except can.CanOperationError:
-                refused += 1
+    trouble = ""
+    with _open(config) as member, contextlib.suppress(KeyboardInterrupt):
+        try:
+            for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0):
+                try:
+                    member.send(message)
+                    sent += 1
+                except can.CanOperationError:
+                    refused += 1
+        except TraceError as error:
+            trouble = str(error)
     print(f"{file}: {sent} frames sent to {config.channel}, {refused} refused")
+    if trouble:
+        print(f"hil bus play: {trouble}", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def _messages(member: can.BusABC, stopped: threading.Event) -> Iterator[can.Message | None]:

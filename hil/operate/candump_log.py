@@ -12,7 +12,7 @@ whether the frame was received or sent.
 import contextlib
 import gzip
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import can
@@ -27,7 +27,7 @@ _LINE = re.compile(
 )
 
 
-class TraceError(Exception):
+class TraceError(ValueError):
     """A trace that cannot be read; the text names the file, and the place in it where that is known."""
 
 
@@ -84,18 +84,15 @@ def write_log(file: Path) -> Iterator[Callable[[can.Message], None]]:
         yield write
 
 
-def read_log(file: Path) -> Iterator[can.Message]:
-    """The messages of a log, oldest first. Raises TraceError naming the line that is none, OSError."""
-    zipped = file.suffix == ".gz"
-    with gzip.open(file, "rb") if zipped else file.open("rb") as lines:
-        for number, raw in enumerate(lines, 1):
-            line = raw.decode("ascii", "replace")
-            if not line.strip():
-                continue
-            message = read_line(line)
-            if message is None:
-                raise TraceError(f"{file}: line {number} is no frame of candump's: {line.strip()[:60]!r}")
-            yield message
+def read_log(lines: Iterable[str]) -> Iterator[can.Message]:
+    """The messages of a log's lines, oldest first. Raises TraceError naming the line that is none."""
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        message = read_line(line)
+        if message is None:
+            raise TraceError(f"line {number} is no frame of candump's: {line.strip()[:60]!r}")
+        yield message
 
 
 def _possible(length: int, flags: int) -> bool:

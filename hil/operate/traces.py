@@ -1,18 +1,17 @@
-"""Traces of a bus in the formats of other tools: written only where nothing is lost, read as far as they hold it.
+"""Traces of a bus in the formats of other tools: written only where nothing is lost; trace_file.py reads them.
 
 candump's log is our own (candump_log.py), all others are python-can's. What each loses was found by writing every kind
 of frame and reading it back (tests/operate/test_traces.py); a format that loses something is read, but not written.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 import can
 from can.io.blf import BLFWriter
-from can.io.player import LogReader
 
-from hil.operate.candump_log import TraceError, read_log, write_log
+from hil.operate.candump_log import TraceError, write_log
 
 _NO_FD = "it has no place for the FD, BRS and ESI flags"
 LOSSES = {  # suffix -> what is lost in it; "": nothing
@@ -28,10 +27,10 @@ WHOLE = tuple(suffix for suffix, loss in LOSSES.items() if not loss)
 
 def suffix_of(file: Path) -> str:
     """The suffix that names a trace's format; .gz may follow. Raises TraceError for one that is none."""
-    suffixes = [suffix.lower() for suffix in file.suffixes if suffix != ".gz"]
+    suffixes = [suffix.lower() for suffix in file.suffixes if suffix.lower() != ".gz"]
     if not suffixes or suffixes[-1] not in LOSSES:
         raise TraceError(f"{file}: the name must end in one of {', '.join(LOSSES)} (.gz may follow)")
-    if file.suffix == ".gz" and suffixes[-1] in (".blf", ".db"):
+    if file.suffix.lower() == ".gz" and suffixes[-1] in (".blf", ".db"):
         raise TraceError(f"{file}: {suffixes[-1]} files are not compressed once more; leave .gz away")
     return suffixes[-1]
 
@@ -42,22 +41,3 @@ def open_writer(file: Path) -> AbstractContextManager[Callable[[can.Message], No
     if LOSSES[suffix]:
         raise TraceError(f"{file}: not recorded as {suffix}: {LOSSES[suffix]}; {' and '.join(WHOLE)} keep everything")
     return write_log(file) if suffix == ".log" else BLFWriter(file)
-
-
-def read_trace(file: Path) -> Iterator[can.Message]:
-    """The messages of a trace, oldest first. Raises TraceError, OSError."""
-    if suffix_of(file) == ".log":
-        yield from read_log(file)
-        return
-    read = 0
-    try:
-        with LogReader(file) as messages:
-            for message in messages:
-                if message.is_fd:  # python-can 4.6 takes an FD frame without data in an .asc for a remote frame
-                    message.is_remote_frame = False
-                yield message
-                read += 1
-    except (OSError, GeneratorExit):
-        raise
-    except Exception as error:  # whatever the package's parsers make of a file from the field
-        raise TraceError(f"{file}: cannot be read after {read} frames: {type(error).__name__} {error}") from None

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from drivers.bus.local_bus import from_message, to_message
 from drivers.frame import BRS, ERROR, ESI, EXTENDED, EXTENDED_MASK, FD, FD_LENGTHS, REMOTE, STANDARD_MASK, Frame
 from hil.operate.candump_log import TraceError, frame_text, read_line
-from hil.operate.traces import LOSSES, WHOLE, open_writer, read_trace
+from hil.operate.trace_file import read_trace
+from hil.operate.traces import LOSSES, WHOLE, open_writer
 
 IDS = st.integers(0, STANDARD_MASK) | st.integers(0, EXTENDED_MASK).map(lambda number: number | EXTENDED)
 FLAGS = st.sampled_from([FD, FD | BRS, FD | ESI, FD | BRS | ESI])
