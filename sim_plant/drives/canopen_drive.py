@@ -32,6 +32,8 @@ _ERROR_CODE = key_of(0x603F)
 _QUICK_STOP_OPTION = key_of(0x605A)
 _CONNECTION_OPTION = key_of(0x6007)  # what to do without the host: nothing, fault, disable voltage, quick stop
 _POLARITY = key_of(0x607E)
+_SERVO_DRIVE = 0x00020192  # 1000h: type 2 of profile 402
+_MODES_OF_TARGETS = {_TORQUE: 0x208, key_of(0x607A): 0x081, key_of(0x60FF): 0x104}  # 6502h: TQ, CST; PP, CSP; PV, CSV
 _POSITION_TURNED, _TORQUE_TURNED = 0x80, 0x20  # 607Eh; torque's bit is the makers'
 _LAST_TRANSIT_OPTION = 4  # 605Ah: up to it the drive leaves QUICK STOP ACTIVE by itself
 
@@ -64,9 +66,16 @@ class Cia402Drive(CanopenNode):
         self._fresh_target = False
         self._enabling_ns = NEVER_NS  # when the power stage will be on
         self._own = eds == cia301.EDS
+        self._describe()
         self._install()
         self._bind_dictionary()
         self._boot()
+
+    def _describe(self) -> None:
+        """What many files leave to the drive: that it is a servo drive, and in which modes its targets make sense."""
+        self.dictionary.fill_in(key_of(0x1000), _SERVO_DRIVE)
+        modes = sum(bits for target, bits in _MODES_OF_TARGETS.items() if target in self.dictionary.entries)
+        self.dictionary.fill_in(key_of(0x6502), modes)
 
     def _install(self) -> None:
         """A bought drive has been told its motor's rated torque by whoever installed it."""

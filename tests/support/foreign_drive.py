@@ -121,8 +121,17 @@ def eds_text(facts: Mapping[tuple[int, int], Fact], dummies: Sequence[int] = ())
 class ForeignDrive:
     """A drive on the facts given. rated_torque: value of 6076h, mN m. torque: thousandths it applies now."""
 
-    def __init__(self, facts: Mapping[tuple[int, int], Fact], node_id: int, rated_torque: int = 500) -> None:
-        source = StringIO(eds_text(facts))
+    def __init__(
+        self,
+        facts: Mapping[tuple[int, int], Fact],
+        node_id: int,
+        rated_torque: int = 500,
+        *,
+        values: Mapping[int, int] | None = None,
+        dummies: Sequence[int] = (),
+    ) -> None:
+        """values: of objects whose fact states none."""
+        source = StringIO(eds_text(facts, dummies))
         source.name = "made.eds"  # type: ignore[misc]  # canopen tells the format by it
         self._sent: list[Frame] = []
         network: Any = canopen.Network()
@@ -131,6 +140,8 @@ class ForeignDrive:
         self.node.associate_network(network)
         if (0x6076, 0) in facts:
             self.node.object_dictionary[0x6076].default = rated_torque
+        for index, value in (values or {}).items():
+            self.node.object_dictionary[index].default = value
         self._network = network
         self.node_id = node_id
         self.state = cia301.DriveState.SWITCH_ON_DISABLED
