@@ -14,7 +14,7 @@ from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, 
 from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
 _LONGEST = 400  # characters of one problem's text
@@ -114,6 +114,29 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     for line in lines:
         warnings.warn(f"{path}: {line}", FormerKeyWarning, stacklevel=2)
     return rig
+
+
+def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> TaskConfig:
+    """Another task for a rig: of a TOML file the table [task], of a CSV or NPZ file the path. overrides: key=value, of
+    [task] alone. Raises RigError naming file, key or row and column.
+    """
+    if path.suffix.lower() == ".toml":
+        try:
+            table = read_toml(path).get("task")
+        except OSError as error:
+            raise RigError([f"{path}: {error.strerror or error}"]) from None
+        except TomlError as error:
+            raise RigError([f"{path}: {error}"]) from None
+        if table is None:
+            raise RigError([f"{path}: there is no table [task]"])
+    else:
+        table = {"kind": "path", "file": path.name}
+    if strange := [text for text in overrides if not text.strip().startswith("task.")]:
+        raise RigError([f"--set {shown(strange[0])}: only keys of [task] can be chosen here"])
+    try:
+        return build_rig({**rig.model_dump(mode="json"), "task": table}, overrides, folder=path.parent).task
+    except RigError as error:
+        raise RigError([f"{path}: {line}" for line in error.problems]) from None
 
 
 def rig_hash(rig: RigConfig) -> str:

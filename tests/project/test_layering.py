@@ -33,12 +33,12 @@ ROOMS = (
 PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
-        "run loop drive_problems stop_line timing_record realtime watched_file systemd miss_ledger pacing ring mailbox "
-        "mapped_file runtime_paths stop_page file_lock"
+        "run loop drive_problems stop_line timing_record realtime task_file watched_file systemd miss_ledger pacing "
+        "ring mailbox mapped_file runtime_paths stop_page file_lock"
     ),
     "cycle": (
-        "step supervisor commissioning axes record_builder record limits damped_stop sampling fault_monitor "
-        "oscillation fault_table inbox gate command_desk state_machine tick"
+        "task_loading step supervisor commissioning axes record_builder record limits damped_stop sampling "
+        "fault_monitor oscillation fault_table inbox gate command_desk state_machine tick"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other

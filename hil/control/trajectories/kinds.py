@@ -11,7 +11,7 @@ from functools import partial
 from hil.control.trajectories.base import Plan
 from hil.control.trajectories.figures import Figure, circle_oscillations, lissajous_oscillations
 from hil.control.trajectories.injection import injection
-from hil.control.trajectories.paths import Path, fitted_spline, raster_points, spiral_samples, spline, waypoints
+from hil.control.trajectories.paths import AlongPath, fitted_spline, raster_points, spiral_samples, spline, waypoints
 from hil.control.trajectories.segments import Segments, move, rest
 from hil.rig.schema import TaskConfig
 
@@ -115,7 +115,7 @@ def _lines(points: Sequence[Sequence[float]], task: TaskConfig, axes: Names, per
 
 def _along(body: Segments, task: TaskConfig, axes: Names, period_ns: int) -> Plan:
     columns = [task.axes.index(name) if name in task.axes else -1 for name in axes]
-    return lambda start: Path(body, columns, start, _ns(task.approach_s, period_ns), _settle_ns(task))
+    return AlongPath(body, columns, _ns(task.approach_s, period_ns), _settle_ns(task))
 
 
 def _limits(task: TaskConfig) -> tuple[float, float, float]:
