@@ -13,13 +13,14 @@ from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.frame_text import service_text
 from sim_plant.config import EmulatedDriveConfig
-from sim_plant.drives.motion_drive import EMULATED, MotionDrive
+from sim_plant.drives.motion_drive import EMULATED, NEGATIVE_LIMIT, POSITIVE_LIMIT, MotionDrive
 from sim_plant.drives.motor import Motor
 from sim_plant.drives.quirks import stated_quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.process import StopSignals
 
-ORDERS = ("fault", "reboot", "off", "mute", "unmute")
+_SWITCHES = {"limit-": NEGATIVE_LIMIT, "limit+": POSITIVE_LIMIT, "limits-off": 0}
+ORDERS = ("fault", "reboot", "off", "mute", "unmute", *_SWITCHES)
 _WAIT_S = 0.002  # how late a heartbeat or an expiry may be
 
 
@@ -130,6 +131,9 @@ class DriveDouble:
             self._say(f"{word!r} is no order; there are {', '.join(ORDERS)}")
         elif word in ("mute", "unmute"):
             self._muted = word == "mute"
+        elif word in _SWITCHES:
+            for drive in self.drives:
+                drive.inputs = _SWITCHES[word]
         else:
             for drive in self.drives:
                 {"fault": drive.servo.fail, "reboot": drive.reboot, "off": drive.switch_off}[word]()

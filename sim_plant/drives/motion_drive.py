@@ -24,6 +24,8 @@ _TARGET_POSITION, _TARGET_VELOCITY = key_of(0x607A), key_of(0x60FF)
 _PROFILE_SPEED, _PROFILE_ACCELERATION = key_of(0x6081), key_of(0x6083)
 _HOME_OFFSET = key_of(0x607C)
 _TARGETS = {CSP: _TARGET_POSITION, CSV: _TARGET_VELOCITY}
+_LOWEST, _HIGHEST = key_of(0x607D, 1), key_of(0x607D, 2)  # no limits where they are equal
+NEGATIVE_LIMIT, POSITIVE_LIMIT = 1 << 0, 1 << 1  # of 60FDh: limit switches
 # Bits of the controlword and the statusword that mean something else in each mode (CiA 402-2).
 _START, _RELATIVE = 1 << 4, 1 << 6
 _REACHED, _BIT_12 = 1 << 10, 1 << 12
@@ -31,11 +33,16 @@ _NEAR = 0.5  # counts, counts/s
 
 
 class MotionDrive(Cia402Drive):
-    """mode: 6060h as it acts. motor: what it turns. Raises ValueError for an EDS that cannot be read."""
+    """mode: 6060h as it acts. motor: what it turns. inputs: 60FDh; a limit switch that is on lets it move away alone.
+
+    Raises ValueError for an EDS that cannot be read.
+    """
 
     def __init__(self, node_id: int, servo: ServoDrive, motor: Motor, *, eds: Path, quirks: Quirks = NO_QUIRKS) -> None:
         self.motor = motor
         self.mode = 0
+        self.inputs = 0
+        self._at_limit = False
         self._target: float | None = None  # of a profile, counts
         self._acknowledged = False
         self._homed = False
@@ -50,6 +57,7 @@ class MotionDrive(Cia402Drive):
             key_of(cia301.MODE_DISPLAY): lambda: self.mode,
             key_of(0x606C): lambda: round(motor.velocity),
             key_of(0x60F4): lambda: 0,
+            key_of(0x60FD): lambda: self.inputs,
         }
         self.dictionary.getters |= {key: get for key, get in getters.items() if key in self.dictionary.entries}
         self.dictionary.setters |= dict.fromkeys(_TARGETS.values(), self._take_target)
@@ -124,7 +132,10 @@ class MotionDrive(Cia402Drive):
         self.mode = stored if self.emulates(stored) else 0
 
     def _mode_bits(self) -> int:
-        """Bits 10, 12 and 13 of the statusword."""
+        """Bits 10 to 13 of the statusword."""
+        return self._bits_of_mode() | (cia301.LIMIT_ACTIVE if self._at_limit else 0)
+
+    def _bits_of_mode(self) -> int:
         enabled = self.state is DriveState.OPERATION_ENABLED
         if self.mode in (CSP, CSV, CST):
             return _BIT_12 if enabled else 0
@@ -161,7 +172,19 @@ class MotionDrive(Cia402Drive):
         return self._target is None or abs(self.motor.position - self._target) < _NEAR
 
     def _move(self) -> None:
-        """Follow the motor to now."""
+        """Follow the motor to now, within limit switches and 607Dh."""
+        motor, number = self.motor, self.dictionary.number
+        before = motor.position
+        self._turn()
+        low, high = number(_LOWEST), number(_HIGHEST)
+        low, high = (float(low), float(high)) if low < high else (-inf, inf)
+        low = before if self.inputs & NEGATIVE_LIMIT else min(low, before)
+        high = before if self.inputs & POSITIVE_LIMIT else max(high, before)
+        self._at_limit = not low <= motor.position <= high or (self._at_limit and motor.position == before)
+        if not low <= motor.position <= high:
+            motor.position, motor.velocity = max(low, min(high, motor.position)), 0.0
+
+    def _turn(self) -> None:
         motor, now_ns, number = self.motor, self.now_ns, self.dictionary.number
         acceleration = number(_PROFILE_ACCELERATION) or inf
         if self.mode == TQ and self._fresh_target:

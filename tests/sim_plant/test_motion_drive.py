@@ -7,7 +7,19 @@ import pytest
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState, NmtCommand
-from sim_plant.drives.motion_drive import CSP, CST, CSV, EMULATED, HM, PP, PV, TQ, MotionDrive
+from sim_plant.drives.motion_drive import (
+    CSP,
+    CST,
+    CSV,
+    EMULATED,
+    HM,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    PP,
+    PV,
+    TQ,
+    MotionDrive,
+)
 from sim_plant.drives.motor import Motor
 from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
@@ -160,6 +172,35 @@ def test_homing_calls_its_place_home(tmp_path: Path) -> None:
     assert line.write(0x607C, 40, 4) == line.write(0x6040, 0x1F, 2) == 0
     assert line.word & 0x1400 == 0x1400
     assert line.position == 40
+
+
+@pytest.mark.parametrize(("switch", "sign"), [(POSITIVE_LIMIT, 1), (NEGATIVE_LIMIT, -1)])
+def test_a_limit_switch_stops_the_motor_and_lets_it_move_away(switch: int, sign: int, tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(PV)
+    assert line.write(0x60FF, sign * 1000, 4) == 0
+    line.pass_time(100)
+    assert line.word & 0x0800 == 0
+    line.drive.inputs = switch
+    assert line.drive.dictionary.get(key_of(0x60FD)) == switch
+    stopped = line.position
+    line.pass_time(100)
+    assert (line.position, line.speed) == (stopped, 0)
+    assert line.word & 0x0800
+    assert line.write(0x60FF, -sign * 1000, 4) == 0
+    line.pass_time(100)
+    assert sign * (line.position - stopped) < -50
+    assert line.word & 0x0800 == 0
+
+
+def test_software_limits_hold_the_motor(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(PP)
+    assert line.write(0x607D, -100, 4, 1) == line.write(0x607D, 300, 4, 2) == 0
+    assert line.write(0x607A, 5000, 4) == line.write(0x6040, 0x1F, 2) == 0
+    line.pass_time(1000)
+    assert line.position == 300
+    assert line.word & 0x0C00 == 0x0800  # limited, not reached
 
 
 def test_power_that_fails_leaves_a_drive_as_it_came(tmp_path: Path) -> None:

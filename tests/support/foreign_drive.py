@@ -91,9 +91,13 @@ MOTION_DRIVE = CST_DRIVE | {  # one that offers every mode of CiA 402-2 that is 
     (0x6077, 0): Fact(I16, "ro", "0", True),
     (0x607A, 0): Fact(I32, "rw", "0", True),
     (0x607C, 0): Fact(I32),
+    (0x607D, 0): Fact(U8, "ro", "2"),
+    (0x607D, 1): Fact(I32),
+    (0x607D, 2): Fact(I32),
     (0x6081, 0): Fact(U32, "rw", "1000"),
     (0x6083, 0): Fact(U32, "rw", "10000"),
     (0x6098, 0): Fact(I8, "rw", "35"),
+    (0x60FD, 0): Fact(U32, "ro", "0", True),
     (0x60FF, 0): Fact(I32, "rw", "0", True),
     (0x6502, 0): Fact(U32, "ro", "0x3AD"),
 }
