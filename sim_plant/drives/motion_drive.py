@@ -176,8 +176,9 @@ class MotionDrive(Cia402Drive):
         motor, number = self.motor, self.dictionary.number
         before = motor.position
         self._turn()
-        low, high = number(_LOWEST), number(_HIGHEST)
-        low, high = (float(low), float(high)) if low < high else (-inf, inf)
+        low, high = float(number(_LOWEST)), float(number(_HIGHEST))
+        if low >= high:
+            low, high = -inf, inf
         low = before if self.inputs & NEGATIVE_LIMIT else min(low, before)
         high = before if self.inputs & POSITIVE_LIMIT else max(high, before)
         self._at_limit = not low <= motor.position <= high or (self._at_limit and motor.position == before)
