@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 Columns = Mapping[str, NDArray[Any]]
 _RIG = "rig_json"

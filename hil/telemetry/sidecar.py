@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
@@ -27,7 +28,6 @@ from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
 from hil.telemetry.command_server import CommandServer
@@ -35,6 +35,8 @@ from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.recorder import Recorder
+from hil.telemetry.tick_codec import TickEncoder
+from hil.telemetry.tick_schema import TickSchema
 from hil.telemetry.window import Window
 
 STATUS_NS = 100_000_000
@@ -57,7 +59,8 @@ class Attached:
         self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
         self.law = str(rig["law"]["name"])
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
-        self.batches = self.sent = self.dropped = 0
+        self.encoder = TickEncoder(TickSchema(rig))
+        self.sent = self.dropped = 0
         self.lost = 0  # since the last batch
         self.caught_up = False  # the window is the present: the last round read the ring to its end
         self.over = False  # the control process is gone, and all it left is safe
@@ -169,18 +172,13 @@ class Sidecar:
         run.caught_up = run.reader.next >= written
         if not len(records):
             return False
-        message = codec.telemetry(records, len(run.axes), batch=run.batches, first=batch.first, lost=run.lost)
-        data = message.SerializeToString()
-        run.lost = 0
-        run.batches += 1
-        if self._publisher.put("telemetry", data):
-            run.sent += len(records)
-        else:
-            run.dropped += len(records)
+        messages = list(run.encoder.encode(records, batch.first))
+        sent = sum(self._publisher.put("tick", data) for data in messages)
+        run.sent += sent
+        run.dropped += len(messages) - sent
         if run.recorder:
-            at = int(records["now_ns"][-1])
-            run.recorder.write("telemetry", at, data)
-            run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
+            run.recorder.ticks(records, messages, first=batch.first, lost=run.lost)
+        run.lost = 0
         run.window.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
@@ -198,7 +196,7 @@ class Sidecar:
         for request in asked:
             self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        self._publisher.answer_rig_queries(self._description)
+        self._publisher.answer_queries({"rig": self._description, "schema": self._schema})
 
     def _note_command(self, entry: pb.CommandEntry) -> None:
         """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
@@ -216,6 +214,14 @@ class Sidecar:
         """Which rig this is: the whole of it, as JSON."""
         run = self.attached
         return json.dumps(run.metadata if run else {"rig": self.rig.model_dump(mode="json")}).encode()
+
+    def _schema(self) -> bytes:
+        """The FileDescriptorSet of all that is published: enough to decode it without this package."""
+        run = self.attached
+        schema = run.encoder.schema if run else TickSchema(self.rig.model_dump(mode="json"))
+        files = build_file_descriptor_set(pb.Status)
+        files.MergeFrom(schema.files)
+        return bytes(files.SerializeToString())
 
     def publish_status(self, now_ns: int) -> None:
         """Ten times a second, and once more at every end."""

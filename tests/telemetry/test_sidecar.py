@@ -17,12 +17,12 @@ import zenoh
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
 from hil.operate.monitor import silence
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, Verdict, local_client
-from hil.telemetry.recorder import Recording
+from hil.telemetry.recording import Recording
 from hil.telemetry.session import client_config
 from tests.support.paths import ROOT
 
@@ -119,8 +119,8 @@ def obeyed(bench: Bench, kind: CommandKind) -> Verdict:
 
 def recorded(path: Path) -> tuple[list[codec.RecordedTick], Recording]:
     recording = Recording(path)
-    messages = (pb.Traffic.FromString(item.data) for item in recording if item.topic == "traffic")
-    return [tick for message in messages for tick in codec.recorded_ticks(message)], recording
+    messages = (pb.Cycle.FromString(item.data) for item in recording if item.topic == "cycle")
+    return [tick for message in messages for tick in cycle_codec.recorded_ticks(message)], recording
 
 
 @pytest.mark.live
@@ -147,6 +147,23 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
     assert [command.kind for tick in ticks for command in tick.tick.commands] == [CommandKind.ACTIVATE] * 2
     assert all(len(tick.received) == 4 for tick in ticks)
     assert any(tick.tick.recorder_ok for tick in ticks)
+
+
+@pytest.mark.live
+def test_a_subscriber_without_this_package_decodes_every_tick(bench: Bench, tmp_path: Path) -> None:
+    bench.sidecar()
+    bench.control()
+    script = ROOT / "tests" / "support" / "plain_subscriber.py"
+    arguments = [sys.executable, str(script), bench.endpoint, "300"]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines() if "gap" not in line]
+    assert len(lines) == 300
+    assert [line[1] for line in lines] == ["READY"] * 300
+    assert [word.partition("=")[0] for word in lines[0][2:]] == ["x", "y", "z", "theta"]
+    sequence = [int(line[0]) for line in lines]
+    gaps = sum(int(line.split()[2]) for line in done.stdout.splitlines() if "gap" in line)
+    assert sequence[-1] - sequence[0] == 299 + gaps
 
 
 @pytest.mark.live
