@@ -75,10 +75,12 @@ def _encode_frames(slots: NDArray[np.void], counts: NDArray[np.uint16]) -> pb.Fr
     lengths = np.minimum(used["length"], _DATA_BYTES).astype(np.uint8)
     message = pb.FrameColumns(timestamp_ns=_differences(used["timestamp_ns"]).tolist())
     keys = used["can_id"].astype(np.uint64) << 16 | used["flags"].astype(np.uint64) << 8 | lengths
-    streams, numbers = np.unique(keys, return_inverse=True)
+    found = keys.tolist()
+    places = {key: place for place, key in enumerate(sorted(set(found)))}
+    numbers = np.array([places[key] for key in found], np.int64)
     message.stream.extend(numbers.tolist())
     planes = []
-    for number, key in enumerate(streams.tolist()):
+    for key, number in places.items():
         can_id, length = key >> 16, key & 0xFF
         data: Bytes = used["data"][numbers == number][:, :length]
         checked = _all_end_in_crc(data, can_id)

@@ -5,6 +5,7 @@ tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to
 `status` (10 Hz), `commands` (every request, refused ones included). recording.py reads them.
 """
 
+import contextlib
 import json
 import os
 import time
@@ -51,12 +52,16 @@ class Recorder:
         self._channels: dict[str, int] = {}
         self._held: list[np.ndarray] = []  # ticks that are not in a Cycle message yet
         self._first = self._lost = 0  # of those held: ring index of the first, ticks missing before it
+        self.size = 0  # bytes that are on the disk, all whole chunks
+        self._next = 0  # ring index after the last tick taken
+        self.durable = 0  # ring index after the last tick that is there
         self._flush_due_ns: int | None = None
         self._file: IO[bytes] | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._file = os.fdopen(os.open(path, flags, MODE), "wb")
+            self._fd = os.open(path, flags, MODE)
+            self._file = os.fdopen(self._fd, "wb", closefd=False)
             self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
             self._begin(metadata)
             self.ok = True
@@ -81,7 +86,7 @@ class Recorder:
         """Append ticks, at least one. messages: their Tick messages. first: ring index. lost: missing before them."""
         if not self.ok:
             return
-        if self._held and first != self._first + sum(map(len, self._held)):
+        if self._held and first != self._next:
             self._end_batch()
         if not self._held:
             self._first, self._lost = first, lost
@@ -93,6 +98,7 @@ class Recorder:
             self._fail(error)
             return
         self._held.append(records.copy())
+        self._next = first + len(records)
         self.flush(int(records["now_ns"][-1]), at_once=sum(map(len, self._held)) >= BATCH)
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
@@ -140,33 +146,42 @@ class Recorder:
         self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]
         if self._file is not None:
             self._file.flush()
+            self.size = self._file.tell()
+            if not self._held:
+                self.durable = self._next
 
     def _fail(self, error: OSError) -> None:
-        """Give up this recording; what is on the disk stays readable."""
+        """Give up this recording: what is whole stays on the disk; a chunk that was cut off goes, and a file without
+        ticks."""
         self.errors += 1
         self.ok = False
         self.problem = error.strerror or str(error)
-        self._abandon()
-
-    def _abandon(self) -> None:
-        if self._file is not None:
-            try:
-                self._file.close()
-            except OSError:
-                self.errors += 1  # what was buffered did not fit either
-            self._file = None
+        if self._file is None:  # it could not be made
+            return
+        with contextlib.suppress(OSError):  # what was buffered does not fit either
+            self._file.close()
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._fd, self.size)
+            if not self.durable:
+                self.path.unlink()
+        os.close(self._fd)
+        self._file = None
 
     def close(self) -> None:
-        """Write what is held, index and summary."""
+        """Write what is held, index and summary; idempotent."""
         self._end_batch()
-        if self._file is not None and self.ok:
-            try:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-            except OSError as error:
-                self.errors += 1
-                self.problem = error.strerror or str(error)
+        if self._file is None or not self.ok:
+            return
+        try:
+            self._to_disk()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+        except OSError as error:
+            self._fail(error)
+            return
+        os.close(self._fd)
+        self._file = None
         self.ok = False
-        self._abandon()
 
 
 class LockstepRecorder:
