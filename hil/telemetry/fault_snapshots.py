@@ -1,7 +1,7 @@
-"""The seconds around each fault that latches, as a recording of its own, out of the ring.
+"""The seconds around each fault that latches, and each emergency stop, as a recording of its own, out of the ring.
 
-File: `fault-NAME-TICK-RUN.mcap`, the tick in which it latched and the first digits of its control process' run. It is
-written under another name first: what is there is whole. A sidecar that takes a killed one's place finds in the ring
+File: `fault-NAME-TICK-RUN.mcap`, the tick in which it latched and the control process' run. It is written under
+another name first: what is there is whole. A sidecar that takes a killed one's place finds in the ring
 what its predecessor left undone.
 """
 
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.cycle.fault_table import Fault
+from hil.cycle.state_machine import State
 from hil.live.ring import RingReader
 from hil.telemetry.codec import Records
 from hil.telemetry.recorder import Recorder, write_batch
@@ -20,8 +21,9 @@ BEFORE_S, AFTER_S = 10.0, 2.0
 RETRY_NS = 1_000_000_000
 MOST_PENDING = 32  # a fault is left by an operator's reset alone
 _ROUND = 256  # ticks written at a time: the sidecar has commands to hand on
-_LATCHES = ("fault", "index")
-_KNOWN = {int(fault): fault.name for fault in Fault}
+_LATCHES = ("fault", "state", "index")
+_ESTOP = -1  # where no fault has latched
+_KNOWN = {int(fault): fault.name for fault in Fault} | {_ESTOP: State.ESTOP.name}
 
 
 class _Pending(NamedTuple):
@@ -57,7 +59,8 @@ class FaultSnapshots:
 
     def watch(self, records: Records, first: int) -> None:
         """Note faults that latched in these ticks. first: ring index."""
-        faults = np.asarray(records["fault"], np.int64)
+        stopped = np.where(records["state"] == int(State.ESTOP), _ESTOP, 0)
+        faults = np.where(records["fault"] != 0, records["fault"].astype(np.int64), stopped)
         changed = np.flatnonzero(np.diff(faults, prepend=self._latched))
         self._latched = int(faults[-1])
         for place in changed.tolist():
