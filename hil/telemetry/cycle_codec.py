@@ -17,6 +17,7 @@ from hil.cycle.tick import BusState, PortCounters, Tick
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import (
     ESTOP,
+    LONGEST_BATCH,
     N_PORT,
     REALTIME_OK,
     RECORDER_OK,
@@ -30,7 +31,6 @@ from hil.telemetry.codec import (
 Records = NDArray[np.void]
 Bytes = NDArray[np.uint8]
 
-LONGEST_BATCH = 4096  # ticks; a recorder writes some hundred
 _CRC_BYTES = 4
 _DATA_BYTES: int = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 

@@ -2,28 +2,25 @@
 
 import itertools
 import json
-import os
 import re
-import stat
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Chunk
+from mcap.records import Attachment, Channel
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader, breakup_chunk
 
+from drivers.text_file import UnsuitableFileError
 from hil.rig.file import document_hash
+from hil.telemetry.mcap_items import BombError, mcap_items
 
 RUN_ATTACHMENT = "run.json"
-LARGEST_RECORD = 32 * 2**20  # bytes; the largest is run.json, with a task of many samples
-LARGEST_CHUNK = 16 * 2**20  # bytes, unpacked; half a second of a flooded bus takes 2 MB
 _PART = re.compile(r"\.part-\d+$")
 # What a file that ends anywhere, or has any bit wrong, can cause: a length may be beyond all bounds.
-_DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
+DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
 
 
 class RecordingError(Exception):
@@ -70,11 +67,11 @@ class Recording:
         try:
             metadata = json.loads(data)
             known = isinstance(metadata["rig"], dict) and {"rig_hash", "version"} <= metadata.keys()
+            found = document_hash(metadata["rig"])
         except (ValueError, KeyError, TypeError, RecursionError):  # TypeError: it is no object
             known = False
         if not known:
             raise RecordingError(f"{path}: its description ({RUN_ATTACHMENT}) is damaged")
-        found = document_hash(metadata["rig"])
         if found != metadata["rig_hash"]:  # a cycle of another rig would be blamed for its other torques
             raise RecordingError(
                 f"{path}: its rig does not have the hash that was recorded with it ({found}, not "
@@ -84,17 +81,12 @@ class Recording:
 
     def _items(self, path: Path) -> Iterator[Any]:
         try:
-            with _opened(path) as file:
-                reader = StreamReader(file, validate_crcs=True, emit_chunks=True, record_size_limit=LARGEST_RECORD)
-                for item in reader.records:
-                    if isinstance(item, Chunk):
-                        _check_size(item)
-                        yield from breakup_chunk(item, validate_crc=True)
-                    else:
-                        yield item
+            yield from mcap_items(path)
         except OSError as error:
             raise RecordingError(f"{path}: {error.strerror}") from None
-        except _DAMAGED:
+        except (UnsuitableFileError, BombError) as error:
+            raise RecordingError(f"{path}: not a recording of a control process: {error}") from None
+        except DAMAGED:
             self.truncated = True
 
     def __iter__(self) -> Iterator[Recorded]:
@@ -125,25 +117,3 @@ class Recording:
             if not path.is_file() or self._metadata(path).get("run") != run:
                 return
             yield path
-
-
-def _opened(path: Path) -> IO[bytes]:
-    """The file, without waiting for a pipe's writer. Raises OSError, RecordingError where it is no regular file."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    file = os.fdopen(descriptor, "rb") if stat.S_ISREG(os.fstat(descriptor).st_mode) else None
-    if file is None:
-        os.close(descriptor)
-        raise RecordingError(f"{path}: not a file but a directory, pipe or device")
-    return file
-
-
-def _check_size(chunk: Chunk) -> None:
-    """Raise ValueError before a chunk is unpacked that no recorder writes: a few bytes can stand for gigabytes."""
-    size = max(chunk.uncompressed_size, len(chunk.data))
-    if chunk.compression == "zstd":
-        stated = zstandard.get_frame_parameters(chunk.data).content_size
-        size = max(size, 0 if stated == zstandard.CONTENTSIZE_UNKNOWN else stated)
-    elif chunk.compression:
-        raise ValueError(f"compression {chunk.compression}: no recorder of this project uses it")
-    if size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes")

@@ -12,6 +12,7 @@ import os
 import zlib
 from pathlib import Path
 
+from drivers.runtime import open_private
 from hil.live.mapped_file import Closing
 
 SIZE = 2048  # less than a page: a write of it is whole or not there
@@ -36,7 +37,7 @@ class ProgressFile(Closing):
     """The file, for a sidecar to write in every round. Raises OSError."""
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        self._fd = open_private(path, os.O_RDWR | os.O_CREAT)
 
     def read(self, run: int) -> Progress:
         """What an earlier sidecar left of that run; a new one where it left nothing, or nothing that makes sense."""

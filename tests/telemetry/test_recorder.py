@@ -16,8 +16,9 @@ from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
 from hil.rig.file import document_hash
 from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.mcap_items import LARGEST_RECORD
 from hil.telemetry.recorder import FLUSH_NS, Recorder, write_batch
-from hil.telemetry.recording import LARGEST_CHUNK, Recording, RecordingError
+from hil.telemetry.recording import Recording, RecordingError
 from tests.support.paths import ROOT
 from tests.support.records import bare_tick, put_axis
 
@@ -223,10 +224,10 @@ def test_a_recording_is_never_overwritten_and_only_owner_and_group_may_read_it(t
 
 def test_a_pipe_is_refused_at_once_and_a_chunk_that_would_fill_the_memory_is_not_unpacked(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(RecordingError, match="not a file but"):
+    with pytest.raises(RecordingError, match="not a recording"):
         Recording(tmp_path / "pipe")
     recorder = Recorder(tmp_path / "bomb.mcap", METADATA)
-    recorder.write("status", 0, bytes(LARGEST_CHUNK + 1))
+    recorder.write("status", 0, bytes(LARGEST_RECORD + 1))
     recorder.close()
     assert (tmp_path / "bomb.mcap").stat().st_size < 2**16
     indices, recording = _read(tmp_path / "bomb.mcap")

@@ -1,6 +1,7 @@
 """Recordings in parts, their quota, and the seconds around each fault, out of a ring in this process."""
 
 import dataclasses
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -146,7 +147,6 @@ def test_ticks_the_ring_lost_before_they_were_recorded_are_counted_once(tmp_path
 
 
 def test_the_quota_takes_the_oldest_and_leaves_the_newest_faults_and_what_is_not_ours(tmp_path: Path) -> None:
-    import os
 
     names = ["a/run.mcap", "a/run.part-2.mcap", "b/run.mcap", "b/run-2.mcap", "run.mcap"]
     others = ["a/fault-TRAVEL-7-00.mcap", "a/blackbox.mcap", "b/runs.mcap", "b/run.mcap.txt", "c/d/run.mcap"]
