@@ -52,6 +52,7 @@ COMMANDS: dict[str, Entry] = {
     "export": Entry("hil.studies.run_views:export", "A run's columns as CSV, NPZ or Parquet"),
     "diff": Entry("hil.studies.run_views:diff", "What is otherwise in a second run"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
+    "recover": Entry("hil.telemetry.recover:command", "Make a recording that a crash cut short whole again"),
     "drives": Entry("hil.operate.drives:drives", "Bring up the drives of a rig: who is there, and why not; jog"),
     "drive": Entry("hil.operate.drive:drive", "An emulated CiA 402 drive by its EDS, for anybody's master"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),

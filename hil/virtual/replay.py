@@ -1,7 +1,7 @@
 """Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,17 +9,22 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.frame import Frame
-from hil.cycle.record import MAX_RECEIVED
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
 from hil.cycle.task_loading import loaded_task, rig_with_task
 from hil.cycle.tick import CommandKind, LoadedTask, Tick
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig, RigError
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import Recording, RecordingError
+from hil.telemetry.recording import Recording, RecordingError
 
+_EXACT = [*MOTION_FIELDS, "stamp_ns"]
 _LARGEST = 2**60  # ns: 36 years of a monotonic clock
+_TRAFFIC: dict[str, Callable[[bytes], Iterator[codec.RecordedTick]]] = {
+    "cycle": lambda data: cycle_codec.recorded_ticks(pb.Cycle.FromString(data)),
+    "traffic": lambda data: codec.recorded_ticks(pb.Traffic.FromString(data)),  # of the earlier layout
+}
 
 
 @dataclasses.dataclass
@@ -124,9 +129,9 @@ class _Tasks:
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
     """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
     for item in recording:
-        if item.topic == "traffic":
+        if item.topic in _TRAFFIC:
             try:
-                ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+                ticks = list(_TRAFFIC[item.topic](item.data))
                 for step in ticks:
                     _check(step)
             except (DecodeError, ValueError, IndexError, RuntimeError) as error:
@@ -166,3 +171,22 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
             report.other_law, report.other_force = other.law, other.result()
     report.truncated = recording.truncated
     return report
+
+
+def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
+    """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record.
+
+    None where the cycle did not come to the same frames: another version, or ticks that are missing. Raises
+    RecordingError, RigError.
+    """
+    recording = Recording(path)
+    kept: list[bytes] = []
+    with rig_of_run(recording.metadata) as (rig, base_dir):
+        cycle = _new_cycle(rig, base_dir)
+        for step in steps(recording):
+            result = cycle.step(step.tick, step.received)
+            if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
+                return None
+            kept.append(np.asarray(result.record[_EXACT]).tobytes())
+    records = np.frombuffer(b"".join(kept), RECORD[_EXACT])
+    return {name: records[name][:, : len(rig.axes)].copy() for name in _EXACT}
