@@ -10,6 +10,7 @@ import itertools
 import os
 import re
 import stat
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +23,8 @@ from hil.telemetry.recording import part_path
 from hil.telemetry.sidecar_progress import Progress
 
 RETRY_NS = 1_000_000_000
+HELD = 1024  # messages that wait for room
+PASSING = frozenset({"status"})  # topics whose old messages are of no use
 CAUGHT_UP = 512  # ticks taken from the ring at a time
 _OURS = re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap")
 
@@ -64,6 +67,7 @@ class RunRecorder:
         self.folder = store.folder
         if progress.file and not store.fixed and Path(progress.file).parent.is_dir():
             self.folder = Path(progress.file).parent
+        self._held: deque[tuple[str, int, bytes]] = deque(maxlen=HELD)
         self._before = progress.file, progress.part  # the newest file
         self._over = self._in_trouble = False
 
@@ -131,10 +135,12 @@ class RunRecorder:
         return True
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Append a message of another topic; lost where no file is written."""
+        """Append a message of another topic; where no file is written, the newest HELD wait for one."""
         if self._current is not None and self._current.ok:
             self._current.write(topic, time_ns, data)
             self._note()
+        elif topic not in PASSING:
+            self._held.append((topic, time_ns, data))
 
     def _open(self, now_ns: int) -> None:
         self._errors = self.errors
