@@ -1,6 +1,5 @@
 """Reads recordings (recorder.py), of today's layout and the earlier one, cut short or damaged or not."""
 
-import itertools
 import json
 import re
 import struct
@@ -112,8 +111,15 @@ class Recording:
         run, part = self.metadata.get("run"), self.metadata.get("part")
         if not isinstance(run, str) or not isinstance(part, int):  # written whole, or by an earlier version
             return
-        for number in itertools.count(part + 1):
-            path = part_path(self.path, number)
-            if not path.is_file() or self._metadata(path).get("run") != run:
-                return
-            yield path
+        stem = part_path(self.path, 0).name.removesuffix("0.mcap")
+        numbers = {path: path.name.removeprefix(stem).removesuffix(".mcap") for path in self.path.parent.glob("*.mcap")}
+        parts = {
+            int(number): path for path, number in numbers.items() if path.name.startswith(stem) and number.isdigit()
+        }
+        for _, path in sorted((number, path) for number, path in parts.items() if number > part):
+            try:
+                follows = self._metadata(path).get("run") == run
+            except RecordingError:  # a sidecar was killed before it had said whose it is
+                continue
+            if follows:
+                yield path

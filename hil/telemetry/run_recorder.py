@@ -10,7 +10,8 @@ import itertools
 import os
 import re
 import stat
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +19,12 @@ from hil.live.ring import RingReader
 from hil.rig.tables import TelemetryConfig
 from hil.telemetry.codec import Records
 from hil.telemetry.recorder import Recorder
-from hil.telemetry.recording import part_path
+from hil.telemetry.recording import Recording, RecordingError, part_path
 from hil.telemetry.sidecar_progress import Progress
 
 RETRY_NS = 1_000_000_000
+HELD = 1024  # messages that wait for room
+PASSING = frozenset({"status"})  # topics whose old messages are of no use
 CAUGHT_UP = 512  # ticks taken from the ring at a time
 _OURS = re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap")
 
@@ -52,11 +55,16 @@ class Store(NamedTuple):
 class RunRecorder:
     """Records what is in a ring, from where `progress` says that the recording on the disk ends, and keeps it current.
 
-    Nothing raises for want of space: `errors` counts, `ok` is False until there is room, `problem` says why.
+    save: keeps the progress for who takes over. Nothing raises for want of space: `errors` counts, `ok` is False until
+    there is room, `problem` says why.
     """
 
-    def __init__(self, store: Store, reader: RingReader, limits: Limits, progress: Progress) -> None:
-        self._store, self._reader, self._limits, self._progress = store, reader, limits, progress
+    def __init__(
+        self, store: Store, reader: RingReader, limits: Limits, progress: Progress, save: Callable[[Progress], None]
+    ) -> None:
+        self._store, self._reader, self._limits, self._progress, self._save = store, reader, limits, progress, save
+        if not progress.recorded:
+            _forget_unbegun(progress)
         self._next = progress.recorded  # ring index of the tick that is to be taken next
         self._errors = 0  # of files given up
         self._retry_ns = self._began_ns = 0
@@ -64,6 +72,7 @@ class RunRecorder:
         self.folder = store.folder
         if progress.file and not store.fixed and Path(progress.file).parent.is_dir():
             self.folder = Path(progress.file).parent
+        self._held: deque[tuple[str, int, bytes]] = deque(maxlen=HELD)
         self._before = progress.file, progress.part  # the newest file
         self._over = self._in_trouble = False
 
@@ -100,8 +109,9 @@ class RunRecorder:
 
     def _note(self) -> None:
         recorder = self._current
-        if recorder is not None and recorder.durable:
+        if recorder is not None and recorder.durable > self._progress.recorded:
             self._progress.recorded = recorder.durable
+            self._save(self._progress)
         if recorder is not None and recorder.problem:
             if not recorder.durable:  # there is no such file
                 self._progress.file, self._progress.part = self._before
@@ -131,10 +141,12 @@ class RunRecorder:
         return True
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Append a message of another topic; lost where no file is written."""
+        """Append a message of another topic; where no file is written, the newest HELD wait for one."""
         if self._current is not None and self._current.ok:
             self._current.write(topic, time_ns, data)
             self._note()
+        elif topic not in PASSING:
+            self._held.append((topic, time_ns, data))
 
     def _open(self, now_ns: int) -> None:
         self._errors = self.errors
@@ -151,6 +163,7 @@ class RunRecorder:
         self._before = self._progress.file, self._progress.part
         self._progress.part += 1
         self._progress.file = str(self._current.path.absolute())
+        self._save(self._progress)
         prune(self._store.kept_in, self._limits.quota, self._current.path)
 
     def _new_path(self) -> Path:
@@ -175,6 +188,18 @@ class RunRecorder:
                 pass
             self._over = True
             self._finish()
+
+
+def _forget_unbegun(progress: Progress) -> None:
+    """Of a sidecar that was killed while it made its first file: remove what is no recording yet."""
+    path = Path(progress.file)
+    if progress.file and progress.part == 1 and path.is_file():
+        try:
+            Recording(path)
+        except RecordingError:
+            with contextlib.suppress(OSError):
+                path.unlink()
+                progress.file, progress.part = "", 0
 
 
 def prune(folder: Path, quota: int, newest: Path) -> list[Path]:

@@ -51,18 +51,18 @@ SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process
 
 class Attached:
     """One control process's ring and mailbox, followed from where an earlier sidecar came to, or from its first tick
-    that is still there, to its end. store: where recordings go; None: nothing is recorded.
+    that is still there, to its end. recorder: None: nothing is recorded.
     """
 
     def __init__(
-        self, reader: RingReader, mailbox: Mailbox | None, store: Store | None, progress: Progress, limits: Limits
+        self, reader: RingReader, mailbox: Mailbox | None, progress: Progress, recorder: RunRecorder | None
     ) -> None:
         self.reader = reader
         self.mailbox = mailbox
         self.progress = progress
         self.metadata = reader.metadata
         reader.next = progress.published
-        self.recorder = RunRecorder(store, reader, limits, progress) if store else None
+        self.recorder = recorder
         self.snapshots = FaultSnapshots(self.recorder.folder, reader, progress.published) if self.recorder else None
         if self.recorder:
             self.recorder.keep_up(progress.recorded, time.monotonic_ns())  # there is a file before the first tick
@@ -150,8 +150,9 @@ class Sidecar:
         self._leave()
         self._seen_run = reader.run_id
         self._gateway.follow(reader.metadata)
-        limits = Limits.of(self.rig.telemetry)
-        self.attached = Attached(reader, self._open_mailbox(), self._store, progress, limits)
+        limits, save = Limits.of(self.rig.telemetry), self._progress.write
+        recorder = RunRecorder(self._store, reader, limits, progress, save) if self._store else None
+        self.attached = Attached(reader, self._open_mailbox(), progress, recorder)
 
     def _open_mailbox(self) -> Mailbox | None:
         try:

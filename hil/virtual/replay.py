@@ -127,7 +127,10 @@ class _Tasks:
 
 
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
-    """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
+    """Every recorded tick once, in order: a sidecar that was killed may have left ticks whose recording its successor
+    did not know of. Raises RecordingError for a message that no control process can have caused.
+    """
+    following = 0  # ring index
     for item in recording:
         if item.topic in _TRAFFIC:
             try:
@@ -136,7 +139,8 @@ def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
                     _check(step)
             except (DecodeError, ValueError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
-            yield from ticks
+            yield from (step for step in ticks if step.ring >= following)
+            following = max([following, *(step.ring + 1 for step in ticks[-1:])])
 
 
 def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:

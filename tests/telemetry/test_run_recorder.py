@@ -57,7 +57,7 @@ def ring(tmp_path: Path) -> Iterator[Ring]:
 
 def recorder_of(ring: Ring, folder: Path, limits: Limits = NO_LIMITS, progress: Progress | None = None) -> RunRecorder:
     progress = progress or Progress(ring.reader.run_id)
-    return RunRecorder(Store(folder, folder, fixed=True), ring.reader, limits, progress)
+    return RunRecorder(Store(folder, folder, fixed=True), ring.reader, limits, progress, lambda _: None)
 
 
 def rings_of(path: Path) -> list[int]:
@@ -107,7 +107,8 @@ def test_another_control_processs_part_is_not_read_as_this_ones(ring: Ring, tmp_
     (tmp_path / "two" / "run.part-2.mcap").rename(tmp_path / "one" / "run.part-2.mcap")
     recording = Recording(tmp_path / "one" / "run.mcap")
     assert len(list(recording)) > 0
-    assert recording.parts == [tmp_path / "one" / "run.mcap"]
+    names = [path.name for path in recording.parts]
+    assert names == ["run.mcap", "run.part-3.mcap", "run.part-4.mcap"]  # that ticks are missing, their indices say
 
 
 def test_who_takes_over_records_on_where_the_file_on_the_disk_ends(ring: Ring, tmp_path: Path) -> None:
@@ -133,6 +134,18 @@ def test_a_progress_file_that_makes_no_sense_is_none(tmp_path: Path, content: by
     (tmp_path / "progress").write_bytes(content)
     with ProgressFile(tmp_path / "progress") as file:
         assert file.read(1) == Progress(1)
+
+
+@pytest.mark.parametrize("left", [b"", b"\x89MCAP0\r\n"])
+def test_a_file_that_a_killed_sidecar_had_hardly_made_gives_its_name_to_the_next(
+    ring: Ring, tmp_path: Path, left: bytes
+) -> None:
+    (tmp_path / "run.mcap").write_bytes(left)
+    ring.tick(100)
+    progress = Progress(ring.reader.run_id, file=str(tmp_path / "run.mcap"), part=1)
+    recorder_of(ring, tmp_path, progress=progress).close(ring.reader.written, ring.now_ns)
+    assert rings_of(tmp_path / "run.mcap") == list(range(100))
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["run.mcap"]
 
 
 def test_ticks_the_ring_lost_before_they_were_recorded_are_counted_once(tmp_path: Path) -> None:
