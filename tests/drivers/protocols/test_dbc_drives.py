@@ -10,7 +10,8 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
-from drivers.protocols.dbc import STATE_TIMEOUT_NS, DbcDevice
+from drivers.protocols.dbc import STATE_TIMEOUT_NS
+from drivers.protocols.dbc_device import DbcDevice
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
@@ -178,7 +179,7 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
     bus = BusConfig.model_validate(tomllib.loads((RIGS / "paper-dbc.toml").read_text())["bus"])
     device = device_protocol(bus, 2, [5.0, 5.0], RIGS)
     assert isinstance(device, DbcDevice)
-    assert device.encode_status(Sample(0, 0, 0, 0, 0)) == []
+    assert len(device.frames_of(Sample(0, 0, 0, 0, 0))) == 1
 
 
 @pytest.mark.parametrize(
