@@ -240,6 +240,9 @@ class BusConfig(BaseModel):
 
     @model_validator(mode="after")
     def _every_key_acts(self) -> "BusConfig":
+        for table, layout in (("dbc", "dbc:FILE"), ("cia402", "cia402"), ("moteus", "moteus")):
+            if getattr(self, table) is not None and self.protocol.partition(":")[0] != table:
+                raise ValueError(f"{table}: a table of protocol = {layout!r}, not of {self.protocol!r}")
         if self.interface in KERNEL_INTERFACES:
             if not re.fullmatch(CHANNEL_NAME, self.channel):
                 raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")

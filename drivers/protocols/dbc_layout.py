@@ -52,6 +52,8 @@ class DbcLayout:
         ]
         self._feedback_period_ns = round(binding.feedback_period_s * 1e9)
         self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
+        if not self._state_only and binding.state_period_s != DbcBinding.model_fields["state_period_s"].default:
+            raise LayoutError("bus.dbc.state_period_s: no status or error is bound in a message without positions")
         self.states = bool(self._status)
         self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.checksum = all(message.checksum_at >= 0 for message in self._pages)

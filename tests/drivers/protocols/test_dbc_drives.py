@@ -191,12 +191,27 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
         ({"feedback": "triggered", "feedback_period_s": 0.001}, "feedback_period_s"),
         ({"checksum_algorithm": "sum8"}, "checksum_algorithm"),
         ({"status": both("Set_Axis_State", "Axis_Requested_State")}, "both as command and as feedback"),
+        ({"status": [], "error": [], "state_period_s": 0.02}, "state_period_s: no status or error"),
         ({"error": both("Heartbeat", "Axis_Error")[:1]}, "error has 1 signals for 2 axes"),
     ],
 )
 def test_a_key_that_could_not_act_is_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(LayoutError, match=says):
         ends(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"feedback_period_s": 0.004}, "rate_hz = 500 has to be 250 or less"),
+        ({"state_period_s": 0.1}, "within the 0.1 s of safety.disable_timeout_ticks = 50"),
+    ],
+)
+def test_drives_that_say_too_little_for_the_rate_are_refused(changes: dict[str, Any], says: str) -> None:
+    rig = tomllib.loads((RIGS / "odrive.toml").read_text())
+    rig["bus"]["dbc"] |= changes
+    with pytest.raises(ValueError, match=says):
+        RigConfig.model_validate(rig)
 
 
 def test_a_broken_message_that_nobody_binds_does_not_matter(tmp_path: Path) -> None:
