@@ -18,7 +18,7 @@ from hil.cli.output import write_json
 from hil.control.feasibility import start_notes, task_problems
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
-from hil.rig.bus_load import analyse_rig, feedback_notes, microseconds, problems, rig_messages
+from hil.rig.bus_load import analyse_rig, feedback_notes, layout_warnings, microseconds, problems, rig_messages
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
@@ -43,7 +43,8 @@ def check_rig(
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
-    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent), *interface_notes(rig)]:
+    warnings = layout_warnings(rig, rig_file.parent)
+    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent), *interface_notes(rig), *warnings]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
@@ -67,6 +68,7 @@ def check_rig(
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
+    document["warnings"] = warnings
     document["corners"] = [corner.as_json() for corner in corners]
     if json_path:
         write_json(document, json_path)
