@@ -45,7 +45,7 @@ COMMANDS: dict[str, Entry] = {
     "compare": Entry("hil.studies.compare.command:compare", "All control laws on the same task"),
     "tune": Entry("hil.studies.tune.command:tune", "Find gains for a law and write them to the rig file"),
     "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
-    "evidence": Entry("hil.studies.evidence:evidence", "Accuracies over drawn stages: median and 95 %"),
+    "evidence": Entry("hil.studies.evidence.command:evidence", "Accuracies over drawn stages: median and 95 %"),
     "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
     "plot": Entry("hil.studies.run_views:plot", "Draw a run: setpoint, following error, force over time"),
     "report": Entry("hil.studies.run_views:report", "A run as one HTML file: figures, pictures, events, law, rig"),

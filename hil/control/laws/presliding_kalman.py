@@ -11,8 +11,9 @@ flexible mode inside the observer; a bias that is found.
   but measured friction itself is never fed forward, which would be positive feedback with delay.
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
-  force acts. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be soft, the
-  loop then takes gains that are stable on any.
+  force acts. It is the tool that follows: the centre of mass goes ahead of the reference by what the spring lags under
+  its acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
+  soft, the loop then takes gains that are stable on any.
 
 After the method of an independent study on LuGre and Maxwell-slip guides. Models: Canudas de Wit and others, IEEE TAC
 40(3), 1995; Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005.
@@ -45,7 +46,7 @@ RIGID_OR_FLEXIBLE = {
     "rest_damping": (0.38, 0.8),
     "rest_force_noise": (0.83, 2.86),
     "rest_disturbance_noise": (0.105, 0.155),
-    "innovation_noise": (0.09, 0.6),
+    "innovation_noise": (0.06, 0.6),
     "integral": (0.1, 0.08),
     "table_delay": (6.0, 12.0),
 }
@@ -201,6 +202,10 @@ class PreslidingKalman(Law):
         lost = (start.position - q) - half * (v + start.velocity)
         error, rate = observer.ahead(last - self._known_last, lost)
         known = self._feedforward(inputs)
+        if self._motion.flexible:
+            tool = self._motion.tool_lag
+            error = error - tool * start.acceleration
+            rate = rate - (tool * (1.0 / self._period)) * (inputs.end.acceleration - start.acceleration)
         share = self._stiff
         kp = self.stiffness + share * (self._rest_stiffness - self.stiffness)
         kd = self.damping + share * (self._rest_damping - self.damping)
