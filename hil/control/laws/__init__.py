@@ -104,7 +104,8 @@ def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
     made = law_class(law, __name__)
     if not issubclass(made, Law):
         raise ValueError(f"law.name = {shown(law.name)}: {made.__name__} does not inherit from hil.Law")
-    return _checked_gains(law, {**declared(made.GAINS), **LEARNING_GAINS}, n_axes)
+    learning = {} if is_built_in(law) and made.learns_repeats else LEARNING_GAINS
+    return _checked_gains(law, {**declared(made.GAINS), **learning}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
@@ -136,4 +137,7 @@ def _construct(
             "law.iterative_learning = true: the task does not repeat (circle, lissajous and point_to_point do; path, "
             "waypoints, spline, raster and spiral with task.repeat = true)"
         )
+    if is_built_in(law) and inner.learns_repeats:
+        inner.learn_repeats(*repeat)
+        return inner
     return IterativeLearning(inner, model, period, force_limit, *repeat, **learning)
