@@ -144,6 +144,12 @@ class Law(ABC):
         """Learn from repeat to repeat, of that length from that task time on (ns). Raises ValueError naming the key."""
         raise ValueError("law.iterative_learning: this law has no learning of its own")
 
+    def found_of_pulse(self, ticks: int) -> list[Number]:
+        """Of a law that learns repeats by itself: what it finds, N, at the end of each period, of a force of 1 N in the
+        first that it is not told of.
+        """
+        return []
+
     @abstractmethod
     def reset(self, position: Number, force: Number) -> None:
         """Bumpless start at rest at `position` (m) with `force` (N) now applied: integrators and estimates restart."""

@@ -179,6 +179,11 @@ class Channel:
     def __init__(self, zero: Number) -> None:
         self._e, self._v, self._x, self._n, self._d = zero, zero, zero, zero, zero
 
+    @property
+    def found(self) -> Number:
+        """What the observer has come to take it for, N."""
+        return -self._d
+
     def innovation(self, opposing: Number, model: MotionModel, gains: Gains) -> Number:
         """Innovation at the end of a period in which a force `opposing` (N) acted that the observer knows nothing of,
         m.

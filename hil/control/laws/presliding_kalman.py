@@ -145,13 +145,21 @@ class PreslidingKalman(Law):
         self._pitch, self._table_limit = table_pitch + zero, TABLE_LIMIT * dry
         self._table_gain = table_rate * (period / self._pitch)
         self._delay = default("table_delay") * period
-        self._flexible = flexible
         self._memory: RepeatMemory | None = None
         self.reset(zero, model.gravity + zero)
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""
-        self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit, self._flexible)
+        self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit)
+
+    def found_of_pulse(self, ticks: int) -> list[Number]:
+        """See Law; in motion."""
+        zero = self._model.mass - self._model.mass
+        channel, found = Channel(zero), []
+        for tick in range(ticks):
+            channel.innovation(zero + (1.0 if tick == 0 else 0.0), self._motion, self._moving)
+            found.append(channel.found)
+        return found
 
     def reset(self, position: Number, force: Number) -> None:
         """At rest, without error; what `force` has beyond the gravity hold is taken as a disturbance."""

@@ -13,29 +13,28 @@ error:
 - two repeats in turn worse than the one without: one is run without, and learning begins anew.
 """
 
-from typing import Any
-
 from hil.control.number import Number, at_least, bounded, select
 
 WARM_REPEATS = 2  # the law by itself: what it learns by other means comes first
 RATE, LEAST_RATE = 0.7, 0.1
 SMOOTHING = 0.05  # q
 WORSE, CHANGED, USELESS = 1.21, 2.25, 1.21  # of mean squares
-HISTORY, WEIGHT = 13, 16.0  # samples kept; the sum of the triangle over seven of them
-MIDDLE_RIGID, MIDDLE_FLEXIBLE = 8, 4  # of the triangle, samples before the newest: the observer lags 4 or 8 periods
-DELAY = 14  # ticks from the interval in which a force acts until it is judged
+SAMPLES = 7  # weighed 1, 2, 3, 4, 3, 2, 1
+# Periods that the observer's disturbance is behind: with 3, a rigid axis' learning would grow at 140 Hz; with 1,
+# that of an axis with a mode at 150 Hz, at 96 Hz (hil/control/learning_check.py).
+LAG = 2
+DELAY = 2 + SAMPLES // 2 + LAG  # ticks from the interval in which a force acts until what was missing in it is known
 LEAST_TICKS, MOST_TICKS = 2 * DELAY, 100_000  # of a repeat; a few megabytes an axis
 
 
 class RepeatMemory:
     """Of one axis (floats), or of many (arrays of one shape).
 
-    repeat_ns, from_ns: length and beginning of the repeats, ns of task time. limit: of the learnt force, N. flexible:
-    where the observer has a mode. frozen: 1.0 where what else learns must not, as it would learn against this.
-    Raises ValueError naming law.iterative_learning.
+    repeat_ns, from_ns: length and beginning of the repeats, ns of task time. limit: of the learnt force, N. frozen: 1.0
+    where what else learns must not, as it would learn against this. Raises ValueError naming law.iterative_learning.
     """
 
-    def __init__(self, repeat_ns: int, from_ns: int, period: float, limit: Number, flexible: Any) -> None:
+    def __init__(self, repeat_ns: int, from_ns: int, period: float, limit: Number) -> None:
         self._period_ns = round(period * 1e9)
         if repeat_ns % self._period_ns:
             raise ValueError(
@@ -48,7 +47,7 @@ class RepeatMemory:
                 f"law.iterative_learning: the task repeats every {self._count} ticks; "
                 f"{LEAST_TICKS} to {MOST_TICKS} can be learnt"
             )
-        self._from_ns, self._limit, self._flexible = from_ns, limit, flexible
+        self._from_ns, self._limit = from_ns, limit
         self.forget()
 
     def forget(self) -> None:
@@ -57,7 +56,7 @@ class RepeatMemory:
         self._force: list[Number] = [zero] * self._count
         self._best: list[Number] = [zero] * self._count
         self._missing: list[Number] = [zero] * self._count
-        self._history: list[Number] = [zero] * HISTORY
+        self._history: list[Number] = [zero] * SAMPLES
         self._spoilt = zero  # samples until the history has nothing of a spoilt one
         self._squares, self._samples = zero, zero
         self._least, self._without = zero, zero  # mean squares of the best repeat and of the last one without
@@ -77,20 +76,16 @@ class RepeatMemory:
         history = self._history
         del history[0]
         history.append(disturbance + 0.0)
-        self._spoilt = select(good > 0.0, at_least(self._spoilt - 1.0, 0.0), 0.0 * good + HISTORY)
+        self._spoilt = select(good > 0.0, at_least(self._spoilt - 1.0, 0.0), 0.0 * good + SAMPLES)
         if tick < 0:
             return
         self._squares = self._squares + good * (error * error)
         self._samples = self._samples + good
         if tick >= DELAY:
-            found = select(self._flexible, self._smoothed(MIDDLE_FLEXIBLE), self._smoothed(MIDDLE_RIGID))
+            h = history
+            found = (h[0] + h[6]) + 2.0 * (h[1] + h[5]) + 3.0 * (h[2] + h[4]) + 4.0 * h[3]
+            found = found * (1.0 / 16.0)
             self._missing[(tick - DELAY) % self._count] = select(self._spoilt > 0.0, 0.0 * found, found)
-
-    def _smoothed(self, back: int) -> Number:
-        h, middle = self._history, HISTORY - 1 - back
-        near = 3.0 * (h[middle - 1] + h[middle + 1])
-        far = 2.0 * (h[middle - 2] + h[middle + 2]) + (h[middle - 3] + h[middle + 3])
-        return (4.0 * h[middle] + near + far) * (1.0 / WEIGHT)
 
     def force(self, tick: int) -> Number:
         """Learnt for the interval that begins now, N."""
