@@ -47,6 +47,7 @@ COMMANDS: dict[str, Entry] = {
     "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
     "evidence": Entry("hil.studies.evidence.command:evidence", "Accuracies over drawn stages: median and 95 %"),
     "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
+    "learnt": Entry("hil.virtual.learnt:learnt", "Keep what a run's law has learnt over its repeats"),
     "plot": Entry("hil.studies.run_views:plot", "Draw a run: setpoint, following error, force over time"),
     "report": Entry("hil.studies.run_views:report", "A run as one HTML file: figures, pictures, events, law, rig"),
     "export": Entry("hil.studies.run_views:export", "A run's columns as CSV, NPZ or Parquet"),

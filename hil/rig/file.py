@@ -47,6 +47,7 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
     if path == ["law", "name"]:
         law = document.setdefault("law", {})
         if isinstance(law, dict) and law.get("name") != value:
+            law.pop("learnt", None)
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
     table = document
     for part in path[:-1]:
@@ -105,6 +106,40 @@ def _read_task_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> 
             raise RigError([f"task.file: {line}" for line in str(error).splitlines()]) from None
 
 
+def _read_learnt_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
+    """Put what law.learnt holds into law.learnt_state, as a law's file."""
+    law, axes = document.get("law"), document.get("axes")
+    if not isinstance(law, dict) or not isinstance(axes, dict) or not isinstance(law.get("learnt", ""), str):
+        return
+    if not law.get("learnt"):
+        for key in ("learnt_on", "learnt_state"):
+            law.pop(key, None)
+    elif chosen or not law.get("learnt_state"):
+        from hil.rig.learnt_file import LearntFileError, read_learnt_file  # few rigs have one
+
+        try:
+            law["learnt_on"], law["learnt_state"] = read_learnt_file(folder / law["learnt"], list(axes))
+        except LearntFileError as error:
+            raise RigError([f"law.learnt: {error}"]) from None
+
+
+def _check_learnt(rig: RigConfig) -> None:
+    """What was learnt on another rig, task, law or gains would be played as a disturbance of its own."""
+    law = rig.law
+    if not law.learnt:
+        return
+    if not law.iterative_learning:
+        raise RigError([f"law.learnt = {shown(law.learnt)}: only with law.iterative_learning = true"])
+    own = learning_hash(rig)
+    if law.learnt_on != own:
+        raise RigError(
+            [
+                f"law.learnt = {shown(law.learnt)}: learnt on another rig (hash {short(law.learnt_on[:12])}, this "
+                f"one's is {own[:12]}): run this one without it, then `hil learnt` on that run"
+            ]
+        )
+
+
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
@@ -117,7 +152,10 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
         lines = modernise(document)
         _read_law_file(document, folder, chosen=["law", "name"] in paths)
         _read_task_file(document, folder, chosen=["task", "file"] in paths)
-        return RigConfig.model_validate(document), lines
+        _read_learnt_file(document, folder, chosen=["law", "learnt"] in paths)
+        rig = RigConfig.model_validate(document)
+        _check_learnt(rig)
+        return rig, lines
     except FormerKeyError as error:
         raise RigError([str(error)]) from None
     except ValidationError as error:
@@ -157,6 +195,12 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
 def rig_hash(rig: RigConfig) -> str:
     """SHA-256 of the validated rig in canonical JSON; two files that mean the same rig have the same hash."""
     return document_hash(rig.model_dump(mode="json"))
+
+
+def learning_hash(rig: RigConfig) -> str:
+    """The same of the rig as if it had learnt nothing yet."""
+    law = rig.law.model_copy(update={"learnt": "", "learnt_on": "", "learnt_state": []})
+    return rig_hash(rig.model_copy(update={"law": law}))
 
 
 def document_hash(rig: dict[str, Any]) -> str:

@@ -38,7 +38,8 @@ class Replayed:
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
 
-def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+def new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    """Raises RigError where this rig cannot have one."""
     try:
         return ControlCycle(rig, base_dir)
     except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
@@ -50,7 +51,7 @@ class _Comparison:
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self._names = rig.axis_names
-        self._cycle = _new_cycle(rig, base_dir)
+        self._cycle = new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
         self._largest = np.zeros(len(self._names))
         self._ticks = 0
@@ -106,7 +107,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle = _new_cycle(rig, base_dir)
+        cycle = new_cycle(rig, base_dir)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:

@@ -56,10 +56,10 @@ def test_observer_is_scipys_kalman_filter_of_the_two_mass_model(frequency: float
     assert [ours.e + ours.x, ours.v + ours.n, ours.d] == pytest.approx([gain[0], gain[1], gain[-1]], rel=1e-6)
 
 
-def test_the_tool_is_behind_the_centre_of_mass_by_what_its_spring_gives() -> None:
-    """Both masses under one acceleration a: the spring bends by a / w^2, w the tool's on a held motor."""
+def test_the_tool_is_behind_the_encoder_by_what_its_spring_gives() -> None:
+    """The tool's mass under an acceleration a bends the spring by a / w^2, w the tool's on a held motor."""
     omega = 2.0 * np.pi * 120.0
-    assert MotionModel(model(120.0), PERIOD).tool_lag == pytest.approx((1.0 - LOAD) / omega**2)
+    assert MotionModel(model(120.0), PERIOD).tool_lag == pytest.approx(1.0 / omega**2)
     assert MotionModel(model(0.0), PERIOD).tool_lag == 0.0
 
 

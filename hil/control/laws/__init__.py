@@ -61,7 +61,10 @@ def make_law(
     hil.control.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
     gains = _known_gains(law, model.mass.shape[-1])
-    return _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
+    made = _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
+    if law.learnt_state:
+        made.begin_learnt([np.array(values) for values in zip(*law.learnt_state, strict=True)])
+    return made
 
 
 def make_axis_laws(
@@ -81,6 +84,8 @@ def make_axis_laws(
     for axis in range(n):
         own, limit = _axis_gains(gains, axis), float(force_limit[axis])
         axes.append(_construct(law, made, own, axis_model(model, axis), period, limit, repeat))
+        if law.learnt_state:
+            axes[axis].begin_learnt(list(law.learnt_state[axis]))
     if not ours:
         return UserAxes(axes, law.name, n)
     return Coupled(law, model, period, force_limit, repeat) if axes[0].coupled else PerAxis(axes)

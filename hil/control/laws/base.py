@@ -144,6 +144,14 @@ class Law(ABC):
         """Learn from repeat to repeat, of that length from that task time on (ns). Raises ValueError naming the key."""
         raise ValueError("law.iterative_learning: this law has no learning of its own")
 
+    def learnt_state(self) -> list[Number]:
+        """Of a law that learns repeats by itself: all that `begin_learnt` needs to go on from there."""
+        return []
+
+    def begin_learnt(self, state: list[Number]) -> None:
+        """Begin with that from the next reset on. Raises ValueError naming law.learnt."""
+        raise ValueError("law.learnt: this law keeps nothing that it learns")
+
     def found_of_pulse(self, ticks: int) -> list[Number]:
         """Of a law that learns repeats by itself: what it finds, N, at the end of each period, of a force of 1 N in the
         first that it is not told of.

@@ -11,8 +11,8 @@ flexible mode inside the observer; a bias that is found.
   but measured friction itself is never fed forward, which would be positive feedback with delay.
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
-  force acts. It is the tool that follows: the centre of mass goes ahead of the reference by what the spring lags under
-  its acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
+  force acts. It is the tool that follows: the encoder goes ahead of the reference by what the spring bends under its
+  acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
   soft, the loop then takes gains that are stable on any.
 - Where the task repeats and law.iterative_learning says so, what d still is at each instant of it is fed forward in
   the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile.
@@ -27,7 +27,7 @@ from hil.control.gain import TINIEST, Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver
-from hil.control.laws.position_table import PositionTable
+from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
 from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
@@ -38,6 +38,8 @@ MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as kno
 STRETCH = 4.0  # s stays within this many times the coarsest reach
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
+WEIGHTS = 7
+KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
 
 # Where the model has no mode, and where it has one.
 RIGID_OR_FLEXIBLE = {
@@ -146,11 +148,28 @@ class PreslidingKalman(Law):
         self._table_gain = table_rate * (period / self._pitch)
         self._delay = default("table_delay") * period
         self._memory: RepeatMemory | None = None
+        self._kept: list[Number] = []  # weights and tables to begin with
         self.reset(zero, model.gravity + zero)
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""
         self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit)
+
+    def learnt_state(self) -> list[Number]:
+        """See Law: weights, both tables, and the force of every tick of the repeat."""
+        if self._memory is None:
+            return []
+        weights: list[Number] = list(self._weights)
+        return weights + self._forward.values() + self._backward.values() + self._memory.best()
+
+    def begin_learnt(self, state: list[Number]) -> None:
+        """See Law."""
+        if self._memory is None:
+            raise ValueError("law.learnt: only with law.iterative_learning = true")
+        if len(state) < KEPT:
+            raise ValueError(f"law.learnt: it has {len(state)} values; a state of this law has at least {KEPT}")
+        self._memory.begin_with(state[KEPT:])
+        self._kept = state[:KEPT]
 
     def found_of_pulse(self, ticks: int) -> list[Number]:
         """See Law; in motion."""
@@ -192,6 +211,13 @@ class PreslidingKalman(Law):
         self._learnt, self._open = zero, zero + 1.0  # by repeating; 1.0 where weights and table learn
         if self._memory is not None:
             self._memory.forget()
+            self._open = 1.0 - self._memory.frozen
+        kept = self._kept
+        if kept:
+            w = [zero + value for value in kept[:WEIGHTS]]
+            self._weights = (w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+            self._forward.fill(kept[WEIGHTS : WEIGHTS + NODES])
+            self._backward.fill(kept[WEIGHTS + NODES :])
 
     def _begin(self, inputs: LawInputs) -> None:
         """The axis rests, held by its drive or brake until the first command arrives; so does the reference."""

@@ -48,13 +48,25 @@ class RepeatMemory:
                 f"{LEAST_TICKS} to {MOST_TICKS} can be learnt"
             )
         self._from_ns, self._limit = from_ns, limit
+        self._start: list[Number] = []  # what it begins with; empty: with nothing
         self.forget()
+
+    def begin_with(self, force: list[Number]) -> None:
+        """What an earlier run came to, N, by tick; `forget` returns to that. Raises ValueError naming law.learnt."""
+        if len(force) != self._count:
+            raise ValueError(f"law.learnt: it has {len(force)} ticks of a repeat, the task {self._count}")
+        self._start = [bounded(value, self._limit) for value in force]
+        self.forget()
+
+    def best(self) -> list[Number]:
+        """The force that left least, N, by tick."""
+        return list(self._best)
 
     def forget(self) -> None:
         """As at the start."""
         zero = self._limit - self._limit
-        self._force: list[Number] = [zero] * self._count
-        self._best: list[Number] = [zero] * self._count
+        self._force: list[Number] = self._start[:] if self._start else [zero] * self._count
+        self._best: list[Number] = self._force[:]
         self._missing: list[Number] = [zero] * self._count
         self._history: list[Number] = [zero] * SAMPLES
         self._spoilt = zero  # samples until the history has nothing of a spoilt one
@@ -65,7 +77,7 @@ class RepeatMemory:
         self._useless = zero  # repeats in turn that were worse than without
         self._before = zero  # the learnt force of the slot before, as it was
         self._repeat, self._learns = 0, False
-        self.frozen = zero
+        self.frozen = zero + 1.0 if self._start else zero
 
     def tick(self, task_ns: int) -> int:
         """Of the repeats, to the nearest: the latency that stamps are measured by moves by a microsecond."""
@@ -96,7 +108,7 @@ class RepeatMemory:
         if repeat > self._repeat:
             self._judge(repeat)
         if not self._learns:
-            return zero
+            return self._force[slot]
         old, best = self._force[slot], self._best[slot]
         after = self._force[slot + 1] if slot + 1 < self._count else old
         before = self._before if slot else old
@@ -113,7 +125,7 @@ class RepeatMemory:
         zero = square - square
         one = zero + 1.0
         self._squares, self._samples, self._repeat = zero, zero, repeat
-        if repeat < WARM_REPEATS:
+        if repeat < WARM_REPEATS and not self._start:
             return
         if not self._learns:
             self._learns = True
