@@ -18,12 +18,13 @@ def learnt_of_run(recording: Recording) -> tuple[RigConfig, dict[str, list[float
     """The rig of a recording, and by axis what its law had learnt; no axis where it learns no repeats by itself. Raises
     RecordingError, RigError.
     """
-    from hil.virtual.replay import new_cycle, steps
+    from hil.virtual.replay import Tasks, new_cycle, steps
 
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(recording.metadata))
-        cycle = new_cycle(rig, base_dir)
+        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
         for step in steps(recording):
+            step.tick.task = tasks.of(step.tick)
             cycle.step(step.tick, step.received)
         laws = getattr(cycle.axes.law, "laws", [])
         states = [law.learnt_state() for law in laws]
