@@ -14,7 +14,11 @@ from hil.rig.schema import RigConfig
 from hil.rig.task_file import TaskFileError, read_task_file
 from hil.rig.task_kinds import KIND, is_users, run_task
 
-PLUGINS = (("law", "name"), ("task", "kind"))  # tables whose key may name a file's class; `source` is its text
+PLUGINS = (
+    ("law", "name"),
+    ("task", "kind"),
+    ("plant", "stage"),
+)  # tables whose key may name a file's class; `source` is its text
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
