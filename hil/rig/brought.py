@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from drivers.plugins import file_of, known
+from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import shown
 from hil.rig.schema import RigConfig
 from hil.rig.task_file import TaskFileError, read_task_file
 from hil.rig.task_kinds import KIND, is_users, run_task
 
-PLUGINS = (
-    ("law", "name"),
-    ("task", "kind"),
-    ("plant", "stage"),
-)  # tables whose key may name a file's class; `source` is its text
+LARGEST_PLUGIN = 2**20  # bytes of a Python file
+# Tables whose key may name a file's class; `source` is its text.
+PLUGINS = (("law", "name"), ("task", "kind"), ("plant", "stage"))
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
@@ -67,9 +66,10 @@ def _read_source(document: dict[str, Any], table: str, key: str, folder: Path, *
     elif chosen or not named.get("source"):
         path = folder / file
         try:
-            named["source"] = path.read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            text = getattr(error, "strerror", None) or "no UTF-8 text"
+            named["source"] = read_bounded(path, LARGEST_PLUGIN).decode().replace("\r\n", "\n")
+        except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
+            no_text = isinstance(error, UnicodeDecodeError)
+            text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
             raise BroughtError(f"{table}.{key} = {shown(named[key])}: {path}: {text}") from None
 
 
