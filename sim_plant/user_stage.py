@@ -79,6 +79,20 @@ def stage_of(plant: PlantConfig, truth: Truth, position: ArrayLike) -> Stage:
     return Stage(truth, position) if plant.stage in STAGE_KIND.ours else UserStage(plant, truth, position)
 
 
+def stage_problems(plant: PlantConfig, axis_names: Sequence[str]) -> list[str]:
+    """Why a stage that users bring is none: it is made, and lives for a tenth of a second without force."""
+    if plant.stage in STAGE_KIND.ours:
+        return []
+    try:
+        truth = Truth.from_config(plant, len(axis_names), axis_names)
+        stage = stage_of(plant, truth, plant.initial_position)
+        for _ in range(100):
+            stage.advance(1_000_000, [0.0] * len(axis_names))
+    except (ValueError, PlantError) as error:
+        return [str(error)]
+    return []
+
+
 class UserStage(Stage):
     """One stage or a batch (..., n_axes) of stages that users bring: an object of theirs each, ideal encoders.
 

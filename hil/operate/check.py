@@ -23,6 +23,7 @@ from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
+from sim_plant.user_stage import stage_problems
 
 
 def check_rig(
@@ -66,6 +67,7 @@ def check_rig(
     for note in start_notes(rig):
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
+    found += stage_problems(rig.plant, rig.axis_names)
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     document["corners"] = [corner.as_json() for corner in corners]
     if json_path:

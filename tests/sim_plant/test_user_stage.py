@@ -21,7 +21,7 @@ from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
 from sim_plant.config import PlantError
 from sim_plant.physics.stage import Stage, Truth
-from sim_plant.user_stage import stage_of
+from sim_plant.user_stage import stage_of, stage_problems
 from tests.support.paths import RIGS, ROOT
 
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
@@ -118,6 +118,15 @@ def test_a_stage_that_is_not_to_be_had_is_refused(name: str, text: str, rig_file
     with pytest.raises(RigError) as caught:
         usable(load_rig(rig_file, [f"plant.stage={name}"]), rig_file)
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(("how", "text"), [("raises", "ZeroDivisionError"), ("unmade", "RuntimeError: no data")])
+def test_check_refuses_a_stage_that_is_none(how: str, text: str, rig_file: Path) -> None:
+    rig = load_rig(rig_file, ["plant.stage=./mass.py:Wrong", f"plant.parameters.how={how}"])
+    (problem,) = stage_problems(rig.plant, rig.axis_names)
+    assert text in problem
+    assert stage_problems(leaning(rig_file).plant, rig.axis_names) == []
+    assert stage_problems(load_rig(rig_file).plant, rig.axis_names) == []
 
 
 @pytest.mark.parametrize(("override", "text"), [
