@@ -11,7 +11,7 @@ from hil.rig.file import learning_hash
 from hil.rig.learnt_file import write_learnt_file
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig
-from hil.telemetry.recorder import Recording, RecordingError
+from hil.telemetry.recording import Recording, RecordingError
 
 
 def learnt_of_run(recording: Recording) -> tuple[RigConfig, dict[str, list[float]]]:

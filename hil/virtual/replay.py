@@ -188,7 +188,7 @@ def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
     recording = Recording(path)
     kept: list[bytes] = []
     with rig_of_run(recording.metadata) as (rig, base_dir):
-        cycle = _new_cycle(rig, base_dir)
+        cycle = new_cycle(rig, base_dir)
         for step in steps(recording):
             result = cycle.step(step.tick, step.received)
             if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
