@@ -9,6 +9,7 @@ import zenoh
 from google.protobuf.message import DecodeError
 from zenoh.handlers import RingChannel
 
+from drivers.text_file import printable as printable_text
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
 from hil.telemetry import telemetry_pb2 as pb
@@ -49,14 +50,14 @@ def printable(status: pb.Status) -> pb.Status:
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
-                setattr(status, field.name, _printable(value))
+                setattr(status, field.name, _line(value))
             else:
-                value[:] = [_printable(text) for text in value]
+                value[:] = [_line(text) for text in value]
     return status
 
 
-def _printable(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
+def _line(text: str) -> str:
+    return printable_text(text).replace("\n", "?")
 
 
 class RigClient(Closing):

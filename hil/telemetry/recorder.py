@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
-from drivers.text_file import UnsuitableFileError
+from drivers.text_file import UnsuitableFileError, printable
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.file import document_hash
@@ -208,7 +208,7 @@ class Recording:
                 f"{self.path}: its rig does not have the hash that was recorded with it ({found}, not "
                 f"{metadata['rig_hash']}): the recording is damaged, or was edited"
             )
-        return dict(metadata)
+        return {key: printable(value) if isinstance(value, str) else value for key, value in metadata.items()}
 
     def _items(self) -> Iterator[Any]:
         try:

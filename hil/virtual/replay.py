@@ -89,7 +89,7 @@ def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
                 ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
                 for step in ticks:
                     _check(step)
-            except (DecodeError, ValueError, IndexError, RuntimeError) as error:
+            except (DecodeError, ValueError, TypeError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
             yield from ticks
 
