@@ -48,7 +48,12 @@ class LiveRig(Closing):
         NoSidecarError where none comes for that long.
         """
         while True:
-            yield codec.columns(self._client.wait_telemetry(timeout_s))
+            batch = self._client.wait_telemetry(timeout_s)
+            try:
+                columns = codec.columns(batch)
+            except ValueError:  # no sidecar of this version has published it
+                continue
+            yield columns
 
     def events(self, timeout_s: float = FIRST_S) -> Iterator[Event]:
         """Every change of the state and of the latched fault from now on; the first is the state as it is.

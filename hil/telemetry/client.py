@@ -9,14 +9,17 @@ import zenoh
 from google.protobuf.message import DecodeError
 from zenoh.handlers import RingChannel
 
-from drivers.text_file import printable as printable_text
+from drivers.toml_file import short
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
+from hil.rig.schema import MAX_AXES
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.session import client_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+_PER_AXIS = ("units", "position", "setpoint", "max_error", "force", "drive_status", "answer_age")
+_LONGEST = 4096  # characters of a text in a status: a path
 _POLL_S = 0.01
 _KEPT = 200  # batches for a reader that is late
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
@@ -45,8 +48,19 @@ def listens(endpoint: str) -> bool:
     return True
 
 
+def decoded(payload: bytes) -> pb.Status | None:
+    """A status as it came over Zenoh, fit to be shown; None for what no sidecar of this version publishes."""
+    try:
+        status = pb.Status.FromString(payload)
+    except DecodeError:  # of another version, or of anybody else who can publish there
+        return None
+    axes = len(status.axes)
+    fits = axes <= MAX_AXES and all(len(getattr(status, name)) in (0, axes) for name in _PER_AXIS)
+    return printable(status) if fits else None
+
+
 def printable(status: pb.Status) -> pb.Status:
-    """The status without characters that would command a terminal (ESC and its like)."""
+    """The status without characters that would command a terminal (ESC and its like), its texts not endless."""
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
@@ -57,7 +71,7 @@ def printable(status: pb.Status) -> pb.Status:
 
 
 def _line(text: str) -> str:
-    return printable_text(text).replace("\n", "?")
+    return short(text, _LONGEST).replace("\n", "?")
 
 
 class RigClient(Closing):
@@ -84,10 +98,7 @@ class RigClient(Closing):
     def status(self) -> pb.Status | None:
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
-        try:
-            return printable(pb.Status.FromString(sample.payload.to_bytes())) if sample else None
-        except DecodeError:  # of another version, or of anybody else who can publish there
-            return None
+        return decoded(sample.payload.to_bytes()) if sample else None
 
     def wait_status(self, timeout_s: float) -> pb.Status:
         """The next status. Raises NoSidecarError."""
