@@ -75,11 +75,18 @@ def _line(text: str) -> str:
 
 
 class RigClient(Closing):
-    """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
+    """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there.
+
+    Raises NoSidecarError for names that none can have.
+    """
 
     def __init__(self, endpoint: str, key: str = "hil", rig: str = "*", credentials: Credentials | None = None) -> None:
         self.endpoint = endpoint
         self._key = f"{key}/{rig}"
+        try:
+            zenoh.KeyExpr(self._key)
+        except zenoh.ZError:
+            raise NoSidecarError(f"rig {rig!a}, key {key!a}: no sidecar publishes under such names") from None
         self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
