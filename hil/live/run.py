@@ -143,7 +143,8 @@ def control_loop(
         problems = DriveProblems(files.problems)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems), stage_clock
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems, files.task),
+            stage_clock,
         )
 
 

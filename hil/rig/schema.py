@@ -138,9 +138,9 @@ def _task_problems(rig: RigConfig) -> list[str]:
 def _path_problems(rig: RigConfig) -> list[str]:
     """The first point of a path or of waypoints that is beyond an axis' travel, or too fast to get to."""
     task = rig.task
-    if task.kind not in ("path", "waypoints", "spline", "raster"):
+    timed = task.timed
+    if not timed and task.kind not in ("waypoints", "spline", "raster"):
         return []
-    timed = task.kind == "path"
     table, rows = ("task.samples", task.samples) if timed else ("task.waypoints", task.waypoints)
     if task.kind == "raster":
         opposite = [begin + length for begin, length in zip(task.corner, task.size, strict=True)]

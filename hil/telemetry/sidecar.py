@@ -82,7 +82,7 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems))
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems), paths.task)
         self._noted = 0  # entries of this round
         self._out = out
         self._status_due_ns = 0
@@ -195,8 +195,11 @@ class Sidecar:
         for connection in ended:
             if connection.closed_because:
                 self._gateway.note_rejected(connection.who, connection.closed_because, now_ns)
+        mailbox = run.mailbox if run and alive else None
+        last = run.window.last if run and run.caught_up else None
         for request in asked:
-            self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
+            self._gateway.take(request, mailbox, now_ns, state, last)
+        self._gateway.advance(mailbox, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
         self._publisher.answer_rig_queries(self._description)
 
