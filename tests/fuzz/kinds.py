@@ -184,7 +184,7 @@ KINDS: dict[str, Kind] = {
     "rig": Kind("toml", _found("deploy/rigs/*.toml"), _read_rig, (RigError,)),
     "scenario": Kind("toml", _found("deploy/scenarios/*.toml"), load_scenario, (ScenarioError,)),
     "dbc": Kind("dbc", _found("deploy/rigs/*.dbc", "drivers/protocols/*.dbc"), _read_dbc, (LayoutError,)),
-    "eds": Kind("eds", _found("drivers/**/*.eds"), eds.read_eds, (eds.EdsError,)),
+    "eds": Kind("eds", _found("drivers/**/*.eds"), eds.read_eds, (eds.EdsError, OSError)),
     "recording": Kind("mcap", _recordings, _read_recording, (RecordingError, RigError), _damaged_recording),
     "export": Kind("npz", _exported, hil.load_run, (RecordingError, RigError), _damaged_archive),
     "task-csv": Kind("csv", partial(_task_files, "csv"), read_task_file, (TaskFileError,)),
