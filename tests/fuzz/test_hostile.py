@@ -122,14 +122,12 @@ def _described(path: Path) -> Recorder:
     return Recorder(path, describe_run(rig, RIGS))
 
 
-def _of_ticks(path: Path) -> None:
-    """4096 ticks of nothing in a message of 90 kB, which a chunk holds in 300 bytes."""
-    ticks = pb.Telemetry(axes=1)
-    for field in ("index", "scheduled_ns", "now_ns", "state", "fault", "faults_active", "task_ns", "run_delay_ns"):
-        getattr(ticks, field).extend([0] * 4096)
+def _of_messages(path: Path) -> None:
+    """Messages of half a megabyte, each of which a chunk holds in some bytes."""
     recorder = _described(path)
-    for _ in range(1000):
-        recorder.write("telemetry", 0, ticks.SerializeToString())
+    data = pb.Status(rig="a" * 500_000).SerializeToString()
+    for _ in range(200):
+        recorder.write("status", 0, data)
     recorder.close()
 
 
@@ -154,7 +152,7 @@ def _of_description(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "expected"), [(_of_ticks, "unfold to"), (_of_one_chunk, "damaged"), (_of_description, "run.mcap")]
+    ("make", "expected"), [(_of_messages, "unfold to"), (_of_one_chunk, "damaged"), (_of_description, "run.mcap")]
 )
 def test_a_recording_that_unfolds_is_refused_or_read_up_to_there_in_little_memory(
     make: Callable[[Path], None], expected: str, tmp_path: Path
