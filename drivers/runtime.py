@@ -97,12 +97,12 @@ def read_private(path: str | os.PathLike[str]) -> bytes:
         return file.read(LARGEST)
 
 
-def write_private(path: Path, text: str) -> None:
+def write_private(path: Path, content: str | bytes) -> None:
     """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
     try:
-        with os.fdopen(create_private(temporary), "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(create_private(temporary), "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
         os.replace(temporary, path)
     except OSError as error:
         with contextlib.suppress(OSError):

@@ -22,6 +22,11 @@ class UnsuitableFileError(ValueError):
     """There is something of that name, but no file of the expected kind; the text says what."""
 
 
+def printable(text: str) -> str:
+    """A text from elsewhere without what would command a terminal (ESC and its like); its lines stay."""
+    return text if text.isprintable() else "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+
+
 def open_untrusted(path: str | os.PathLike[str], largest: int) -> BinaryIO:
     """A regular file of at most `largest` bytes, open for reading; nothing is waited for.
 

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drivers.text_file import UnsuitableFileError, read_bounded
+from drivers.text_file import UnsuitableFileError, printable, read_bounded
 
 LARGEST = 2**18  # bytes; the longest rig file we know has 8 kB
 DEEPEST = 32  # points in the keys of one line; tomllib takes a time that grows with their square
@@ -66,8 +66,8 @@ def shown(value: Any) -> str:
 
 
 def short(text: str, most: int = _SHOWN) -> str:
-    """The beginning of a text that may be of any length."""
-    return text if len(text) <= most else f"{text[:most]}..."
+    """The beginning of a text that may be of any length and say anything, as a terminal may see it."""
+    return printable(text if len(text) <= most else f"{text[:most]}...")
 
 
 def first_problems(problems: Sequence[Any], line: Callable[[Any], str]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from drivers.runtime import RuntimeDirectoryError
+from drivers.text_file import printable
 from hil.cli.commands import Entry, add_commands, first_word, load
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
 from hil.rig.former_keys import show_former_keys
@@ -125,5 +126,5 @@ def run(app: typer.Typer) -> None:
 
 def _fail(status: int, *problems: object) -> NoReturn:
     for problem in problems:
-        print(f"hil: {problem}", file=sys.stderr)
+        print(printable(f"hil: {problem}"), file=sys.stderr)
     sys.exit(status)

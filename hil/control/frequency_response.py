@@ -25,7 +25,8 @@ from hil.rig.schema import RigConfig, RigError
 Complex = NDArray[np.complex128]
 TICKS = 4000
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg")
-LARGEST_FILE = 1 << 24  # bytes
+LARGEST_FILE = 1 << 23  # bytes
+MOST_LINES = 100_000
 
 
 class LoopResponse(NamedTuple):
@@ -59,7 +60,10 @@ def read_response(path: Path) -> tuple[Array, Complex]:
     """
     try:
         text = read_bounded(path, LARGEST_FILE).decode()
-        rows = list(csv.reader(text.splitlines()))
+        lines = text.splitlines()
+        if len(lines) > MOST_LINES:
+            raise RigError([f"{path}: {len(lines)} lines: at most {MOST_LINES}"])
+        rows = list(csv.reader(lines))
     except OSError as error:
         raise RigError([f"{path}: {error.strerror or error}"]) from None
     except (UnicodeDecodeError, UnsuitableFileError, csv.Error) as error:

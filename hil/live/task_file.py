@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.runtime import open_private
 from hil.control.trajectories import plan_task
 from hil.control.trajectories.injection import OverCells
 from hil.control.trajectories.paths import AlongPath
@@ -97,7 +98,7 @@ class TaskIntake:
         return data
 
     def _open(self) -> None:
-        self._fd = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        self._fd = open_private(self._path, os.O_RDONLY)
         header = self._read(_HEADER.size)
         magic, number, length, self._count, self._columns = _HEADER.unpack(header)
         if (magic, number) != (MAGIC, self.number) or length > _MOST_HEAD:

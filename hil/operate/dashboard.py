@@ -14,6 +14,7 @@ from hil.telemetry.window import silent_axes
 
 ROLLOVER = 1200  # points kept per line: two minutes at 10 Hz
 UPDATE_MS = 100
+SOURCE = "statuses"  # of the page's lines
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728")
 
 
@@ -65,7 +66,7 @@ class Page:
         fresh, status = self._newest.look(), self._newest.status
         if status is None or not (status.position or self._source):
             return
-        if self._source is None:
+        if self._source is None or self._source.data.keys() != row(status).keys():  # another rig's axes
             self._lay_out(status)
         self._title.text = headline(status, self._newest.age_s)
         if fresh and status.position:
@@ -76,7 +77,8 @@ class Page:
         from bokeh.models import ColumnDataSource
         from bokeh.models.widgets import Div
 
-        self._source = ColumnDataSource({name: [] for name in row(status)})
+        self._document.clear()
+        self._source = ColumnDataSource({name: [] for name in row(status)}, name=SOURCE)
         self._title = Div(text="", styles={"font-size": "1.1em"})
         panels = [
             self._panel("setpoint, mm (mrad)", status, "setpoint"),
@@ -91,9 +93,10 @@ class Page:
         from bokeh.plotting import figure
 
         panel = figure(title=title, height=280, x_axis_label="s")
-        for axis, name in enumerate(status.axes):
+        for axis, name in enumerate(status.axes[: len(getattr(status, quantity))]):
             panel.line("t", f"{quantity}_{axis}", source=self._source, color=_COLOURS[axis], legend_label=name)
-        panel.legend.location = "top_left"
+        if panel.legend:
+            panel.legend.location = "top_left"
         return panel
 
     def _lateness(self) -> Any:

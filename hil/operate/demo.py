@@ -246,7 +246,7 @@ class Demo:
         now = time.monotonic()
         if now - self._said_s >= LINE_INTERVAL_S:
             self._said_s = now
-            self.console.print(f"{left:5.1f} s to go  {line(self.status)}", soft_wrap=True)
+            self.console.print(f"{left:5.1f} s to go  {line(self.status)}", soft_wrap=True, markup=False)
 
     def _finish(self) -> None:
         """End the control process (its last torque is zero), then the sidecar with its recording, then the stage."""

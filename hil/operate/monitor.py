@@ -141,17 +141,17 @@ def monitor(
     """Watch a rig until Ctrl-C. Exit status 69: no sidecar answers (with --once)."""
     console = Console()
     endpoint = connect or find_endpoint(rig)
-    with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:
-        try:
+    try:
+        with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:
             if once:
                 console.print(view(client.wait_status(3.0)))
             else:
                 _watch(client, console)
-        except NoSidecarError as error:
-            print(f"hil monitor: {error}", file=sys.stderr)
-            raise typer.Exit(EXIT_UNAVAILABLE) from None
-        except KeyboardInterrupt:
-            pass
+    except NoSidecarError as error:
+        print(f"hil monitor: {error}", file=sys.stderr)
+        raise typer.Exit(EXIT_UNAVAILABLE) from None
+    except KeyboardInterrupt:
+        pass
 
 
 class Newest:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.text_file import UnsuitableFileError, open_untrusted
+from drivers.toml_file import short
 from hil.rig.file import build_rig
 from hil.rig.npz_file import read_arrays
 from hil.rig.schema import RigConfig
@@ -52,7 +53,7 @@ def read_npz(path: Path) -> tuple[RigConfig, dict[str, NDArray[Any]], NDArray[np
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
     except (UnsuitableFileError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise RecordingError(f"{path}: not a run that hil has exported: {error}") from None
+        raise RecordingError(f"{path}: not a run that hil has exported: {short(str(error))}") from None
     if any(values.ndim not in (1, 2) or len(values) != ticks for values in columns.values()):
         raise RecordingError(f"{path}: not a run that hil has exported: columns of other lengths")
     true = columns.pop(_TRUE, None)

@@ -11,8 +11,10 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from zenoh.handlers import RingChannel
 
+from drivers.toml_file import short
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
+from hil.rig.schema import MAX_AXES
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry import tick_codec
 from hil.telemetry.credentials import Credentials
@@ -20,6 +22,8 @@ from hil.telemetry.session import client_config
 from hil.telemetry.tick_schema import TickSchema
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+_PER_AXIS = ("units", "position", "setpoint", "max_error", "force", "drive_status", "answer_age")
+_LONGEST = 4096  # characters of a text in a status: a path
 _POLL_S = 0.01
 _KEPT = 4096  # ticks for a reader that is late
 _ANSWER_S = 2.0
@@ -49,27 +53,45 @@ def listens(endpoint: str) -> bool:
     return True
 
 
+def decoded(payload: bytes) -> pb.Status | None:
+    """A status as it came over Zenoh, fit to be shown; None for what no sidecar of this version publishes."""
+    try:
+        status = pb.Status.FromString(payload)
+    except DecodeError:  # of another version, or of anybody else who can publish there
+        return None
+    axes = len(status.axes)
+    fits = axes <= MAX_AXES and all(len(getattr(status, name)) in (0, axes) for name in _PER_AXIS)
+    return printable(status) if fits else None
+
+
 def printable(status: pb.Status) -> pb.Status:
-    """The status without characters that would command a terminal (ESC and its like)."""
+    """The status without characters that would command a terminal (ESC and its like), its texts not endless."""
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
-                setattr(status, field.name, _printable(value))
+                setattr(status, field.name, _line(value))
             else:
-                value[:] = [_printable(text) for text in value]
+                value[:] = [_line(text) for text in value]
     return status
 
 
-def _printable(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
+def _line(text: str) -> str:
+    return short(text, _LONGEST).replace("\n", "?")
 
 
 class RigClient(Closing):
-    """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there."""
+    """Connects (and reconnects) to one sidecar. key: [telemetry] key. rig: its name, or * for whichever is there.
+
+    Raises NoSidecarError for names that none can have.
+    """
 
     def __init__(self, endpoint: str, key: str = "hil", rig: str = "*", credentials: Credentials | None = None) -> None:
         self.endpoint = endpoint
         self._key = f"{key}/{rig}"
+        try:
+            zenoh.KeyExpr(self._key)
+        except zenoh.ZError:
+            raise NoSidecarError(f"rig {rig!a}, key {key!a}: no sidecar publishes under such names") from None
         self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
@@ -90,10 +112,7 @@ class RigClient(Closing):
     def status(self) -> pb.Status | None:
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
-        try:
-            return printable(pb.Status.FromString(sample.payload.to_bytes())) if sample else None
-        except DecodeError:  # of another version, or of anybody else who can publish there
-            return None
+        return decoded(sample.payload.to_bytes()) if sample else None
 
     def wait_status(self, timeout_s: float) -> pb.Status:
         """The next status. Raises NoSidecarError."""

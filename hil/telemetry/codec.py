@@ -92,14 +92,20 @@ def columns(message: pb.Telemetry) -> dict[str, NDArray[Any]]:
     ticks, axes = len(message.index), message.axes
     _refuse_too_many("ticks in a message", ticks, LONGEST_BATCH)
     _refuse_too_many("axes", axes, MAX_AXES)
-    for names, most in ((PER_TICK, ticks), (PER_AXIS, ticks * axes), (("cpu_ns",), ticks * _STAGES)):
-        for name in names:
-            _refuse_too_many(f"values of {name}", len(getattr(message, name)), most)
-    result = {name: np.array(getattr(message, name)) for name in PER_TICK}
+    result = {name: _column(message, name, ticks) for name in PER_TICK}
     for name in PER_AXIS:
-        result[name] = np.array(getattr(message, name)).reshape(-1, message.axes)
-    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, _STAGES)
+        result[name] = _column(message, name, ticks * axes).reshape(ticks, axes)
+    result["cpu_ns"] = _column(message, "cpu_ns", ticks * _STAGES).reshape(ticks, _STAGES)
     return result
+
+
+def _column(message: pb.Telemetry, name: str, size: int) -> NDArray[Any]:
+    """Its values; zeros where an earlier version had no such column."""
+    values = getattr(message, name)
+    if len(values) not in (0, size):
+        raise ValueError(f"{len(values)} values of {name}: expected {size}")
+    array = np.array(values)
+    return array if len(values) == size else np.zeros(size, array.dtype)
 
 
 def _refuse_too_many(what: str, number: int, most: int) -> None:

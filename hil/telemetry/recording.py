@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel
 from mcap.records import Message as McapMessage
 
-from drivers.text_file import UnsuitableFileError
+from drivers.text_file import UnsuitableFileError, printable
 from hil.rig.file import document_hash
 from hil.telemetry.mcap_items import BombError, mcap_items
 
@@ -76,7 +76,7 @@ class Recording:
                 f"{path}: its rig does not have the hash that was recorded with it ({found}, not "
                 f"{metadata['rig_hash']}): the recording is damaged, or was edited"
             )
-        return dict(metadata)
+        return {key: printable(value) if isinstance(value, str) else value for key, value in metadata.items()}
 
     def _items(self, path: Path) -> Iterator[Any]:
         try:

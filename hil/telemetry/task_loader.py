@@ -5,7 +5,6 @@ stands. That takes as long as it takes, in a thread: the sidecar goes on, and no
 the plan in between its ticks (hil/live/task_file.py); only then the command itself is posted.
 """
 
-import os
 import zlib
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.runtime import write_private
 from hil.control.feasibility import violations
 from hil.cycle.state_machine import State
 from hil.cycle.task_loading import loaded_task, rig_with_task, task_document
@@ -96,7 +96,7 @@ class TaskLoader:
         if self._prepared.reason:
             return self._prepared.reason
         try:
-            _write(self._path, self._prepared.data)
+            write_private(self._path, self._prepared.data)
         except OSError as error:
             return f"{self._path}: {error.strerror}"
         mailbox.post_task(self._number)
@@ -119,12 +119,3 @@ def _prepare(upload: bytes, rig: RigConfig, start: list[float], number: int) -> 
         return Prepared("; ".join(error.problems)[:_LONGEST])
     except (ValueError, ArithmeticError, zlib.error) as error:
         return Prepared(f"{error}"[:_LONGEST])
-
-
-def _write(path: Path, data: bytes) -> None:
-    """In place of the one before; whoever opens it sees the old file or the new."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    with os.fdopen(fd, "wb") as file:
-        file.write(data)
-    os.replace(temporary, path)

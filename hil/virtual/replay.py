@@ -139,7 +139,7 @@ def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
                 ticks = list(_TRAFFIC[item.topic](item.data))
                 for step in ticks:
                     _check(step)
-            except (DecodeError, ValueError, IndexError, RuntimeError) as error:
+            except (DecodeError, ValueError, TypeError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
             yield from (step for step in ticks if step.ring >= following)
             following = max([following, *(step.ring + 1 for step in ticks[-1:])])

@@ -31,6 +31,7 @@ BEFORE = (
     Before("spoofed liveliness", "failed", "hil/evil/alive was alive beside the sidecar"),
     Before("spoofed end", "untried", "needs an id that the session draws by chance"),
     Before("100 000 messages", "untried", "by its code there was no bound, and stop went the same way"),
+    Before("100 000 damaged", "untried", "by its code there was no bound, and stop went the same way"),
     Before("20 MB payloads", "untried", "by its code there was no bound, and stop went the same way"),
     Before("10 000 queries", "untried", "by its code there was no bound, and stop went the same way"),
     Before("2000 idle connections", "untried", "by its code there was no bound on connections"),

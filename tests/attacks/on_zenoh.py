@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import random
 import socket
 import subprocess
 import time
@@ -17,6 +18,8 @@ from hil.telemetry.credentials import Credentials
 from hil.telemetry.session import client_config
 from tests.attacks.registry import attack
 from tests.attacks.target import NAME, Target
+from tests.fuzz import payloads as fuzzed
+from tests.fuzz.damage import damaged
 from tests.support.certificates import certificates
 
 COMMAND = f"hil/{NAME}/command"
@@ -122,6 +125,22 @@ def flood(target: Target) -> Iterator[str]:
     with attacker(target) as session:
         for number in range(100_000):
             session.put(f"hil/{NAME}/status", number.to_bytes(4, "little"))
+        yield f"{target.obeyed()}; {target.watched()}"
+
+
+@attack("100 000 damaged payloads to every key, and queries that carry them", "sidecar, operator and monitors go on")
+def damaged_payloads(target: Target) -> Iterator[str]:
+    chance = random.Random(25)
+    whole = (fuzzed.status().SerializeToString(), fuzzed.telemetry().SerializeToString(), b'{"rig": {}}')
+    keys = [f"hil/{NAME}/{topic}" for topic in ("status", "telemetry", "rig", "alive", "command")]
+    with attacker(target) as session:
+        for number in range(100_000):
+            payload = damaged(chance.choice(whole), chance)
+            session.put(chance.choice(keys), payload)
+            if number % 100 == 0:
+                handler = zenoh.handlers.RingChannel(1)
+                session.get(keys[2], handler=handler, payload=payload, attachment=payload, timeout=1.0)
+        assert target.processes["sidecar"].poll() is None, "the sidecar ended"
         yield f"{target.obeyed()}; {target.watched()}"
 
 

@@ -1,5 +1,6 @@
 """The emulated stage behind a frame layout: sampling, answers, watchdogs, and the process that runs it live."""
 
+import gc
 import json
 import os
 import signal
@@ -226,6 +227,21 @@ def test_a_rhythm_that_trembles_is_fetched_after_each_command_and_before_the_one
         rhythm.heard(stamp)
         if number >= 2:
             assert stamp < rhythm.fetch_ns() < stamps[number + 1] + gap
+
+
+def test_telling_the_status_leaves_no_garbage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The collector is off in this process: what only it would find would stay for good."""
+    emulator, _, control = live_pair(tmp_path, monkeypatch)
+    gc.collect()
+    gc.disable()
+    try:
+        for number in range(1, 100):
+            emulator.step(time.monotonic_ns() + number * 10**9)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
+    control.close()
+    emulator.port.close()
 
 
 def test_a_status_file_that_cannot_be_written_does_not_end_the_stage(
