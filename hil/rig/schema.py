@@ -100,7 +100,13 @@ class RigConfig(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> "RigConfig":
-        problems = [*_length_problems(self), *_task_problems(self), *_watchdog_problems(self), *_wrap_problems(self)]
+        problems = [
+            *_length_problems(self),
+            *_task_problems(self),
+            *_watchdog_problems(self),
+            *_wrap_problems(self),
+            *_period_problems(self),
+        ]
         if problems:
             raise ValueError("; ".join(problems))
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
@@ -183,6 +189,27 @@ def _wrap_problems(rig: RigConfig) -> list[str]:
         for name, axis, turn in wrapping
         if axis.limits.speed * period_s >= turn / 2
     ]
+
+
+def _period_problems(rig: RigConfig) -> list[str]:
+    """Drives that tell their position, or their state, too seldom for this rate."""
+    binding, period_s = rig.bus.dbc, rig.period_ns * 1e-9
+    if binding is None:
+        return []
+    problems = []
+    if binding.feedback_period_s > 1.001 * period_s:
+        problems.append(
+            f"bus.dbc.feedback_period_s = {binding.feedback_period_s:g}: a position has to come in every tick; "
+            f"rate_hz = {rig.rate_hz:g} has to be {1 / binding.feedback_period_s:g} or less"
+        )
+    longest_s = rig.safety.disable_timeout_ticks * period_s
+    apart = {item.message for item in binding.status} - {item.message for item in binding.position}
+    if apart and binding.state_period_s >= longest_s:
+        problems.append(
+            f"bus.dbc.state_period_s = {binding.state_period_s:g}: a drive that is disabled has to say so within the "
+            f"{longest_s:g} s of safety.disable_timeout_ticks = {rig.safety.disable_timeout_ticks}"
+        )
+    return problems
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:

@@ -129,6 +129,11 @@ class LawConfig(BaseModel):
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
+    learnt: str = key(
+        "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
+    )
+    learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
+    learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded")
     source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
 
     def effective_gains(self) -> dict[str, Any]:

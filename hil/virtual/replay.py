@@ -47,7 +47,8 @@ class Replayed:
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
 
-def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+def new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    """Raises RigError where this rig cannot have one."""
     try:
         return ControlCycle(rig, base_dir)
     except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
@@ -59,7 +60,7 @@ class _Comparison:
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self._names = rig.axis_names
-        self._cycle = _new_cycle(rig, base_dir)
+        self._cycle = new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
         self._largest = np.zeros(len(self._names))
         self._ticks = 0
@@ -104,7 +105,7 @@ def loaded_tasks(recording: Recording) -> dict[int, str]:
     return found
 
 
-class _Tasks:
+class Tasks:
     """What a recording's LOAD_TASK commands load, planned anew for a rig."""
 
     def __init__(self, recording: Recording, rig: RigConfig) -> None:
@@ -112,6 +113,7 @@ class _Tasks:
         self._documents: dict[int, str] | None = None
 
     def of(self, tick: Tick) -> LoadedTask | None:
+        """That of a tick's command, if it has one. Raises RecordingError."""
         for command in tick.commands:
             if command.kind == CommandKind.LOAD_TASK:
                 if self._documents is None:
@@ -157,7 +159,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle, tasks = _new_cycle(rig, base_dir), _Tasks(recording, rig)
+        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if report.gap_at is not None or step.ring != report.ticks:
@@ -189,7 +191,7 @@ def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
     recording = Recording(path)
     kept: list[bytes] = []
     with rig_of_run(recording.metadata) as (rig, base_dir):
-        cycle = _new_cycle(rig, base_dir)
+        cycle = new_cycle(rig, base_dir)
         for step in steps(recording):
             result = cycle.step(step.tick, step.received)
             if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
