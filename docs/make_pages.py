@@ -16,15 +16,18 @@ from hil.control.law_registry import LAWS, law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
+from hil.rig.file import load_rig
 from hil.rig.reference import Table, json_schema, tables
 from hil.rig.schema import LawConfig
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
+from hil.telemetry.viewer_layouts import lichtblick, plotjuggler
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FOLDER = Path(__file__).parent.parent / "docs"
 SCHEMA = FOLDER.parent / "deploy" / "rigs" / "rig.schema.json"
+VIEWERS = FOLDER.parent / "deploy" / "viewers"
 REACTION_TEXT = {
     Reaction.COUNT: "R0 count",
     Reaction.BRIDGE: "R1 bridge on the prediction, at most 2 ticks",
@@ -235,6 +238,16 @@ def _arrow(axes: "Axes", start: tuple[float, float], end: tuple[float, float], l
     axes.text(x, y, label, fontsize=6.5, ha="center", va="center", color="#444444", zorder=2)
 
 
+def viewer_files() -> dict[Path, str]:
+    """Layouts for MCAP viewers of the shipped rigs whose axes differ, by where they are kept."""
+    found = {}
+    for name in ("microscope", "paper"):
+        axes = list(load_rig(SCHEMA.parent / f"{name}.toml").axes)
+        found[VIEWERS / f"{name}.lichtblick.json"] = lichtblick(axes)
+        found[VIEWERS / f"{name}.plotjuggler.xml"] = plotjuggler(axes)
+    return found
+
+
 def main() -> None:
     """Write the pages."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
@@ -243,6 +256,8 @@ def main() -> None:
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
+    for path, text in viewer_files().items():
+        path.write_text(text, encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     (folder / "python.md").write_text(python_page(), encoding="utf-8")
     states_picture(folder / "states.svg")

@@ -175,6 +175,8 @@ class Recorder:
         try:
             self._to_disk()
             self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            self.size = self._file.tell()
             self._file.close()
         except OSError as error:
             self._fail(error)

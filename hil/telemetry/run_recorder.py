@@ -65,6 +65,8 @@ class RunRecorder:
         self._store, self._reader, self._limits, self._progress, self._save = store, reader, limits, progress, save
         if not progress.recorded:
             _forget_unbegun(progress)
+        if reader.written - reader.slots < progress.recorded:
+            _cut_unnoted(progress)
         self._next = progress.recorded  # ring index of the tick that is to be taken next
         self._errors = 0  # of files given up
         self._retry_ns = self._began_ns = 0
@@ -109,8 +111,8 @@ class RunRecorder:
 
     def _note(self) -> None:
         recorder = self._current
-        if recorder is not None and recorder.durable > self._progress.recorded:
-            self._progress.recorded = recorder.durable
+        if recorder is not None and recorder.size != self._progress.size and recorder.durable:
+            self._progress.recorded, self._progress.size = recorder.durable, recorder.size
             self._save(self._progress)
         if recorder is not None and recorder.problem:
             if not recorder.durable:  # there is no such file
@@ -163,6 +165,7 @@ class RunRecorder:
         self._before = self._progress.file, self._progress.part
         self._progress.part += 1
         self._progress.file = str(self._current.path.absolute())
+        self._progress.size = 0
         self._save(self._progress)
         prune(self._store.kept_in, self._limits.quota, self._current.path)
 
@@ -188,6 +191,13 @@ class RunRecorder:
                 pass
             self._over = True
             self._finish()
+
+
+def _cut_unnoted(progress: Progress) -> None:
+    """Of a sidecar that was killed before it had noted its last chunk: remove that; the ring still has those ticks."""
+    with contextlib.suppress(OSError):
+        if 0 < progress.size < os.stat(progress.file).st_size:
+            os.truncate(progress.file, progress.size)
 
 
 def _forget_unbegun(progress: Progress) -> None:

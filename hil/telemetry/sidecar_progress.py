@@ -22,7 +22,7 @@ SIZE = 2048  # less than a page: a write of it is whole or not there
 class Progress:
     """With one control process's ring. run: its run_id. published, recorded: ring index after the last tick that was
     handed to Zenoh, and that is in a file. sent: of the published, those that Zenoh took. file: the newest recording,
-    an absolute path; part: its number.
+    an absolute path; part: its number; size: bytes of it, up to `recorded` and not a tick beyond.
     """
 
     run: int
@@ -31,6 +31,7 @@ class Progress:
     recorded: int = 0
     file: str = ""
     part: int = 0
+    size: int = 0
 
 
 class ProgressFile(Closing):

@@ -110,12 +110,17 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
 def _show_replay(report: Any, console: Console) -> None:
     verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
     if not report.frames:
-        verdict = "nothing was compared, as it holds no frame that was sent"
-    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
+        why = "it begins in the middle of a run" if report.gap_at == 0 else "it holds no frame that was sent"
+        verdict = f"nothing was compared, as {why}"
+    files = f" of {report.parts} files" if report.parts > 1 else ""
+    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames{files} replayed; {verdict}")
     if report.first_different is not None:
         console.print(f"the first tick that differs is {report.first_different}")
     if report.gap_at is not None:
-        console.print(f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there")
+        console.print(
+            f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there; "
+            f"{report.not_compared} recorded ticks behind the gap are not compared"
+        )
     if report.truncated:
         console.print("the recording was cut short or is damaged: replayed as far as it is whole")
     for name, row in (report.other_force or {}).items():

@@ -40,6 +40,8 @@ class Replayed:
     first_different: int | None = None  # tick index
     frames: int = 0
     gap_at: int | None = None  # ring index at which ticks are missing; the cycle's state is unknown from there on
+    not_compared: int = 0  # ticks that are recorded behind such a gap
+    parts: int = 1  # files
     truncated: bool = False
     other_law: str | None = None
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
@@ -160,9 +162,10 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
         cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
-            if step.ring != report.ticks:
-                report.gap_at = report.ticks
-                break
+            if report.gap_at is not None or step.ring != report.ticks:
+                report.gap_at = report.ticks if report.gap_at is None else report.gap_at
+                report.not_compared += 1
+                continue
             step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
             report.ticks += 1
@@ -175,7 +178,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
                 other.step(step, result.record["force"])
         if other:
             report.other_law, report.other_force = other.law, other.result()
-    report.truncated = recording.truncated
+    report.truncated, report.parts = recording.truncated, max(len(recording.parts), 1)
     return report
 
 

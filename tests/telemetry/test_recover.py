@@ -1,19 +1,25 @@
 """A recording cut anywhere: what is whole is recovered, and ordinary MCAP readers open it."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from hil.cycle.record import RECORD
+from hil.cycle.step import ControlCycle
 from hil.rig.file import load_rig
+from hil.rig.provenance import rig_of_run
 from hil.telemetry.recorder import Recorder, write_batch
 from hil.telemetry.recording import Recording, RecordingError
 from hil.telemetry.recover import recover
-from hil.virtual.replay import replay_run
+from hil.virtual.replay import replay_run, steps
 from tests.support.earlier_layout import write_earlier
-from tests.support.paths import RIGS
+from tests.support.paths import RIGS, ROOT
 from tests.telemetry.test_recorder import METADATA, _records
 from tests.telemetry.test_run_recorder import rings_of
 
@@ -88,6 +94,36 @@ def test_what_is_recovered_replays_and_says_how_much(whole: Path, tmp_path: Path
     assert (report.ticks, report.different, report.truncated) == (found.ticks, 0, False)
     assert 0 < found.ticks < len(rings_of(whole))
     assert found.seconds == pytest.approx(found.ticks / load_rig(RIGS / "paper.toml").rate_hz, abs=0.1)
+
+
+def test_replay_reads_on_through_the_parts_and_says_what_of_a_later_one_it_could_not_compare(
+    whole: Path, tmp_path: Path
+) -> None:
+    ticks, metadata = list(steps(Recording(whole))), Recording(whole).metadata | {"run": "7"}
+    records = np.zeros(len(ticks), RECORD)
+    with rig_of_run(metadata) as (rig, folder):
+        cycle = ControlCycle(rig, folder)
+        for place, step in enumerate(ticks):
+            records[place] = cycle.step(step.tick, step.received).record
+    half = len(ticks) // 2
+    for part, name, begin, end in ((1, "run.mcap", 0, half), (2, "run.part-2.mcap", half - 100, None)):
+        recorder = Recorder(tmp_path / name, metadata | {"part": part})
+        for first in range(begin, len(ticks) if end is None else end, 100):
+            write_batch(recorder, records[first : first + 100], first=first, lost=0)
+        recorder.close()
+    both = replay_run(tmp_path / "run.mcap")  # the first 100 ticks of the second part are in the first one, too
+    assert (both.ticks, both.different, both.gap_at, both.not_compared, both.parts) == (len(ticks), 0, None, 0, 2)
+    later = replay_run(tmp_path / "run.part-2.mcap")
+    assert (later.ticks, later.gap_at, later.not_compared) == (0, 0, len(ticks) - half + 100)
+    shown = subprocess.run(
+        [sys.executable, "-m", "hil", "replay", str(tmp_path / "run.part-2.mcap")],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    assert shown.returncode == 1
+    assert "it begins in the middle of a run" in " ".join(shown.stdout.split())
+    assert f"{later.not_compared} recorded ticks behind the gap are not compared" in " ".join(shown.stdout.split())
 
 
 def test_a_whole_recording_and_one_of_the_earlier_layout_come_out_as_they_were(whole: Path, tmp_path: Path) -> None:
