@@ -173,6 +173,11 @@ class Cia402Config(BaseModel):
     )
     write_rated_torque: bool = key(False, "write 6076h, which on many drives is a property of the motor")
     start: Literal["nmt", "autostart"] = key("nmt", "autostart: the drives go to operational by themselves")
+    stop_options: Literal["release", "keep"] = key(
+        "release",
+        "release: disabled, in fault, or without its host a drive lets go at once (1029h, 6007h, 605Bh, 605Ch, 605Eh "
+        "are written where they exist and `write` states none); keep: as the drive has them",
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 

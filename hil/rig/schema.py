@@ -5,6 +5,7 @@ sim_plant/config.py (the emulated stage). What is checked here is what concerns 
 [plant] does not state is taken from [axes] (hil/rig/plant.py), so that a whole rig always has a whole plant.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -51,6 +52,9 @@ class RigError(Exception):
         super().__init__("\n".join(self.problems))
 
 
+LEAST_RING_SLOTS = 256
+
+
 class RigConfig(BaseModel):
     """A rig file: one stage, its drives, its bus, and how it is controlled."""
 
@@ -78,6 +82,11 @@ class RigConfig(BaseModel):
     def period_ns(self) -> int:
         """Control period, ns."""
         return round(1e9 / self.rate_hz)
+
+    @property
+    def ring_slots(self) -> int:
+        """Ticks that the ring holds: telemetry.blackbox_s of them, and as many as a sidecar may be late."""
+        return max(LEAST_RING_SLOTS, math.ceil(self.telemetry.blackbox_s * self.rate_hz))
 
     @property
     def mountings(self) -> list[Mounting]:
