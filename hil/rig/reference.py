@@ -90,7 +90,7 @@ def nearest(location: Sequence[str | int]) -> str:
 def _likeness(name: str, own: str, path: str) -> float:
     """How like a key's name is to this one, 0 to 1; a little more where it is in the same table."""
     table, _, last = path.rpartition(".")
-    return difflib.SequenceMatcher(None, name, last).ratio() + (0.15 if table == own else 0.0)
+    return difflib.SequenceMatcher(None, name, last).ratio() + (0.25 if table == own else 0.0)
 
 
 def _general(parts: Sequence[str]) -> str:
