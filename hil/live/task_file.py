@@ -73,6 +73,7 @@ class TaskIntake:
         self._fd = -1
         self._head: dict[str, Any] = {}
         self._segments: list[Segment] = []
+        self._starts = [0]  # of each, and the end: a sum over all of them at once would hold a tick up
         self._count = self._columns = self._at = self._crc = 0
         self._row = _row(0)
 
@@ -116,6 +117,7 @@ class TaskIntake:
         for duration_ns, phase, *values in self._row.iter_unpack(data):
             axes = [(*values[i : i + 6],) for i in range(0, len(values), 6)]
             self._segments.append(segment(duration_ns, axes, phase))
+            self._starts.append(self._starts[-1] + duration_ns)
 
     def _finish(self) -> None:
         (crc,) = _CRC.unpack(self._read(_CRC.size))
@@ -130,7 +132,8 @@ class TaskIntake:
     def _plan(self) -> Any:
         if "along" in self._head:
             words = self._head["along"]
-            body = Segments(self._segments, repeat=bool(words["repeat"]), phase_names=("path",))
+            repeat, starts = bool(words["repeat"]), self._starts
+            body = Segments(self._segments, repeat=repeat, phase_names=("path",), starts=starts)
             return AlongPath(body, words["columns"], words["approach_ns"], words["settle_ns"])
         if "over" in self._head:
             words = self._head["over"]

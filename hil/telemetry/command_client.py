@@ -29,7 +29,7 @@ from hil.telemetry.window import silent_axes
 COMMAND_LIFE_NS = 300_000_000
 _RETRY_S = 0.01
 REPLY_S = 0.9  # the gateway waits half a second for the control process
-TASK_S = 25.0  # longer than it takes to plan one (task_loader.PATIENCE_NS)
+TASK_S = 65.0  # longer than task_loader.PATIENCE_NS
 _M = TypeVar("_M", pb.Challenge, pb.CommandReply)
 
 

@@ -109,12 +109,24 @@ class _AtHand:
 
 
 class Segments(Trajectory):
-    """Segments one after another; then over again, or for ever in the last one, which must be a rest of 0 ns."""
+    """Segments one after another; then over again, or for ever in the last one, which must be a rest of 0 ns.
 
-    def __init__(self, segments: Sequence[Segment], *, repeat: bool, phase_names: tuple[str, ...]) -> None:
+    starts: where each begins, and where the last one ends, ns; None: to be worked out from their durations.
+    """
+
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        *,
+        repeat: bool,
+        phase_names: tuple[str, ...],
+        starts: list[int] | None = None,
+    ) -> None:
         super().__init__(len(segments[0].rows))
         self.segments = segments
-        self._starts = list(accumulate([segment.duration_ns for segment in segments], initial=0))
+        if starts is None:
+            starts = list(accumulate([segment.duration_ns for segment in segments], initial=0))
+        self._starts = starts
         self._total = self._starts.pop()
         self._at_hand = self._spare = self._find(0)
         self._repeats = repeat

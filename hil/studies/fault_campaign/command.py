@@ -31,6 +31,7 @@ def faults(
     rigs: Annotated[
         list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
     ] = None,
+    *,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
     ] = None,
