@@ -10,6 +10,7 @@ import typer
 from hil.rig.file import learning_hash, load_rig, rig_hash
 from hil.rig.schema import RigError
 from hil.telemetry.recorder import LockstepRecorder
+from hil.telemetry.recording import Recording
 from hil.virtual.learnt import learnt, learnt_of_run
 from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate
@@ -109,8 +110,6 @@ def test_a_run_that_learns_nothing_has_nothing_to_keep(tmp_path: Path, capsys: p
 
 
 def test_what_was_learnt_of_a_recording_is_one_list_an_axis(kept: tuple[Path, np.ndarray]) -> None:
-    from hil.telemetry.recorder import Recording
-
     rig, state = learnt_of_run(Recording(kept[0] / "run.mcap"))
     assert list(state) == rig.axis_names
     assert {len(values) for values in state.values()} == {7 + 2 * 63 + 200}
