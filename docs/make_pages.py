@@ -14,6 +14,7 @@ from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
 from hil.control.law_registry import LAWS, law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
+from hil.cycle.event_table import FAULT_TEXTS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 from hil.rig.reference import Table, json_schema, tables
@@ -89,7 +90,17 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join([*lines, *_capability_lines()]) + "\n"
+    return "\n".join([*lines, *_advice_lines(), *_capability_lines()]) + "\n"
+
+
+def _advice_lines() -> list[str]:
+    """What an event says of each fault: measured, usual cause, what to do next."""
+    lines = ["", "## What to do", ""]
+    lines += ["Made from `hil/cycle/event_table.py`; every event of a fault carries the same words.", ""]
+    lines += ["| fault | measured | unit | usual cause | what to do next |", "|---|---|---|---|---|"]
+    for fault, text in FAULT_TEXTS.items():
+        lines.append(f"| {fault.name.lower()} | {text.measured} | {text.unit} | {text.cause} | {text.action} |")
+    return lines
 
 
 def _capability_lines() -> list[str]:

@@ -6,6 +6,7 @@ process, and outlives any number of them: each gets a recording of its own.
 
 import itertools
 import json
+import os
 import signal
 import socket
 import sys
@@ -19,6 +20,8 @@ import typer
 
 from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.cycle.event_table import Severity
+from hil.cycle.events import Event, stream_of
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
 from hil.live.drive_problems import read_problems
@@ -56,6 +59,7 @@ class Attached:
         self.axes = list(rig["axes"])
         self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
         self.law = str(rig["law"]["name"])
+        self.events = stream_of(rig, reader.period_ns)
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
         self.batches = self.sent = self.dropped = 0
         self.lost = 0  # since the last batch
@@ -147,6 +151,7 @@ class Sidecar:
         if run is None or run.over:
             return
         run.over = True
+        self._tell(run.events.close())
         self.publish_status(now_ns)
         if run.recorder and run.recorder.ok:
             run.recorder.close()
@@ -181,9 +186,19 @@ class Sidecar:
             at = int(records["now_ns"][-1])
             run.recorder.write("telemetry", at, data)
             run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
+        self._tell(run.events.tell(records, batch.lost))
         run.window.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
+
+    @staticmethod
+    def _tell(events: list[Event]) -> None:
+        """To the journal, one line each, with the level systemd reads; where output is no journal, without."""
+        prefix = "JOURNAL_STREAM" in os.environ
+        for event in events:
+            if event.severity <= Severity.NOTICE:
+                level = f"<{int(event.severity)}>" if prefix else ""
+                print(f"{level}{event.line}", flush=True)
 
     def _serve(self, now_ns: int, alive: bool) -> None:
         run = self.attached

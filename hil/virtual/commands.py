@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import RigFile, shipped_scenario
 from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
@@ -34,7 +35,10 @@ def sim(
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
     ] = None,
 ) -> None:
-    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time.
+
+    Exit status 3: the run ended in a fault.
+    """
     from hil.control.estimator.gains import per_axis
     from hil.control.feasibility import task_problems
     from hil.rig.bus_load import refuse_unschedulable
@@ -76,7 +80,21 @@ def sim(
     report.overrides = list(overrides)
     _show(console, config, report, traces, picture)
     if json_target:
-        write_json(dataclasses.asdict(report), json_target)
+        write_json(_document(report), json_target)
+    if report.latched:
+        raise typer.Exit(EXIT_FAULT)
+
+
+def _document(report: Any) -> dict[str, Any]:
+    """A report as JSON has it: its events as objects with names."""
+    events = [{**event._asdict(), "kind": event.kind.name, "severity": event.severity.name} for event in report.events]
+    document: dict[str, Any] = dataclasses.asdict(dataclasses.replace(report, events=[], latched=None))
+    return {**document, "events": events, "latched": report.latched.line if report.latched else None}
+
+
+def _show_latched(report: Any, console: Console) -> None:
+    if report.latched:
+        console.print(report.latched.line, style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
@@ -96,6 +114,7 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    _show_latched(report, console)
     if report.law_failure:
         console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
@@ -111,6 +130,7 @@ def _show_replay(report: Any, console: Console) -> None:
     if not report.frames:
         verdict = "nothing was compared, as it holds no frame that was sent"
     console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames replayed; {verdict}")
+    _show_latched(report, console)
     if report.first_different is not None:
         console.print(f"the first tick that differs is {report.first_different}")
     if report.gap_at is not None:
@@ -129,7 +149,7 @@ def replay(
         str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
     ] = "",
 ) -> None:
-    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared."""
+    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared; 3: the run ended in a fault."""
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
     from hil.telemetry.recorder import RecordingError
     from hil.virtual.replay import replay_run
@@ -141,10 +161,11 @@ def replay(
         raise typer.Exit(1) from None
     _show_replay(report, Console(stderr=json_target == "-"))
     if json_target:
-        document: dict[str, Any] = dataclasses.asdict(report)
-        write_json(document, json_target)
+        write_json(_document(report), json_target)
     if report.different or not report.frames:
         raise typer.Exit(1)
+    if report.latched:
+        raise typer.Exit(EXIT_FAULT)
 
 
 def emulate(

@@ -9,6 +9,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.frame import Frame
+from hil.cycle.events import Event, EventStream
 from hil.cycle.record import MAX_RECEIVED
 from hil.cycle.step import ControlCycle
 from hil.rig.provenance import rig_of_run
@@ -34,6 +35,8 @@ class Replayed:
     frames: int = 0
     gap_at: int | None = None  # ring index at which ticks are missing; the cycle's state is unknown from there on
     truncated: bool = False
+    events: list[Event] = dataclasses.field(default_factory=list)
+    latched: Event | None = None  # of the fault that the run ended with
     other_law: str | None = None
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
@@ -107,12 +110,14 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
         cycle = _new_cycle(rig, base_dir)
+        stream = EventStream([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
             result = cycle.step(step.tick, step.received)
+            report.events += stream.observe(result.record)
             report.ticks += 1
             report.frames += len(step.sent)
             if bytes_of(result.frames) != bytes_of(step.sent):
@@ -123,5 +128,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
                 other.step(step, result.record["force"])
         if other:
             report.other_law, report.other_force = other.law, other.result()
+        report.events += stream.close()
+        report.latched = stream.latched
     report.truncated = recording.truncated
     return report

@@ -37,8 +37,8 @@ FILES = {
         "mapped_file runtime_paths stop_page file_lock"
     ),
     "cycle": (
-        "step supervisor commissioning axes record_builder record limits damped_stop sampling fault_monitor "
-        "oscillation fault_table inbox gate command_desk state_machine tick"
+        "events event_table step supervisor commissioning axes record_builder limits damped_stop sampling "
+        "fault_monitor oscillation fault_table inbox record gate command_desk state_machine tick"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other
