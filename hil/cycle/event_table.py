@@ -21,8 +21,8 @@ class Severity(IntEnum):
 
 
 class Kind(IntEnum):
-    """Number of a kind of event in telemetry and recordings. Those up to RIG_FILE follow from the ticks' records alone;
-    the others are the sidecar's.
+    """Number of a kind of event in telemetry and recordings (events.proto has the same). Those up to RIG_FILE follow
+    from the ticks' records alone, DRIVE and LAW from what the cycle says in words; the others are the sidecar's.
     """
 
     STATE = 1
@@ -38,6 +38,8 @@ class Kind(IntEnum):
     RECORDER = 11
     SIDECAR = 12
     RECORDS_LOST = 13
+    DRIVE = 14
+    LAW = 15
 
 
 class KindText(NamedTuple):
@@ -83,7 +85,14 @@ KINDS: Final[dict[Kind, KindText]] = {
         action="restart the control process to take the new file, or put the old one back",
     ),
     Kind.REQUEST: KindText("request", Severity.INFO, action="none"),
-    Kind.RECORDER: KindText("recorder", Severity.WARNING),
+    Kind.RECORDER: KindText(
+        "recorder",
+        Severity.WARNING,
+        "write errors",
+        "",
+        "the disk is full or broken, or the directory is not writable",
+        "make room or mend the disk, then restart the sidecar",
+    ),
     Kind.SIDECAR: KindText("sidecar", Severity.NOTICE, action="none"),
     Kind.RECORDS_LOST: KindText(
         "records lost",
@@ -92,6 +101,16 @@ KINDS: Final[dict[Kind, KindText]] = {
         "ticks",
         "the sidecar was held up longer than the ring lasts",
         "give the sidecar time or telemetry.ring_slots; what these ticks held is lost to the recording",
+    ),
+    Kind.DRIVE: KindText(
+        "drive",
+        Severity.WARNING,
+        action="mend what the cause names, in the drive or in the rig file; switch the drive off and on, and reset",
+    ),
+    Kind.LAW: KindText(
+        "law",
+        Severity.ERROR,
+        action="mend the law where the cause says; hil check RIG --law FILE tries it",
     ),
 }
 

@@ -5,21 +5,22 @@ Rules:
   recordings give it the same records and get the same events. The control loop pays for none of it.
 - Every event carries what a person needs to act on it alone: tick, time, axis, measured value, limit, cause, what to do
   next. The texts are those of event_table.py.
-- A storm is bounded and counted: in each second of ticks, of events that differ in tick and value alone the first few
-  are told, and one more stands for the rest (`times`).
+- A storm is bounded and counted (event_storm.py).
 
 Theory of operation: the detectors leave what they measured in the record (fault_monitor.Evidence). The stream compares
 each record with the one before it; numpy finds the few ticks in which anything changed, and only those are looked at.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.bus.counters import BusState
+from hil.cycle.event import Event
+from hil.cycle.event_storm import Tallies
 from hil.cycle.event_table import (
     FAULT_TEXTS,
     GRANTS,
@@ -35,7 +36,6 @@ from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 
-TOLD: Final = 5  # alike events told one by one in each second of ticks
 _STOP, _RIG_OK, _ESTOP = 1, 8, 32  # bits of a record's flags
 _COMPARED = ("state", "fault", "faults_active", "flags")
 _ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N m"}
@@ -51,47 +51,6 @@ _REACHED: Final = {
 }
 
 
-class Event(NamedTuple):
-    """Something that happened.
-
-    name: of the state, fault, command, ... it is about. tick: index of the tick, -1 outside the control loop. time_ns:
-    monotonic, of the rig's machine. run_ns: since the run's first slot. axis: name, or empty where it concerns none or
-    all. value, limit: what was measured and what it is held against, in `unit`; NaN where nothing is measured.
-    measured: what that is. times: how many occurrences this event stands for, itself included.
-    """
-
-    kind: Kind
-    severity: Severity
-    name: str
-    tick: int
-    time_ns: int
-    run_ns: int = 0
-    axis: str = ""
-    measured: str = ""
-    value: float = _NAN
-    limit: float = _NAN
-    unit: str = ""
-    cause: str = ""
-    action: str = ""
-    times: int = 1
-
-    @property
-    def text(self) -> str:
-        """What happened, without when, why and what next."""
-        words = f"{KINDS[self.kind].text}: {self.name}" + (f" on {self.axis}" if self.axis else "")
-        if self.measured and not (math.isnan(self.value) and math.isnan(self.limit)):
-            unit = f" {self.unit}" if self.unit else ""
-            words += f": {self.measured} {self.value:.6g}{unit}, limit {self.limit:.6g}{unit}"
-        return words + (f" ({self.times} times)" if self.times > 1 else "")
-
-    @property
-    def line(self) -> str:
-        """All of it in one line."""
-        when = f"tick {self.tick} ({self.run_ns * 1e-9:.3f} s): " if self.tick >= 0 else ""
-        cause = f"; cause: {self.cause}" if self.cause else ""
-        return f"{when}{self.text}{cause}; next: {self.action or 'none'}"
-
-
 class _Seen(NamedTuple):
     """What the stream remembers of the tick before."""
 
@@ -102,15 +61,6 @@ class _Seen(NamedTuple):
     flags: int = _RIG_OK
     bus: int = int(BusState.ERROR_ACTIVE)
     total: int = 0  # evidence
-
-
-class _Tally:
-    """Of one sort of event in the present second of ticks: how many were told, and how many the last one stands for."""
-
-    def __init__(self) -> None:
-        self.told = 0
-        self.untold = 0
-        self.last: Event | None = None
 
 
 class EventStream:
@@ -124,8 +74,7 @@ class EventStream:
         self._axes = list(axes)
         self._period_ns = max(period_ns, 1)
         self._window_ticks = max(1, round(1e9 / self._period_ns))
-        self._window = 0
-        self._tallies: dict[tuple[Kind, str, str], _Tally] = {}
+        self._tallies = Tallies()
         self._last = _Seen()
         self._pairs: set[tuple[int, int]] = set()  # fault and axis flagged in the last tick
         self._held = np.zeros(_HELD, RECORD)
@@ -136,15 +85,20 @@ class EventStream:
         """Take one tick in; what it and those before it told comes with a later one, or with `close`."""
         self._held[self._n_held] = record
         self._n_held += 1
-        return self._release() if self._n_held == _HELD else []
+        return self.release() if self._n_held == _HELD else []
 
     def close(self) -> list[Event]:
         """What is still held back: ticks of `observe`, and the counts of the present second."""
-        return [*self._release(), *self._end_window()]
+        return [*self.release(), *self._tallies.end()]
 
-    def _release(self) -> list[Event]:
+    def release(self) -> list[Event]:
+        """What the ticks of `observe` that are held back have told."""
         records, self._n_held = self._held[: self._n_held], 0
         return self.tell(records)
+
+    def admit(self, events: Iterable[Event]) -> list[Event]:
+        """Events from elsewhere that are to be bounded with these."""
+        return self._tallies.admit(events)
 
     def tell(self, records: NDArray[np.void], lost: int = 0) -> list[Event]:
         """The events of these ticks. lost: ticks that are missing before the first of them."""
@@ -153,18 +107,17 @@ class EventStream:
             return told
         if lost:
             event = self._event(Kind.RECORDS_LOST, "ring", records[0], value=float(lost), limit=0.0)
-            told += self._admit(event)
+            told += self.admit([event])
             self._last = self._last._replace(tick=-1)
         for place in self._places(records).tolist():
             record = records[place]
             if place:
                 before = records[place - 1]
                 self._last = self._last._replace(tick=int(before["index"]))
-            told += self._turn_window(int(record["index"]))
-            for event in self._look(record):
-                told += self._admit(event)
+            told += self._tallies.turn(int(record["index"]) // self._window_ticks)
+            told += self.admit(self._look(record))
         self._last = self._last._replace(tick=int(records["index"][-1]))
-        told += self._turn_window(self._last.tick)
+        told += self._tallies.turn(self._last.tick // self._window_ticks)
         return told
 
     def _places(self, records: NDArray[np.void]) -> NDArray[np.int64]:
@@ -324,30 +277,6 @@ class EventStream:
         if kind is Kind.FAULT_CLEARED:
             return event._replace(unit=unit, cause="it is there again")
         return event._replace(unit=unit, cause=text.cause, action=text.action.replace("AXIS", name or "NAME"))
-
-    # storms -----------------------------------------------------------------------------------------------------------
-
-    def _admit(self, event: Event) -> list[Event]:
-        """The event, unless enough like it were told in this second: then it is counted."""
-        tally = self._tallies.setdefault((event.kind, event.name, event.axis), _Tally())
-        tally.told += 1
-        if tally.told <= TOLD:
-            return [event]
-        tally.untold += event.times
-        tally.last = event
-        return []
-
-    def _turn_window(self, index: int) -> list[Event]:
-        window = index // self._window_ticks
-        if window == self._window:
-            return []
-        self._window = window
-        return self._end_window()
-
-    def _end_window(self) -> list[Event]:
-        rest = [tally.last._replace(times=tally.untold) for tally in self._tallies.values() if tally.last]
-        self._tallies.clear()
-        return rest
 
 
 class _Evidence(NamedTuple):

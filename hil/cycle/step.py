@@ -97,6 +97,11 @@ class ControlCycle:
         return [*self.protocol.problems, *([push] if push else [])]
 
     @property
+    def failure(self) -> str:
+        """Why a user's law no longer counts, with file and line; empty where all is well."""
+        return self.axes.law.failure
+
+    @property
     def silent(self) -> bool:
         """Nothing is sent until a reset."""
         return self.supervisor.silent

@@ -15,6 +15,7 @@ from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, runtime_dir
+from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
@@ -304,7 +305,7 @@ def summed_up(scene: Scene, console: Console) -> dict[str, Any] | None:
         return None
     summary = summarise(run)
     write_json(summary, str(scene.out / "summary.json"))
-    tracking_picture(scene.out / "tracking.png", run.rig, run, run.lateness)
+    tracking_picture(scene.out / "tracking.png", run.rig, run, run.lateness, run.marks)
     show(summary, run.rig, console)
     return summary
 
@@ -330,7 +331,9 @@ def demo(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
-    """Exit status 0: it went as planned; 1: something failed, and the output says what; 130 or 143: interrupted."""
+    """Exit status 0: it went as planned; 1: something failed, and the output says what; 3: it ended in a fault; 130 or
+    143: interrupted.
+    """
     chosen = (*(overrides or ()), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()
@@ -357,6 +360,8 @@ def demo(
         console.print(trouble, soft_wrap=True, markup=False)
     if signals.seen:
         sys.exit(128 + signals.seen)
+    if summary and summary["latched"]:
+        sys.exit(EXIT_FAULT)
     if stage.troubles or summary is None:
         sys.exit(1)
     _what_next(scene, console)

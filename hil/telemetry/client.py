@@ -3,20 +3,23 @@
 import contextlib
 import socket
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 import zenoh
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from zenoh.handlers import RingChannel
 
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.credentials import Credentials
+from hil.telemetry.event_feed import EventFeed
 from hil.telemetry.session import client_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _POLL_S = 0.01
+M = TypeVar("M", bound=Message)
 _KEPT = 200  # batches for a reader that is late
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
 
@@ -44,8 +47,8 @@ def listens(endpoint: str) -> bool:
     return True
 
 
-def printable(status: pb.Status) -> pb.Status:
-    """The status without characters that would command a terminal (ESC and its like)."""
+def printable(status: M) -> M:
+    """The message without characters that would command a terminal (ESC and its like)."""
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
@@ -69,6 +72,7 @@ class RigClient(Closing):
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
         self._batches: Any = None
+        self._events: EventFeed | None = None
 
     def _connect(self) -> bool:
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
@@ -87,6 +91,25 @@ class RigClient(Closing):
             return printable(pb.Status.FromString(sample.payload.to_bytes())) if sample else None
         except DecodeError:  # of another version, or of anybody else who can publish there
             return None
+
+    def events(self) -> list[pb_events.Event]:
+        """Events that were not returned before, those from before the first call with them; never waits."""
+        if not self._connect() or self._session is None:
+            return []
+        if self._events is None:
+            self._events = EventFeed(self._session, f"{self._key}/events")
+        return [printable(event) for event in self._events.take()]
+
+    def wait_events(self, timeout_s: float) -> list[pb_events.Event]:
+        """All events the sidecar still keeps. Raises NoSidecarError."""
+        found: list[pb_events.Event] = []
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            found += self.events()
+            if self._events and self._events.answered:
+                return found
+            time.sleep(_POLL_S)
+        raise NoSidecarError(_NOBODY.format(self.endpoint))
 
     def wait_status(self, timeout_s: float) -> pb.Status:
         """The next status. Raises NoSidecarError."""

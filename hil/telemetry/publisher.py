@@ -1,6 +1,6 @@
 """The sidecar's side of Zenoh: what is published under which key."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
 import zenoh
@@ -12,6 +12,7 @@ from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64
 QUERIES_A_ROUND = 8
+_ANSWERED = {"rig": zenoh.Encoding.APPLICATION_JSON, "events": zenoh.Encoding.APPLICATION_PROTOBUF}
 
 
 class ListenError(Exception):
@@ -33,9 +34,12 @@ class Publisher(Closing):
                     encoding=zenoh.Encoding.APPLICATION_PROTOBUF,
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic in ("telemetry", "status")
+                for topic in ("telemetry", "status", "events")
             }
-            self.rig_queries = self._session.declare_queryable(f"{self.key}/rig", RingChannel(_QUERIES_WAITING))
+            self.queries = {
+                name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))
+                for name in _ANSWERED
+            }
             self._alive = self._session.liveliness().declare_token(f"{self.key}/alive")
             self._stack = stack.pop_all()
 
@@ -48,15 +52,16 @@ class Publisher(Closing):
             return False
         return True
 
-    def answer_rig_queries(self, description: Callable[[], bytes]) -> None:
-        """Reply to everybody who asked which rig this is. description: called for each, as hardly anybody asks."""
-        for _ in range(QUERIES_A_ROUND):
-            query = self.rig_queries.try_recv()
-            if query is None:
-                return
-            with query:
-                self.answered += 1
-                query.reply(f"{self.key}/rig", description(), encoding=zenoh.Encoding.APPLICATION_JSON)
+    def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
+        """Reply to everybody who asked for "rig" or "events". answers: called for each, as hardly anybody asks."""
+        for name, waiting in self.queries.items():
+            for _ in range(QUERIES_A_ROUND):
+                query = waiting.try_recv()
+                if query is None:
+                    break
+                with query:
+                    self.answered += 1
+                    query.reply(f"{self.key}/{name}", answers[name](), encoding=_ANSWERED[name])
 
     def close(self) -> None:
         """Undeclare everything and leave."""

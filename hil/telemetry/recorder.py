@@ -2,7 +2,7 @@
 
 Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Channels: `telemetry`
 and `traffic` (every tick, in batches), `status` (10 Hz), `commands` (every
-request, refused ones included).
+request, refused ones included), `events` (what happened, one message each).
 """
 
 import json
@@ -23,19 +23,22 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
+from hil.cycle.event import Event
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.file import document_hash
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
-from hil.telemetry import codec
+from hil.telemetry import codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.event_codec import encode
 
 CHANNELS: dict[str, type[Message]] = {
     "telemetry": pb.Telemetry,
     "traffic": pb.Traffic,
     "status": pb.Status,
     "commands": pb.CommandEntry,
+    "events": events_pb2.Event,
 }
 CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
 _LOCKSTEP_BATCH = 50  # ticks
@@ -132,7 +135,7 @@ class LockstepRecorder:
         self._n_axes = len(rig.axes)
         self._records = np.zeros(_LOCKSTEP_BATCH, RECORD)
         self._held = 0
-        self._first = 0
+        self._first = self._told = 0
         self._check()
 
     def observe(self, _tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
@@ -141,6 +144,12 @@ class LockstepRecorder:
         self._held += 1
         if self._held == _LOCKSTEP_BATCH:
             self._flush()
+
+    def tell(self, events: Sequence[Event]) -> None:
+        """Take events in, as hil.virtual.sim tells them."""
+        for event in events:
+            self._recorder.write("events", event.time_ns, encode(event, self._told, 0).SerializeToString())
+            self._told += 1
 
     def _flush(self) -> None:
         write_batch(self._recorder, self._records[: self._held], self._n_axes, first=self._first, lost=0)

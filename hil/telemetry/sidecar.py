@@ -6,7 +6,6 @@ process, and outlives any number of them: each gets a recording of its own.
 
 import itertools
 import json
-import os
 import signal
 import socket
 import sys
@@ -20,13 +19,13 @@ import typer
 
 from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.cycle.event_table import Severity
-from hil.cycle.events import Event, stream_of
+from hil.cycle.event_table import KINDS, REFUSED_ACTION, Kind
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
-from hil.live.drive_problems import read_problems
 from hil.live.mailbox import Mailbox, MailboxError
+from hil.live.notes import read_problems
 from hil.live.ring import RingError, RingReader
+from hil.live.ring_events import RingEvents
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -35,6 +34,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
+from hil.telemetry.event_log import EventLog, own_event
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.recorder import Recorder
@@ -50,7 +50,7 @@ SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process
 class Attached:
     """One control process's ring and mailbox, followed from its first tick that is still there to its end."""
 
-    def __init__(self, reader: RingReader, mailbox: Mailbox | None, recorder: Recorder | None) -> None:
+    def __init__(self, reader: RingReader, mailbox: Mailbox | None, recorder: Recorder | None, notes: Path) -> None:
         self.reader = reader
         self.mailbox = mailbox
         self.recorder = recorder
@@ -59,11 +59,12 @@ class Attached:
         self.axes = list(rig["axes"])
         self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
         self.law = str(rig["law"]["name"])
-        self.events = stream_of(rig, reader.period_ns)
+        self.told = RingEvents(reader, notes)
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
         self.batches = self.sent = self.dropped = 0
         self.lost = 0  # since the last batch
         self.caught_up = False  # the window is the present: the last round read the ring to its end
+        self.recorder_errors = 0  # told
         self.over = False  # the control process is gone, and all it left is safe
 
     def close(self) -> None:
@@ -86,8 +87,9 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems))
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.notes))
         self._noted = 0  # entries of this round
+        self._events = EventLog(rig.name, publisher)
         self._out = out
         self._status_due_ns = 0
         self._seen_run = -1
@@ -120,7 +122,10 @@ class Sidecar:
         self._leave()
         self._seen_run = reader.run_id
         self._gateway.follow(reader.metadata)
-        self.attached = Attached(reader, self._open_mailbox(), self._new_recorder(reader))
+        recorder = self._events.recorder = self._new_recorder(reader)
+        self.attached = Attached(reader, self._open_mailbox(), recorder, self._paths.notes)
+        now_ns = time.monotonic_ns()
+        self._events.own(now_ns, own_event(Kind.SIDECAR, f"follows control process {reader.pid}", now_ns))
 
     def _open_mailbox(self) -> Mailbox | None:
         try:
@@ -143,7 +148,7 @@ class Sidecar:
             self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
             self.publish_status(time.monotonic_ns())
             self.attached.close()
-            self.attached = None
+            self.attached = self._events.recorder = None
 
     def _conclude(self, now_ns: int) -> None:
         """The control process is gone and its ring is drained: finish the recording, or leave the black box be."""
@@ -151,7 +156,10 @@ class Sidecar:
         if run is None or run.over:
             return
         run.over = True
-        self._tell(run.events.close())
+        self._events.tell(run.told.close())
+        fate = "ended" if run.reader.ended else "was killed"
+        why = () if run.reader.ended else ("it did not end by itself", "hil blackbox RIG, once this sidecar is gone")
+        self._events.own(now_ns, own_event(Kind.SIDECAR, f"control process {run.reader.pid} {fate}", now_ns, *why))
         self.publish_status(now_ns)
         if run.recorder and run.recorder.ok:
             run.recorder.close()
@@ -186,19 +194,10 @@ class Sidecar:
             at = int(records["now_ns"][-1])
             run.recorder.write("telemetry", at, data)
             run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
-        self._tell(run.events.tell(records, batch.lost))
+        self._events.tell(run.told.tell(batch))
         run.window.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
-
-    @staticmethod
-    def _tell(events: list[Event]) -> None:
-        """To the journal, one line each, with the level systemd reads; where output is no journal, without."""
-        prefix = "JOURNAL_STREAM" in os.environ
-        for event in events:
-            if event.severity <= Severity.NOTICE:
-                level = f"<{int(event.severity)}>" if prefix else ""
-                print(f"{level}{event.line}", flush=True)
 
     def _serve(self, now_ns: int, alive: bool) -> None:
         run = self.attached
@@ -213,7 +212,8 @@ class Sidecar:
         for request in asked:
             self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        self._publisher.answer_rig_queries(self._description)
+        self._publisher.answer_queries({"rig": self._description, "events": self._events.history})
+        self._events.turn(now_ns)
 
     def _note_command(self, entry: pb.CommandEntry) -> None:
         """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
@@ -226,6 +226,9 @@ class Sidecar:
             name = CommandKind(entry.kind).name if entry.kind in set(CommandKind) else f"command {entry.kind}"
             verdict = "accepted" if entry.accepted else f"refused: {entry.reason}"
             print(f"{entry.who}: {name}: {verdict}; state {entry.state or '-'}", flush=True)
+            if not entry.accepted:
+                cause = f"{entry.reason}; asked by {entry.who}; the state is {entry.state or 'not known'}"
+                self._events.tell([own_event(Kind.REQUEST, f"{name} refused", entry.when_ns, cause, REFUSED_ACTION)])
 
     def _description(self) -> bytes:
         """Which rig this is: the whole of it, as JSON."""
@@ -246,13 +249,14 @@ class Sidecar:
             status.control_alive = run.reader.writer_alive
             status.control_ended = run.reader.ended
             if run.reader.writer_alive:
-                status.drive_problems.extend(read_problems(self._paths.problems))
+                status.drive_problems.extend(read_problems(self._paths.notes))
             status.produced = run.reader.written
             status.sent, status.dropped = run.sent, run.dropped
             if run.caught_up:
                 run.window.fill(status)
             if run.recorder:
                 status.recording = run.recorder.ok
+                self._watch_recorder(run, now_ns)
                 status.recorder_errors = run.recorder.errors
                 status.recording_path = str(run.recorder.path)
         data = status.SerializeToString()
@@ -260,6 +264,14 @@ class Sidecar:
         if self.attached and self.attached.recorder:
             self.attached.recorder.write("status", now_ns, data)
         self.status = status
+
+    def _watch_recorder(self, run: Attached, now_ns: int) -> None:
+        """Tell once that a recording has failed."""
+        recorder = run.recorder
+        if recorder and recorder.errors > run.recorder_errors:
+            event = own_event(Kind.RECORDER, f"cannot write {recorder.path}", now_ns, KINDS[Kind.RECORDER].cause)
+            self._events.own(now_ns, event._replace(value=float(recorder.errors), limit=0.0))
+            run.recorder_errors = recorder.errors
 
     @property
     def control_alive(self) -> bool:

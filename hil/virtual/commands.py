@@ -71,6 +71,7 @@ def sim(
                 progress=lambda done: bar.update(job, completed=done),
                 observer=recorder.observe if recorder else None,
                 scenario=scenario,
+                tell=recorder.tell if recorder else None,
             )
         except ValueError as error:  # a task or layout the rig cannot carry
             raise RigError([f"{rig}: {error}"]) from None
@@ -87,9 +88,9 @@ def sim(
 
 def _document(report: Any) -> dict[str, Any]:
     """A report as JSON has it: its events as objects with names."""
-    events = [{**event._asdict(), "kind": event.kind.name, "severity": event.severity.name} for event in report.events]
     document: dict[str, Any] = dataclasses.asdict(dataclasses.replace(report, events=[], latched=None))
-    return {**document, "events": events, "latched": report.latched.line if report.latched else None}
+    latched = report.latched.document if report.latched else None
+    return {**document, "events": [event.document for event in report.events], "latched": latched}
 
 
 def _show_latched(report: Any, console: Console) -> None:
@@ -119,9 +120,12 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
         console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
     if picture:
-        from hil.cli.pictures import tracking_picture
+        import numpy as np
 
-        tracking_picture(picture, config, traces)
+        from hil.cli.pictures import tracking_picture
+        from hil.virtual.event_marks import marks_of
+
+        tracking_picture(picture, config, traces, marks=marks_of(report.events, np.arange(report.ticks)))
         console.print(f"picture {picture}")
 
 

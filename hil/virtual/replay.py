@@ -9,7 +9,8 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.frame import Frame
-from hil.cycle.events import Event, EventStream
+from hil.cycle.event import Event
+from hil.cycle.event_notes import CycleEvents
 from hil.cycle.record import MAX_RECEIVED
 from hil.cycle.step import ControlCycle
 from hil.rig.provenance import rig_of_run
@@ -110,14 +111,14 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
         cycle = _new_cycle(rig, base_dir)
-        stream = EventStream([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
+        stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
             result = cycle.step(step.tick, step.received)
-            report.events += stream.observe(result.record)
+            report.events += stream.observe(cycle, result.record)
             report.ticks += 1
             report.frames += len(step.sent)
             if bytes_of(result.frames) != bytes_of(step.sent):

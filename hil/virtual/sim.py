@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from drivers.frame import Frame
-from hil.cycle.events import Event, EventStream
+from hil.cycle.event import Event
+from hil.cycle.event_notes import CycleEvents
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig, RigError
@@ -49,15 +50,21 @@ def simulate(
     progress: Callable[[int], None] | None = None,
     observer: Observer | None = None,
     scenario: Scenario | None = None,
+    tell: Callable[[Sequence[Event]], None] | None = None,
 ) -> tuple[SimReport, "Traces"]:
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
-    every sample.
+    every sample. tell: is given the events as they are told.
     """
-    stream = EventStream([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
+    stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
     events: list[Event] = []
 
+    def told(new: Sequence[Event]) -> None:
+        events.extend(new)
+        if tell and new:
+            tell(new)
+
     def observe(tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
-        events.extend(stream.observe(result.record))
+        told(stream.observe(run.cycle, result.record))
         if observer:
             observer(tick, frames, result)
 
@@ -71,6 +78,7 @@ def simulate(
         if progress and index % 1000 == 0:
             progress(index)
     elapsed = time.perf_counter() - started
+    told(stream.close())
     first = steady_from(run, ticks)
     report = SimReport(
         rig=rig.name,
@@ -86,7 +94,7 @@ def simulate(
         trace_sha256=run.trace_sha256,
         samples_lost=run.cycle.inbox.lost,
         wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
-        events=[*events, *stream.close()],
+        events=events,
         latched=stream.latched,
         law_failure=run.cycle.law.failure,
     )

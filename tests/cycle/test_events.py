@@ -8,8 +8,9 @@ from typer.testing import CliRunner
 
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_FAULT
+from hil.cycle.event_storm import TOLD
 from hil.cycle.event_table import FAULT_TEXTS, KINDS, Kind
-from hil.cycle.events import TOLD, EventStream
+from hil.cycle.events import EventStream
 from hil.cycle.fault_table import RULES, Fault
 from hil.cycle.record import MAX_EVIDENCE, RECORD
 from hil.cycle.state_machine import State

@@ -194,6 +194,9 @@ def test_a_sidecar_that_falls_silent_is_said_to_within_a_second() -> None:
         def status(self) -> pb.Status | None:
             return self.statuses.pop() if self.statuses else None
 
+        def events(self) -> list[Any]:
+            return []
+
     newest = Newest(cast(RigClient, Silent()))
     assert newest.look()
     began = time.monotonic()
@@ -233,6 +236,9 @@ def test_one_key_stops_the_rig_that_is_shown_and_the_terminal_is_left_as_it_was(
 
         def status(self) -> pb.Status:
             return status()
+
+        def events(self) -> list[Any]:
+            return []
 
     stopped: list[str] = []
 
