@@ -128,7 +128,7 @@ def test_the_page_is_laid_out_by_the_first_status_and_fed_by_the_next() -> None:
     from bokeh.document import Document
 
     messages = [pb.Status(rig="microscope"), status(), None, status(index=1334)]
-    client = SimpleNamespace(status=lambda: messages.pop(0), close=lambda: None)
+    client = SimpleNamespace(status=lambda: messages.pop(0), events=list, close=lambda: None)
     document = Document()
     page = dashboard.Page(document, client)  # type: ignore[arg-type]
     for _ in range(4):
