@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
+CHANNEL_RULE = "1 to 15 letters, digits, '_', '.' or '-', not '.' first"
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 REQUIRED = ...
 
@@ -155,7 +157,7 @@ class BusConfig(BaseModel):
     interface: Literal["auto", "socketcan", "local"] = key(
         "auto", "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is"
     )
-    channel: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,15}$")] = key("can0", "name of the CAN interface")
+    channel: Annotated[str, Field(pattern=CHANNEL_NAME)] = key("can0", "name of the CAN interface")
     protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = key(
         "stage_fd", "frame layout: stage_fd, stage_classic, cia402, or dbc:FILE with FILE beside the rig file"
     )

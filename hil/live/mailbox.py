@@ -21,6 +21,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from drivers.runtime import open_private
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.live.mapped_file import Closing, lay_out
@@ -55,7 +56,7 @@ class Mailbox(Closing):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._fd = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)
+            self._fd = open_private(self.path, os.O_RDWR)
         except OSError as error:
             raise MailboxError(f"{self.path}: {error.strerror}") from None
         if os.fstat(self._fd).st_size != SIZE:

@@ -4,7 +4,7 @@ import contextlib
 import json
 from pathlib import Path
 
-from drivers.runtime import write_private
+from drivers.runtime import read_private, write_private
 from hil.cycle.event_table import Kind
 from hil.cycle.note import MOST, Note, Speaker, noted
 
@@ -31,7 +31,7 @@ def read_notes(path: Path) -> list[Note]:
     """What the control process wrote last; nothing where there is none, or no sense in it."""
     notes = []
     try:
-        for line in path.read_text(encoding="utf-8").splitlines()[:MOST]:
+        for line in read_private(path).decode().splitlines()[:MOST]:
             kind, text, tick, time_ns = json.loads(line)
             notes.append(Note(Kind(kind), str(text), int(tick), int(time_ns)))
     except (OSError, ValueError, TypeError):

@@ -28,6 +28,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.runtime import open_private
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
 from hil.live.file_lock import is_locked, try_lock
 from hil.live.mapped_file import Closing, lay_out
@@ -168,7 +169,7 @@ def _replace(path: Path, temporary: Path) -> None:
     """Move `temporary` to `path`, keeping a killed writer's ring as the black box. Raises RingError if one lives."""
     while True:
         try:
-            old = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            old = open_private(path, os.O_RDWR)
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
                 os.link(temporary, path)
@@ -209,7 +210,7 @@ class RingReader(Closing):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._fd = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)  # asking for the write lock needs it
+            self._fd = open_private(self.path, os.O_RDWR)  # asking for the write lock needs it
         except OSError as error:
             raise RingError(f"{self.path}: {error.strerror}") from None
         try:

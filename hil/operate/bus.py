@@ -2,6 +2,7 @@
 
 import contextlib
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -11,7 +12,6 @@ from typing import Annotated, Literal
 import can
 import typer
 from can.io.logger import Logger
-from can.io.player import LogReader
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -19,11 +19,11 @@ from rich.text import Text
 
 from drivers.bus.local_bus import from_message
 from drivers.bus.port import resolve_interface
-from drivers.config import BusConfig
+from drivers.config import CHANNEL_RULE, BusConfig
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
+from hil.operate.trace_file import FORMATS, TraceError, has_known_format, read_trace
 from hil.rig.file import load_rig
 
-FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # suffixes that python-can reads and writes
 REFRESH_HZ = 4
 POLL_S = 0.1
 SHORTEST_WINDOW_S = 0.1
@@ -89,7 +89,7 @@ def record(
 
 @bus.command()
 def play(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="a recording in any format of `record`")],
+    file: Annotated[Path, typer.Argument(exists=True, help="a recording in any format of `record`")],
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
     rig: RigOption = None,
@@ -104,14 +104,21 @@ def play(
             f"{config.channel} is a SocketCAN bus: recorded torques would move a stage; see --real"
         )
     sent = refused = 0
-    with _open(config) as member, LogReader(file) as reader, contextlib.suppress(KeyboardInterrupt):
-        for message in can.MessageSync(_at_speed(reader, speed), gap=0.0):
-            try:
-                member.send(message)
-                sent += 1
-            except can.CanOperationError:
-                refused += 1
+    trouble = ""
+    with _open(config) as member, contextlib.suppress(KeyboardInterrupt):
+        try:
+            for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0):
+                try:
+                    member.send(message)
+                    sent += 1
+                except can.CanOperationError:
+                    refused += 1
+        except TraceError as error:
+            trouble = str(error)
     print(f"{file}: {sent} frames sent to {config.channel}, {refused} refused")
+    if trouble:
+        print(f"hil bus play: {trouble}", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def _messages(member: can.BusABC, stopped: threading.Event) -> Iterator[can.Message | None]:
@@ -138,7 +145,7 @@ def _config(channel: str, interface: Interface, rig: Path | None) -> BusConfig:
     try:
         return BusConfig(channel=channel, interface=interface)
     except ValueError:
-        raise typer.BadParameter(f"channel {channel!r}: 1 to 15 letters, digits, '_', '.' or '-'") from None
+        raise typer.BadParameter(f"channel {channel!r}: {CHANNEL_RULE}") from None
 
 
 @contextlib.contextmanager
@@ -171,8 +178,7 @@ def _until_stopped(seconds: float | None) -> Iterator[threading.Event]:
 
 
 def _check_format(file: Path) -> None:
-    suffixes = [suffix for suffix in file.suffixes if suffix != ".gz"]
-    if not suffixes or suffixes[-1].lower() not in FORMATS:
+    if not has_known_format(file):
         raise typer.BadParameter(f"{file}: the name must end in one of {', '.join(FORMATS)} (.gz may follow)")
 
 

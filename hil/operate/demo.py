@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
-from drivers.runtime import make_private, runtime_dir
+from drivers.runtime import make_private, read_private, runtime_dir
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
@@ -163,7 +163,7 @@ class Demo:
         """Where the sidecar listens, as soon as it does."""
         place = self.scene.paths.endpoint
         self._await_file(place, "the sidecar did not listen")
-        endpoint = place.read_text(encoding="utf-8")
+        endpoint = read_private(place).decode()
         self.console.print(f"watch it from a second terminal: hil monitor {self.scene.rig.name} (it is at {endpoint})")
         return endpoint
 
@@ -264,7 +264,7 @@ class Demo:
         if self.control.exit_status == 0:
             return
         try:
-            state = json.loads(self.scene.paths.emulator.read_text(encoding="utf-8"))
+            state = json.loads(read_private(self.scene.paths.emulator))
         except (OSError, ValueError):
             self.troubles.append("the emulator left no word of its drives")
             return

@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.runtime import RuntimeDirectoryError, runtime_dir
+from drivers.runtime import RuntimeDirectoryError, read_private, runtime_dir
 from hil.cli.processes import worker_pool
 from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
@@ -240,7 +240,7 @@ def access_finding(rig: str, directory: Path) -> Finding:
     """Of one rig's sidecar."""
     topic = f"access to {rig}"
     try:
-        access = json.loads((directory / "access.json").read_text(encoding="utf-8"))
+        access = json.loads(read_private(directory / "access.json"))
         watch, commands = [str(endpoint) for endpoint in access["watch"]], str(access["commands"])
         owner = directory.stat().st_uid
     except (OSError, ValueError, KeyError, TypeError) as error:

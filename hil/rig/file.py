@@ -10,11 +10,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.task_file import TaskFileError, read_task_file
+
+LARGEST_LAW = 2**20  # bytes of a law's Python file
 
 DEEPEST_OVERRIDE = 8  # keys in one another
 _LONGEST = 400  # characters of one problem's text
@@ -87,9 +90,11 @@ def _read_law_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> N
     elif chosen or not law.get("source"):
         path = folder / file
         try:
-            law["source"] = path.read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            text = getattr(error, "strerror", None) or "no UTF-8 text"
+            law["source"] = read_bounded(path, LARGEST_LAW).decode().replace("\r\n", "\n")
+        except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
+            text = (
+                "no UTF-8 text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None) or error
+            )
             raise RigError([f"law.name = {shown(law['name'])}: {path}: {text}"]) from None
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
-from hil.cycle.record import FRAME, MOTION_FIELDS
+from hil.cycle.record import FRAME, MAX_RECEIVED, MAX_SENT, MOTION_FIELDS, RECORD
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
+from hil.rig.schema import MAX_AXES
 from hil.telemetry import telemetry_pb2 as pb
 
 Records = NDArray[np.void]
@@ -26,6 +27,8 @@ _COUNTERS = (
     "law_floors",
 )
 STOP, RECORDER_OK, REALTIME_OK, RIG_OK, ESTOP = 1, 2, 4, 8, 32  # bits of record flags
+LONGEST_BATCH = 4096  # ticks in a message, several times what a sidecar drains in a round
+_STAGES = RECORD.fields["cpu_ns"][0].shape[0]  # type: ignore[index]
 _N_PORT = len(PortCounters._fields)
 _DATA_BYTES = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 
@@ -85,12 +88,23 @@ def _frames(slots: NDArray[np.void], counts: NDArray[np.uint16]) -> pb.Frames:
 
 
 def columns(message: pb.Telemetry) -> dict[str, NDArray[Any]]:
-    """Telemetry as arrays: (ticks,) or (ticks, axes), by field name."""
+    """Telemetry as arrays: (ticks,) or (ticks, axes), by field name. Raises ValueError for one that cannot be."""
+    ticks, axes = len(message.index), message.axes
+    _refuse_too_many("ticks in a message", ticks, LONGEST_BATCH)
+    _refuse_too_many("axes", axes, MAX_AXES)
+    for names, most in ((PER_TICK, ticks), (PER_AXIS, ticks * axes), (("cpu_ns",), ticks * _STAGES)):
+        for name in names:
+            _refuse_too_many(f"values of {name}", len(getattr(message, name)), most)
     result = {name: np.array(getattr(message, name)) for name in PER_TICK}
     for name in PER_AXIS:
         result[name] = np.array(getattr(message, name)).reshape(-1, message.axes)
-    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, 5)
+    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, _STAGES)
     return result
+
+
+def _refuse_too_many(what: str, number: int, most: int) -> None:
+    if number > most:
+        raise ValueError(f"{number} {what}: at most {most}")
 
 
 class RecordedTick(NamedTuple):
@@ -103,7 +117,10 @@ class RecordedTick(NamedTuple):
 
 
 def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
-    """The steps in a traffic message, in order."""
+    """The steps in a traffic message, in order. Raises ValueError for more than any recorder puts into one."""
+    _refuse_too_many("ticks in a message", len(message.index), LONGEST_BATCH)
+    _refuse_too_many("frames received in a tick", max(message.received_count, default=0), MAX_RECEIVED)
+    _refuse_too_many("frames sent in a tick", max(message.sent_count, default=0), MAX_SENT)
     received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
     for place in range(len(message.index)):
         *counts, bus_state = message.port[place * _N_PORT : (place + 1) * _N_PORT]

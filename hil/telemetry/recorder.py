@@ -18,11 +18,11 @@ from google.protobuf.message import Message
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
+from drivers.text_file import UnsuitableFileError
 from hil.cycle.event import Event
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CycleResult, Tick
@@ -32,6 +32,7 @@ from hil.rig.schema import RigConfig
 from hil.telemetry import codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.event_codec import encode
+from hil.telemetry.mcap_items import BombError, mcap_items
 
 CHANNELS: dict[str, type[Message]] = {
     "telemetry": pb.Telemetry,
@@ -45,7 +46,6 @@ _LOCKSTEP_BATCH = 50  # ticks
 RUN_ATTACHMENT = "run.json"
 _SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
 
-_RECORD_LIMIT = 256 * 2**20
 # What a file that ends anywhere, or has any bit wrong, can cause: a length may be beyond all bounds.
 _DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
 
@@ -207,11 +207,11 @@ class Recording:
         try:
             metadata = json.loads(data)
             known = isinstance(metadata["rig"], dict) and {"rig_hash", "version"} <= metadata.keys()
-        except (ValueError, KeyError, TypeError):  # TypeError: it is no object
+            found = document_hash(metadata["rig"])
+        except (ValueError, KeyError, TypeError, RecursionError):  # TypeError: no object
             known = False
         if not known:
             raise RecordingError(f"{self.path}: its description ({RUN_ATTACHMENT}) is damaged")
-        found = document_hash(metadata["rig"])
         if found != metadata["rig_hash"]:  # a cycle of another rig would be blamed for its other torques
             raise RecordingError(
                 f"{self.path}: its rig does not have the hash that was recorded with it ({found}, not "
@@ -221,10 +221,11 @@ class Recording:
 
     def _items(self) -> Iterator[Any]:
         try:
-            with self.path.open("rb") as file:
-                yield from StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT).records
+            yield from mcap_items(self.path)
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}") from None
+        except (UnsuitableFileError, BombError) as error:
+            raise RecordingError(f"{self.path}: not a recording of a control process: {error}") from None
         except _DAMAGED:
             self.truncated = True
 
