@@ -8,7 +8,7 @@ from typing import Final
 from hil.cycle.event import Event
 from hil.cycle.event_table import Kind
 
-TOLD: Final = 5  # alike events told one by one
+TOLD: Final = 3  # alike events told one by one
 TOLD_OF: Final = {Kind.TICK_LATE: 1, Kind.TICKS_LOST: 1}  # a busy machine has them in every second
 
 

@@ -27,6 +27,7 @@ from hil.telemetry.recorder import Recording, RecordingError
 from hil.virtual.event_marks import marks_of
 from hil.virtual.figures_of_merit import axis_statistics
 
+MOST_EVENTS = 5000  # of a long run; the recording has all
 _FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
 
 
@@ -146,8 +147,17 @@ def summarise(run: RunData) -> dict[str, Any]:
         },
         "telemetry": {"produced": produced, "sent": sent, "dropped": dropped},
         "recording": {"ticks": ticks, "lost": run.lost, "truncated": run.truncated},
-        "events": [event.document for event in run.events],
+        "events": [event.document for event in _gravest(run.events)],
+        "events_left_out": max(0, len(run.events) - MOST_EVENTS),
     }
+
+
+def _gravest(events: list[Event]) -> list[Event]:
+    """At most MOST_EVENTS of them, in their order."""
+    if len(events) <= MOST_EVENTS:
+        return events
+    kept = sorted(range(len(events)), key=lambda place: (events[place].severity, place))[:MOST_EVENTS]
+    return [events[place] for place in sorted(kept)]
 
 
 def _faults(column: NDArray[Any]) -> Iterable[str]:

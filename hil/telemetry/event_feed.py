@@ -11,6 +11,7 @@ from hil.telemetry import events_pb2 as pb
 
 _KEPT = 200  # messages for a reader that is late
 _REPLIES = 16
+_SIDECARS = 16  # of a rig, one after the other; the oldest are forgotten
 _ANSWER_S = 2.0
 _ASK_AGAIN_S = 1.0
 
@@ -79,4 +80,7 @@ class EventFeed:
             message = pb.Events.FromString(sample.payload.to_bytes())
         except DecodeError:  # of another version, or of anybody else who can publish there
             return []
-        return self._got.setdefault(message.sidecar, _Got()).take(message)
+        got = self._got.setdefault(message.sidecar, _Got())
+        while len(self._got) > _SIDECARS:
+            del self._got[next(iter(self._got))]
+        return got.take(message)

@@ -145,6 +145,8 @@ class Sidecar:
                 pass
             if not self.attached.reader.writer_alive:
                 self._conclude(time.monotonic_ns())
+            if not self.attached.over:
+                self._events.tell(self.attached.told.close())
             self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
             self.publish_status(time.monotonic_ns())
             self.attached.close()

@@ -18,8 +18,9 @@ from typer import Exit
 from drivers.protocols.base import DriveStatus
 from hil.cli.pictures import tracking_picture
 from hil.operate import dashboard, monitor
-from hil.operate.monitor import Newest, line, silence, view
+from hil.operate.monitor import Newest, banner, line, silence, view
 from hil.rig.schema import RigConfig
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, printable
 
@@ -121,6 +122,27 @@ def test_the_page_streams_one_column_per_axis_and_quantity() -> None:
     assert row["late"] == [pytest.approx(410)]
     assert row["t"] == [pytest.approx(1.234)]
     assert "killed" in dashboard.headline(status(control_alive=False))
+
+
+def event(name: str, kind: int = pb_events.Event.FAULT_LATCHED, **changes: Any) -> pb_events.Event:
+    line = f"tick 7 (0.007 s): fault latched: {name} on x: age 3 ticks, limit 3 ticks; cause: <b>; next: reset"
+    return pb_events.Event(kind=kind, name=name, severity=pb_events.Event.ERROR, line=line, wall_ns=10**18, **changes)
+
+
+def test_a_latched_fault_is_a_banner_above_the_list_of_events() -> None:
+    stopped, events = status(state="FAULT", fault="ENCODER_LOST"), [event("speed"), event("encoder_lost")]
+    assert banner(stopped, events).plain == events[1].line
+    assert banner(status(), events).plain == ""
+    assert banner(stopped, []).plain == "fault ENCODER_LOST"  # its event has not come yet
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(view(stopped, events=events))
+    text = console.export_text()
+    assert text.count("encoder_lost on x") == 2
+    assert text.index("encoder_lost on x") < text.index("max error, last s")
+    page = dashboard.event_list(stopped, events)
+    assert "<b>;" not in page
+    assert page.count("encoder_lost on x") == 2
+    assert page.index("encoder_lost on x", page.index("</div>")) < page.index("speed on x"), "the newest first"
 
 
 def test_the_page_is_laid_out_by_the_first_status_and_fed_by_the_next() -> None:

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,9 @@ from hil.cycle.event_table import FAULT_TEXTS
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.live.runtime_paths import runtime_paths
 from hil.operate.summary import load_run, summarise
+from hil.telemetry.command_client import local_client
 from hil.telemetry.events_pb2 import Event, Events
 from hil.telemetry.session import client_config
 from tests.support.live_rig import CALM, PAPER, PATIENCE_S, Control, emulated, order
@@ -58,16 +60,16 @@ def latched(events: list[Event]) -> list[Event]:
     return [event for event in events if event.kind == Event.FAULT_LATCHED]
 
 
-def asked(endpoint: str) -> list[Event]:
-    """What a plain Zenoh client that joins now is told."""
+def asked(endpoint: str, wanted: Callable[[list[Event]], list[Event]] = latched) -> list[Event]:
+    """What a plain Zenoh client that joins now is told, once there is something wanted."""
     until = time.monotonic() + PATIENCE_S
     with zenoh.open(client_config(endpoint)) as session:
         while time.monotonic() < until:
             for reply in session.get("hil/*/events", timeout=5.0):
-                if reply.ok and latched(found := list(Events.FromString(reply.ok.payload.to_bytes()).events)):
+                if reply.ok and wanted(found := list(Events.FromString(reply.ok.payload.to_bytes()).events)):
                     return found
             time.sleep(0.05)
-    raise AssertionError("no latched fault was told")
+    raise AssertionError("it was not told")
 
 
 def test_without_a_sidecar_the_journal_has_the_fault_and_the_ring_has_it_for_hil_events() -> None:
@@ -136,3 +138,33 @@ def test_a_sidecar_killed_and_started_again_tells_the_fault_of_the_time_between(
         control.process.send_signal(signal.SIGTERM)
         _, _, err = control.finish()
     assert fault.line in err.splitlines()
+
+
+def test_what_the_sidecar_alone_knows_is_told_too(tmp_path: Path) -> None:
+    """A recording that cannot be written, a request that was refused and why, a control process that was killed."""
+    (tmp_path / "file").write_text("in the way")
+    sidecar = LiveSidecar(tmp_path / "file" / "out")
+    try:
+        with emulated(), Control() as control:
+            control.wait_for(State.READY)
+            with local_client(runtime_paths("paper").directory) as client:
+                until = time.monotonic() + PATIENCE_S
+                while (verdict := client.command(CommandKind.STOP)).reason.startswith("no control process"):
+                    assert time.monotonic() < until  # the sidecar has not found it yet
+                assert not verdict.accepted
+            control.process.kill()
+
+            def killed(events: list[Event]) -> list[Event]:
+                return [event for event in events if event.kind == Event.SIDECAR and "was killed" in event.name]
+
+            events = asked(sidecar.endpoint, killed)
+    finally:
+        sidecar.end()
+    request = [event for event in events if event.kind == Event.REQUEST][-1]
+    assert request.name == "STOP refused"
+    assert verdict.reason in request.cause
+    assert "uid" in request.cause
+    recorder = next(event for event in events if event.kind == Event.RECORDER)
+    assert str(tmp_path / "file" / "out") in recorder.name
+    assert recorder.value == 1.0
+    assert all(event.action for event in events)
