@@ -4,9 +4,10 @@ Every key of the rig file is declared with `key`: default, meaning and unit in o
 schema for editors and `hil explain` are made from these declarations.
 """
 
+import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
 CHANNEL_RULE = "1 to 15 letters, digits, '_', '.' or '-', not '.' first"
@@ -150,14 +151,27 @@ class Cia402Config(BaseModel):
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 
+KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emulated drives run on
+
+
+Option = bool | int | float | str
+
+
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
     model_config = STRICT
-    interface: Literal["auto", "socketcan", "local"] = key(
-        "auto", "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is"
+    interface: Annotated[str, Field(pattern=r"^[a-z0-9_-]{2,30}$")] = key(
+        "auto",
+        "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is; any "
+        "other of python-can's (pcan, kvaser, slcan, ...): for `hil bus`, `hil drives` and `hil bench bus` alone",
     )
-    channel: Annotated[str, Field(pattern=CHANNEL_NAME)] = key("can0", "name of the CAN interface")
+    channel: Annotated[str, Field(pattern=r"^[!-~]{1,100}$")] = key(
+        "can0", f"name of the CAN interface: {CHANNEL_RULE}; or what the adapter calls it"
+    )
+    options: dict[str, Option] = key(
+        {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
+    )
     protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = key(
         "stage_fd", "frame layout: stage_fd, stage_classic, cia402, or dbc:FILE with FILE beside the rig file"
     )
@@ -170,6 +184,15 @@ class BusConfig(BaseModel):
     node_id: int = key(1, "cia402: CANopen node of the first axis; the others follow", "1", ge=1, le=120)
     dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
     cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
+
+    @model_validator(mode="after")
+    def _every_key_acts(self) -> "BusConfig":
+        if self.interface in KERNEL_INTERFACES:
+            if not re.fullmatch(CHANNEL_NAME, self.channel):
+                raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")
+            if self.options:
+                raise ValueError(f"options: none are taken with interface = {self.interface!r}")
+        return self
 
 
 class WireConfig(BaseModel):

@@ -79,7 +79,7 @@ ObjectPlace = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2}
 Turn = Annotated[float, Field(ge=-1e3, le=1e3)]
 Interval = Annotated[float, Field(ge=0, le=10)]  # s
 _OF_KIND = {
-    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits"},
+    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits", "answers"},
     "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
     "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
 }
@@ -106,6 +106,9 @@ class EmulatedDriveConfig(BaseModel):
     aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
     answer_delay_s: Interval = key(0.0, "cia402: delay of its SDO answers", "s")
     dummy_mapping: bool = key(True, "cia402: RPDOs may map dummy objects, where the EDS says so")
+    answers: Literal["expedited", "unsized", "segmented"] = key(
+        "expedited", "cia402: how it answers SDO reads of numbers; unsized: expedited, without telling the size"
+    )
     status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)
 
     @model_validator(mode="after")

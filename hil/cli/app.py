@@ -54,6 +54,7 @@ COMMANDS: dict[str, Entry] = {
     "diff": Entry("hil.studies.run_views:diff", "What is otherwise in a second run"),
     "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
     "drives": Entry("hil.operate.drives:drives", "Bring up the drives of a rig: who is there, and why not; jog"),
+    "drive": Entry("hil.operate.drive:drive", "An emulated CiA 402 drive by its EDS, for anybody's master"),
     "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
     "bench": Entry("hil.operate.bench.command:bench", "Measurements of this machine, against a reference"),
     "install": Entry("hil.operate.install:install", "Put the systemd units and a rig file in place"),

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
+from drivers.config import KERNEL_INTERFACES
 from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
@@ -42,7 +43,7 @@ def check_rig(
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
-    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent)]:
+    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent), *interface_notes(rig)]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
@@ -73,6 +74,16 @@ def check_rig(
         print(f"hil: {rig_file}: {line}", file=sys.stderr)
     if found:
         raise typer.Exit(EXIT_CONFIG)
+
+
+def interface_notes(rig: RigConfig) -> list[str]:
+    """What a bus that is none of the kernel's is good for."""
+    if rig.bus.interface in KERNEL_INTERFACES:
+        return []
+    return [
+        f"bus.interface = '{rig.bus.interface}' serves hil bus, hil drives and hil bench bus; hil run and hil emulate "
+        f"refuse it, and run on {' or '.join(KERNEL_INTERFACES[1:])} alone"
+    ]
 
 
 def as_json(analysis: Analysis) -> dict[str, Any]:

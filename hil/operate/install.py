@@ -13,7 +13,7 @@ from typing import Annotated
 import tomlkit
 import typer
 
-from drivers.config import BusConfig
+from drivers.config import KERNEL_INTERFACES, BusConfig
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import shipped
@@ -242,6 +242,11 @@ def install_rig(
     emulator: also start the emulated stage; None: on vcan channels only. Raises RigError, InstallError, OSError.
     """
     text, rig = _rig_text(source, channel)
+    if rig.bus.interface not in KERNEL_INTERFACES:
+        raise InstallError(
+            f"bus.interface = '{rig.bus.interface}': the control process runs on the kernel's CAN interfaces alone; "
+            "`hil doctor` has the commands for the adapter's own driver"
+        )
     emulated = rig.bus.channel.startswith("vcan") if emulator is None else emulator
     fd = _needs_fd(rig, source.parent)
     belongings = {f"{rig.name}.toml": text, **_dbc_file(rig, source)}

@@ -1,4 +1,4 @@
-"""Recordings of a CAN bus in the formats that python-can reads, whoever wrote them.
+"""Recordings of a CAN bus in candump's format and those that python-can reads, whoever wrote them.
 
 python-can's readers trust their file. Here what they are handed is bounded instead: a regular file, lines and blocks no
 longer than any writer makes them, a second for each frame; and whatever a reader raises on bytes of any kind becomes
@@ -12,42 +12,34 @@ import signal
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 import can
-from can.io.generic import BinaryIOMessageReader, MessageReader, TextIOMessageReader
+from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 from can.io.sqlite import SqliteReader
 
 from drivers.frame import EXTENDED_MASK, STANDARD_MASK
 from drivers.text_file import open_untrusted
 from drivers.toml_file import short
+from hil.operate.candump_log import TraceError, read_log
+from hil.operate.traces import suffix_of
 
-FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # suffixes that python-can reads and writes
 LARGEST = 2**36  # bytes of a file: days of a full bus
 LONGEST_LINE = 4096  # characters
 LARGEST_BLOCK = 2**18  # bytes that are read at once, and that they unfold to; the blocks of a BLF file have 128 kB
 FRAME_S = 1.0  # for one frame after another, whatever stands between them
 _LATEST_S = 1e11  # beyond the year 5000
+_CLASSIC_BYTES = 8  # of a frame that is no FD frame
 _BEFORE_ZLIB = 16  # bytes of a BLF file's block before what is compressed
 _SQL_STEPS = 10_000  # of SQLite's machine, between two looks at the clock
 
 
-class TraceError(ValueError):
-    """The file cannot be read, or not on; the text says where and why."""
-
-
 class _TooLongError(BaseException):
     """A frame took too long; no Exception, so that a reader does not catch it by accident."""
-
-
-def has_known_format(path: Path) -> bool:
-    """Whether the name ends in one of FORMATS, .gz behind it or not."""
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
-    return bool(suffixes) and suffixes[-1] in FORMATS
 
 
 def read_trace(path: Path) -> Iterator[can.Message]:
@@ -57,6 +49,9 @@ def read_trace(path: Path) -> Iterator[can.Message]:
         with _within_time() as soon, open_untrusted(path, LARGEST) as file:
             messages = soon(lambda: iter(_reader(path, file)))
             while (message := soon(lambda: next(messages, None))) is not None:
+                message.is_fd |= len(message.data) > _CLASSIC_BYTES  # formats without the flag
+                if message.is_fd:  # python-can 4.6 takes an FD frame without data in an .asc for a remote frame
+                    message.is_remote_frame = False
                 _refuse_impossible(message)
                 count, at_s = count + 1, message.timestamp
                 yield message
@@ -66,18 +61,16 @@ def read_trace(path: Path) -> Iterator[can.Message]:
         raise TraceError(f"{path}: {place}{words}") from None
 
 
-def _reader(path: Path, file: BinaryIO) -> MessageReader:
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    folded = suffixes[-1] == ".gz"
-    suffix = suffixes[-2] if folded else suffixes[-1]
-    made = MESSAGE_READERS[suffix]
+def _reader(path: Path, file: BinaryIO) -> Iterable[can.Message]:
+    suffix, folded = suffix_of(path), path.suffix.lower() == ".gz"
     content = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if folded else file
+    if suffix == ".log":
+        return read_log(_Lines(content))
+    made = MESSAGE_READERS[suffix]
     if issubclass(made, TextIOMessageReader):
         return made(cast(Any, _Lines(content)))
     if issubclass(made, BinaryIOMessageReader) and suffix == ".blf":
         return made(cast(Any, _Blocks(content)))
-    if folded:
-        raise ValueError(f"{suffix} files cannot be compressed")
     return _Database(path) if made is SqliteReader else made(path)
 
 
@@ -143,7 +136,7 @@ def _refuse_impossible(message: can.Message) -> None:
     highest = EXTENDED_MASK if message.is_extended_id or message.is_error_frame else STANDARD_MASK
     if not 0 <= message.arbitration_id <= highest:
         raise ValueError(f"identifier {short(f'{message.arbitration_id:X}')}: allowed 0 to {highest:X}")
-    longest = 64 if message.is_fd else 8
+    longest = 64 if message.is_fd else _CLASSIC_BYTES
     if len(message.data) > longest:
         raise ValueError(f"a frame of {len(message.data)} bytes: at most {longest}")
 

@@ -58,7 +58,7 @@ class Cia402Drive(CanopenNode):
         self.state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._limited = False
-        self._fresh_torque = False
+        self._fresh_target = False
         self._enabling_ns = NEVER_NS  # when the power stage will be on
         self._own = eds == cia301.EDS
         self._install()
@@ -87,8 +87,8 @@ class Cia402Drive(CanopenNode):
             self._fail(self._diagnosis())
 
     def _apply(self) -> None:
-        if self._fresh_torque:
-            self._fresh_torque = False
+        if self._fresh_target:
+            self._fresh_target = False
             self._command_servo(self._target_force(), feed=True)
 
     def _close(self) -> None:
@@ -97,7 +97,7 @@ class Cia402Drive(CanopenNode):
             self.state = DriveState.SWITCH_ON_DISABLED
         self._command_servo(0.0)
         self.servo.deadline_ns = NEVER_NS
-        self._fresh_torque = False
+        self._fresh_target = False
         self._enabling_ns = NEVER_NS
         self.dictionary.values[_TORQUE] = 0
 
@@ -124,7 +124,7 @@ class Cia402Drive(CanopenNode):
     def _bind_dictionary(self) -> None:
         dictionary = self.dictionary
         dictionary.getters |= {
-            key_of(0x2010): lambda: self.servo.watchdog_ns // 1000,
+            key_of(0x2010): lambda: min(self.servo.watchdog_ns // 1000, 0xFFFFFFFF),
             key_of(cia301.POSITION): self._count,
             key_of(cia301.STATUSWORD): self._statusword,
             key_of(cia301.MODE_DISPLAY): lambda: dictionary.number(_MODE),
@@ -146,14 +146,21 @@ class Cia402Drive(CanopenNode):
         word: int = self.state.value[1] | cia301.REMOTE
         if self.state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED):
             word |= cia301.VOLTAGE_ENABLED
-        if self.state is DriveState.OPERATION_ENABLED:
-            word |= cia301.FOLLOWS_COMMAND
+        word |= self._mode_bits()
         if self._limited or status & _LIMITED:
             word |= cia301.LIMIT_ACTIVE
         if self._own:
             word |= cia301.HOMED if status & _HOMED else 0
             word |= cia301.BRAKE if status & _BRAKE else 0
         return word | self._quirks.status_bits
+
+    def _mode_bits(self) -> int:
+        """Bits of the statusword whose meaning goes with the mode."""
+        return cia301.FOLLOWS_COMMAND if self.state is DriveState.OPERATION_ENABLED else 0
+
+    def _demands_torque(self) -> bool:
+        """In the present mode 6071h is what it follows."""
+        return self.dictionary.number(_MODE) == cia301.TORQUE_MODE
 
     def _torque_actual(self) -> int:
         raw = round(self.servo.force * 1e6 / self._rated_torque())
@@ -164,11 +171,11 @@ class Cia402Drive(CanopenNode):
         return self.dictionary.number(_TORQUE_RATED, round(self.servo.rated_force * 1000)) or 1
 
     def _target_force(self) -> float:
-        """6071h in N, held within 6072h; zero in any mode but cyclic synchronous torque, and while halted."""
+        """6071h in N, held within 6072h; zero in any mode that demands no torque, and while halted."""
         number = self.dictionary.number
         raw, limit = number(_TORQUE), number(_TORQUE_MAX, 0xFFFF)
         self._limited = abs(raw) > limit
-        if number(_MODE) != cia301.TORQUE_MODE or self._controlword & cia301.HALT:
+        if not self._demands_torque() or self._controlword & cia301.HALT:
             return 0.0
         return float(max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
 
@@ -240,7 +247,7 @@ class Cia402Drive(CanopenNode):
         """By RPDO or SDO: applied at the next SYNC, as all targets of a synchronous mode."""
         if self.nmt is not NmtState.OPERATIONAL:
             raise SdoAbort(Abort.DEVICE_STATE)
-        self._fresh_torque = True
+        self._fresh_target = True
 
     def _take_rated(self, value: int) -> None:
         if self.state is DriveState.OPERATION_ENABLED:

@@ -6,14 +6,13 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from drivers.config import BusConfig, ObjectValue
+from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols.mounting import Mounting
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.servo import ServoDrive
 
 Position = Callable[[], float]
-_GENERAL_ERROR = 0x08000000  # SDO abort code
 
 
 class DriveNode(Protocol):
@@ -101,23 +100,9 @@ def _cia402(
     from drivers.protocols.canopen.cia301 import EDS
     from drivers.protocols.canopen.host import node_ids
     from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
-    from sim_plant.drives.object_dictionary import key_of
-    from sim_plant.drives.quirks import NO_QUIRKS, Quirks
+    from sim_plant.drives.quirks import stated_quirks
 
-    quirks = NO_QUIRKS
-    if config is not None:
-
-        def keys(places: Sequence[str]) -> list[int]:
-            return [key_of(*ObjectValue(object=place, value=0).place) for place in places]
-
-        quirks = Quirks(
-            frozenset(keys(config.missing)),
-            dict.fromkeys(keys(config.aborts), _GENERAL_ERROR),
-            round(config.answer_delay_s * 1e9),
-            round(config.enable_delay_s * 1e9),
-            config.status_bits,
-            config.dummy_mapping,
-        )
+    quirks = stated_quirks(config)
     files = [base_dir / name for name in bus.cia402.eds] if bus.cia402 else [EDS]
     files = files * len(servos) if len(files) == 1 else files
     nodes = node_ids(bus, len(servos))

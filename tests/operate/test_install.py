@@ -170,3 +170,10 @@ def test_names_are_escaped_as_systemd_does(name, escaped):
 def test_a_key_that_is_not_in_the_file_is_an_error_and_not_dropped():
     with pytest.raises(InstallError, match="BitRate"):
         with_values("[CAN]\n", BitRate=1)
+
+
+def test_a_bus_that_is_none_of_the_kernels_is_not_installed(tmp_path: Path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(MICROSCOPE.read_text().replace("[bus]", '[bus]\ninterface = "slcan"', 1))
+    with pytest.raises(InstallError, match="the kernel's CAN interfaces alone"):
+        put(tmp_path / "root", rig)

@@ -13,7 +13,7 @@ import canopen
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 
-U8, U16, U32, I8, I16, I32 = 0x5, 0x6, 0x7, 0x2, 0x3, 0x4
+U8, U16, U32, I8, I16, I32, STRING = 0x5, 0x6, 0x7, 0x2, 0x3, 0x4, 0x9
 
 
 class Fact(NamedTuple):
@@ -54,6 +54,25 @@ CST_DRIVE: dict[tuple[int, int], Fact] = {  # 1006h, 1019h, 6072h, 60C2h and dum
     (0x6071, 0): Fact(I16, "rw", "0", True),
     (0x6076, 0): Fact(U32, "rw", "0"),
     (0x6502, 0): Fact(U32, "ro", "0x225"),
+}
+
+MOTION_DRIVE = CST_DRIVE | {  # one that offers every mode of CiA 402-2 that is emulated, and has names in words
+    (0x1003, 0): Fact(U8, "rw", "0"),
+    **{(0x1003, place): Fact(U32, "ro") for place in range(1, 5)},
+    (0x1008, 0): Fact(STRING, "const", "A servo drive with a name of more than seven bytes"),
+    (0x2000, 0): Fact(STRING, "rw", "nothing yet"),
+    (0x603F, 0): Fact(U16, "ro", "0", True),
+    (0x6060, 0): Fact(I8, "rw", "0", True),
+    (0x6061, 0): Fact(I8, "ro", "0", True),
+    (0x606C, 0): Fact(I32, "ro", "0", True),
+    (0x6077, 0): Fact(I16, "ro", "0", True),
+    (0x607A, 0): Fact(I32, "rw", "0", True),
+    (0x607C, 0): Fact(I32),
+    (0x6081, 0): Fact(U32, "rw", "1000"),
+    (0x6083, 0): Fact(U32, "rw", "10000"),
+    (0x6098, 0): Fact(I8, "rw", "35"),
+    (0x60FF, 0): Fact(I32, "rw", "0", True),
+    (0x6502, 0): Fact(U32, "ro", "0x3AD"),
 }
 
 
