@@ -24,6 +24,7 @@ from hil.cycle.note import Note
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
 from hil.cycle.tick import CommandKind, OperatorCommand, Tick
+from hil.live.journal import Journal
 from hil.live.mailbox import Mailbox
 from hil.live.miss_ledger import MissLedger
 from hil.live.notes import NoteWriter
@@ -68,6 +69,7 @@ class Parts(NamedTuple):
     rig_file: WatchedFile
     notifier: Notifier
     notes: NoteWriter
+    journal: Journal
 
 
 class ControlLoop:

@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -22,12 +21,13 @@ from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.control.feasibility import unit_questions
 from hil.control.stability import refuse_unstable
+from hil.live.journal import Journal
 from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
 from hil.live.notes import NoteWriter
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
-from hil.live.runtime_paths import RuntimePaths, runtime_paths
+from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
@@ -127,9 +127,10 @@ def control_loop(
     with contextlib.ExitStack() as stack:
         # Before a bus, core, priority or memory is asked for: a second control process must not disturb the first.
         stop_line = stack.enter_context(StopLine(files.directory))
+        journal = Journal(files)  # before real time and locked memory, none of which is for it
+        stack.callback(journal.leave)
         port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
         stack.callback(port.close)
-        _start_teller(files)  # before real time and locked memory, none of which is for it
         notifier = Notifier()
         stack.callback(notifier.close)
         held = claim(rig.timing)
@@ -145,16 +146,8 @@ def control_loop(
         notes = NoteWriter(files.notes)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes), stage_clock
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, journal), stage_clock
         )
-
-
-def _start_teller(paths: RuntimePaths) -> None:
-    """Start the journal (hil/live/teller.py) of the ring that this process is about to make. Raises OSError."""
-    words = [sys.executable, "-P", "-m", "hil.live.teller", str(paths.ring), str(paths.notes), str(os.getpid())]
-    # Nobody waits for it: it ends after this process.
-    child = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    child.returncode = 0  # no warning about that when this object is deleted
 
 
 def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
@@ -175,6 +168,7 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
     loop.parts.ring.close()
     loop.parts.timing.show()
     _say_farewell(loop)
+    loop.parts.journal.end()
     if loop.overstayed:
         print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
         return EXIT_SOFTWARE

@@ -10,7 +10,6 @@ Whatever ends this process ends the journal's lines alone; events on Zenoh and i
 
 import contextlib
 import os
-import signal
 import sys
 import time
 from collections.abc import Iterable
@@ -39,14 +38,16 @@ def _is_journal(fd: int) -> bool:
 
 def _await_ring(path: Path, pid: int) -> RingReader | None:
     """The ring of that process; None where it ended without one."""
-    while os.getppid() == pid:
+    while True:
+        alive = os.getppid() == pid  # before the look: a process that has ended may have left one
         with contextlib.suppress(RingError):
             reader = RingReader(path)
             if reader.pid == pid:
                 return reader
             reader.close()
+        if not alive:
+            return None
         time.sleep(POLL_S)
-    return None
 
 
 def _stay_away(pid: int) -> None:
@@ -59,8 +60,6 @@ def _stay_away(pid: int) -> None:
 
 def main(ring: str, notes: str, parent: str) -> None:
     """Tell until the control process is gone."""
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # meant for the control process, whose end is to be told, too
     reader = _await_ring(Path(ring), int(parent))
     if reader is None:
         return

@@ -1,6 +1,7 @@
 """Events of live processes: the journal's lines without a sidecar; then all the rest from one that joined late."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -168,3 +169,35 @@ def test_what_the_sidecar_alone_knows_is_told_too(tmp_path: Path) -> None:
     assert str(tmp_path / "file" / "out") in recorder.name
     assert recorder.value == 1.0
     assert all(event.action for event in events)
+
+
+def running(pid: int) -> bool:
+    try:
+        return b"hil.live.teller" in Path(f"/proc/{pid}/cmdline").read_bytes()  # a zombie has none
+    except OSError:
+        return False
+
+
+def child_of(parent: int) -> int:
+    """The child that tells, as soon as it is there."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+            if running(int(pid)):
+                return int(pid)
+    raise AssertionError("there is none")
+
+
+def test_a_run_that_is_told_to_end_at_once_is_told_whole() -> None:
+    """The child that tells is slower to start than such a run is to end; a terminal's signals reach it, too."""
+    with emulated(), Control("--ticks", "5") as control:
+        teller = child_of(control.process.pid)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(teller, number)
+        status, _, err = control.finish()
+    assert status == 0
+    assert "-> SHUTDOWN" in err
+    until = time.monotonic() + PATIENCE_S
+    while running(teller):
+        assert time.monotonic() < until
+        time.sleep(0.01)
