@@ -151,6 +151,33 @@ class Cia402Config(BaseModel):
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 
+MoteusNumber = Annotated[int, Field(ge=1, le=127)]
+
+
+class MoteusConfig(BaseModel):
+    """[bus.moteus]: moteus controllers. Lists are in the order of [axes].
+
+    A count is 1/100 000 of a turn of the output shaft, a torque is N m there: axes.NAME.gear and encoder_resolution
+    follow from the travel of a turn.
+    """
+
+    model_config = STRICT
+    nodes: list[MoteusNumber] = key([], "number (id.id) of each axis' controller", "1", derived="1, 2, ...")
+    position: Literal["int16", "int32", "float"] = key(
+        "int32", "type in which positions are asked for: int16 tells 3.2 turns in steps of 1/10 000 turn"
+    )
+    torque: Literal["int16", "int32", "float"] = key(
+        "float", "type in which torques are sent: int16 in steps of 0.01 N m, int32 of 0.001 N m"
+    )
+    watchdog_s: float = key(
+        0.01,
+        "watchdog timeout in every command, after which a drive goes to servo.timeout_mode; as drives.watchdog_s",
+        "s",
+        gt=0,
+        le=1,
+    )
+
+
 KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emulated drives run on
 
 
@@ -172,8 +199,8 @@ class BusConfig(BaseModel):
     options: dict[str, Option] = key(
         {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
     )
-    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = key(
-        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, or dbc:FILE with FILE beside the rig file"
+    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|moteus|dbc:.+)$")] = key(
+        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, moteus, or dbc:FILE with FILE beside the rig file"
     )
     bitrate: int = key(1_000_000, "nominal bit rate", "bit/s", ge=10_000, le=1_000_000)
     data_bitrate: int = key(5_000_000, "bit rate of the data phase of CAN FD", "bit/s", ge=10_000, le=8_000_000)
@@ -183,6 +210,7 @@ class BusConfig(BaseModel):
     feedback_id: int = key(0x100, "stage layouts: axis i (from 0) answers on feedback_id + i", "1", ge=0, le=0x7F0)
     node_id: int = key(1, "cia402: CANopen node of the first axis; the others follow", "1", ge=1, le=120)
     dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
+    moteus: MoteusConfig | None = key(None, "moteus: the controllers, where they are not as the defaults say")
     cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
 
     @model_validator(mode="after")

@@ -24,6 +24,7 @@ _PUBLIC = {
     "RigError": "hil.rig.schema",
     "Run": "hil.runs",
     "Simulation": "hil.runs",
+    "Task": "hil.rig.task_kinds",
     "LiveRig": "hil.connection",
     "NoGatewayError": "hil.connection",
     "NoSidecarError": "hil.connection",

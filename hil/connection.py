@@ -1,8 +1,10 @@
 """A running rig in Python: `hil.connect`. What is said and asked goes through its sidecar, as in `hil monitor`."""
 
 import contextlib
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,11 @@ from numpy.typing import NDArray
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
+from hil.cycle.task_loading import task_document
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
 from hil.operate.command import at_hand
+from hil.rig.file import build_rig, task_of_file
 from hil.runs import Event
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
@@ -69,16 +73,33 @@ class LiveRig(Closing):
         raise TimeoutError(f"{self.name} is {status.state}, fault {status.fault}, not {state}, after {timeout_s:g} s")
 
     def command(self, action: str) -> Verdict:
-        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict.
+        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict. Another task
+        goes by `load_task`.
 
         accepted: whether it did; reason: why not; state: after it. Raises ValueError for another word, NoGatewayError
         where nobody takes it; `hil estop` then still stops the rig.
         """
-        kinds = {kind.name.lower(): kind for kind in CommandKind}
+        kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.LOAD_TASK}
         if action not in kinds:
             raise ValueError(f"{action!r}: the commands are {', '.join(kinds)}")
         with at_hand(self.name) as client:
             return client.command(kinds[action])
+
+    def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
+        """Load another task while the rig is at rest (READY): a CSV or NPZ file with a path, a TOML file with a table
+        [task], or such a table; overrides: task.key=value. It is checked from where the stage stands, and lasts until
+        the control process ends.
+
+        Raises RigError for what is no task of this rig, NoGatewayError as `command`.
+        """
+        with at_hand(self.name) as client:
+            rig = client.rig()
+            if isinstance(task, dict):
+                whole = {**rig.model_dump(mode="json"), "task": task}
+                chosen = build_rig(whole, overrides).task
+            else:
+                chosen = task_of_file(rig, Path(task), overrides)
+            return client.load_task(task_document(chosen))
 
     def close(self) -> None:
         """Leave; the rig goes on."""

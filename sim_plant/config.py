@@ -81,6 +81,7 @@ Interval = Annotated[float, Field(ge=0, le=10)]  # s
 _OF_KIND = {
     "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits", "answers"},
     "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
+    "moteus": {"nodes", "turn", "enable_delay_s"},
     "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
 }
 
@@ -92,16 +93,20 @@ class EmulatedDriveConfig(BaseModel):
     """
 
     model_config = STRICT
-    kind: Literal["cia402", "odrive", "vesc"] = key(REQUIRED, "what they are")
-    nodes: list[NodeNumber] = key([], "odrive, vesc: their numbers", "1", derived="0, 1, ...")
+    kind: Literal["cia402", "moteus", "odrive", "vesc"] = key(REQUIRED, "what they are")
+    nodes: list[NodeNumber] = key(
+        [], "moteus, odrive, vesc: their numbers", "1", derived="0, 1, ...; moteus: 1, 2, ..."
+    )
     turn: list[Turn] = key(
-        [], "odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round", "m (rad)"
+        [],
+        "moteus, odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round",
+        "m (rad)",
     )
     feedback_s: float = key(0.001, "odrive, vesc: period in which they send their position", "s", ge=1e-4, le=1)
     heartbeat_s: float = key(0.02, "odrive, vesc: period in which they send their state", "s", ge=1e-3, le=1)
     torque_constant: Positive = key(0.05, "vesc: torque of the motor per ampere", "N m/A")
     pole_pairs: int = key(7, "vesc: electrical per mechanical revolutions", "1", ge=1, le=100)
-    enable_delay_s: Interval = key(0.0, "cia402, odrive: from the command to torque", "s")
+    enable_delay_s: Interval = key(0.0, "cia402, moteus, odrive: from the command to torque", "s")
     missing: list[ObjectPlace] = key([], 'cia402: objects of the EDS that the drive has not, as "1029h:01"')
     aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
     answer_delay_s: Interval = key(0.0, "cia402: delay of its SDO answers", "s")

@@ -18,7 +18,7 @@ from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
-from sim_plant.drives.installed import DriveNode, installed_drives, installed_mountings
+from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.physics.stage import Stage, Truth, per_axis_array
 
@@ -81,7 +81,7 @@ class EmulatedStage:
         self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
         self.frame_taps: list[FrameTap] = []
-        nodes = bus.protocol == "cia402" or plant.drive is not None
+        nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
         self._encode_status = getattr(self._protocol, "encode_status", _nothing_more)
@@ -323,12 +323,16 @@ class EmulatedStage:
         answers = self.advance(frame.timestamp_ns)
         self._run_physics()
         heard = frame._replace(timestamp_ns=self.now_ns)
-        obeyed_ns, sampled_ns = self.drives[0].last_command_ns, self._nodes[0].sampled_ns
+        obeyed_ns, sampled_ns = self.drives[0].last_command_ns, [node.sampled_ns for node in self._nodes]
         for node in self._nodes:
             answers += self._from_axis(node.servo.axis, node.on_frame(heard))
         self.commands += self.drives[0].last_command_ns != obeyed_ns
-        if self._nodes[0].sampled_ns != sampled_ns:  # also at a SYNC whose torques were lost
-            self._note_sampling()
+        # Also at a SYNC whose torques were lost
+        sampling = [
+            node.servo.axis for node, before in zip(self._nodes, sampled_ns, strict=True) if node.sampled_ns != before
+        ]
+        if sampling:
+            self._note_sampling_of(sampling)
         self._update()
         return answers
 

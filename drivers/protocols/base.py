@@ -103,6 +103,7 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     checksum: bool  # its frames carry one besides CAN's own
+    states: bool  # drives say whether they are enabled or in fault
     causes: bool  # every answer says what is wrong with its drive, not only that something is
     fd: bool
     positions: Sequence[tuple[float, float]]  # by axis, the least and greatest count that a sample can carry

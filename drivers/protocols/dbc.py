@@ -257,6 +257,8 @@ class DbcDevice(DbcLayout):
             if not abs(value) <= rated + 0.5 * abs(bound.place.gain):  # rounding; also where it is not a number
                 return Reject.INVALID_VALUE
         enable = self._enabled([int(raw(bound)) for bound in self._enable])
+        if not self._enable:  # the torque alone is permission
+            enable = sum(1 << axis for axis, value in enumerate(force) if value)
         if enable & ~self._all_axes:
             return Reject.INVALID_VALUE
         counters = {int(raw(bound)) for bound in self._counters}
@@ -267,8 +269,6 @@ class DbcDevice(DbcLayout):
 
     def _enabled(self, raw: Sequence[int]) -> int:
         """Bit per axis from the raw values of the enable signals."""
-        if not raw:
-            return self._all_axes
         if len(raw) == 1 < self.n_axes:
             return raw[0] if self._bit_per_axis else self._all_axes * (raw[0] == self._switch[0][0])
         return sum(1 << axis for axis, (bit, (on, _)) in enumerate(zip(raw, self._switch, strict=True)) if bit == on)

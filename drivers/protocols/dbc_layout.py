@@ -70,6 +70,7 @@ class DbcLayout:
         carried = {bound.message: axis for group in (self._status, self._error) for axis, bound in enumerate(group)}
         self._state_only = {message: axis for message, axis in carried.items() if message not in self._feedback}
         self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
+        self.states = bool(self._status)
         self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.checksum = all(message.checksum_at >= 0 for message in self._messages.values())
         self.fd = any(message.fd for message in self._messages.values())

@@ -61,7 +61,7 @@ class MountedHost:
         self._mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
-        self.causes, self.state_ns = layout.causes, layout.state_ns
+        self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
         self.positions: Sequence[tuple[float, float]] = [
             (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))

@@ -146,7 +146,8 @@ def control_loop(
         notes = NoteWriter(files.notes)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, journal), stage_clock
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, files.task, journal),
+            stage_clock,
         )
 
 

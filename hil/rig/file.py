@@ -10,14 +10,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
+from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
-from hil.rig.schema import RigConfig, RigError
-from hil.rig.task_file import TaskFileError, read_task_file
-
-LARGEST_LAW = 2**20  # bytes of a law's Python file
+from hil.rig.schema import RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
 _LONGEST = 400  # characters of one problem's text
@@ -71,45 +68,6 @@ def _exchange_encoder(document: dict[str, Any], resolution: Any) -> None:
         axis["encoder_resolution"] = resolution[index] if own else resolution
 
 
-def law_file(name: Any) -> str:
-    """The file of a law named ./file.py:Class; empty for other names."""
-    file = name.rpartition(":")[0] if isinstance(name, str) else ""
-    return file if file.endswith(".py") else ""
-
-
-def _read_law_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
-    """Put the text of the law's file into law.source, so that it is part of the rig. A document that has it already (a
-    recording's, or work sent to another process) keeps it, unless another law was chosen.
-    """
-    law = document.get("law")
-    if not isinstance(law, dict):
-        return
-    file = law_file(law.get("name"))
-    if not file:
-        law.pop("source", None)
-    elif chosen or not law.get("source"):
-        path = folder / file
-        try:
-            law["source"] = read_bounded(path, LARGEST_LAW).decode().replace("\r\n", "\n")
-        except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
-            text = (
-                "no UTF-8 text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None) or error
-            )
-            raise RigError([f"law.name = {shown(law['name'])}: {path}: {text}"]) from None
-
-
-def _read_task_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
-    """Put the samples of the task's file into task.samples and the axes it names into task.axes, as a law's file."""
-    task = document.get("task")
-    if not isinstance(task, dict) or not isinstance(task.get("file", ""), str) or not task.get("file"):
-        return
-    if chosen or not task.get("samples"):
-        try:
-            task["axes"], task["samples"] = read_task_file(folder / task["file"])
-        except TaskFileError as error:
-            raise RigError([f"task.file: {line}" for line in str(error).splitlines()]) from None
-
-
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
@@ -120,11 +78,10 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
         _apply_override(document, path, value)
     try:
         lines = modernise(document)
-        _read_law_file(document, folder, chosen=["law", "name"] in paths)
-        _read_task_file(document, folder, chosen=["task", "file"] in paths)
+        bring(document, folder, paths)
         return RigConfig.model_validate(document), lines
-    except FormerKeyError as error:
-        raise RigError([str(error)]) from None
+    except (FormerKeyError, BroughtError) as error:
+        raise RigError(str(error).splitlines()) from None
     except ValidationError as error:
         raise RigError(first_problems(error.errors(include_url=False), _describe)) from None
 
@@ -157,6 +114,29 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     for line in lines:
         warnings.warn(f"{path}: {line}", FormerKeyWarning, stacklevel=2)
     return rig
+
+
+def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> TaskConfig:
+    """Another task for a rig: of a TOML file the table [task], of a CSV or NPZ file the path. overrides: key=value, of
+    [task] alone. Raises RigError naming file, key or row and column.
+    """
+    if path.suffix.lower() == ".toml":
+        try:
+            table = read_toml(path).get("task")
+        except OSError as error:
+            raise RigError([f"{path}: {error.strerror or error}"]) from None
+        except TomlError as error:
+            raise RigError([f"{path}: {error}"]) from None
+        if table is None:
+            raise RigError([f"{path}: there is no table [task]"])
+    else:
+        table = {"kind": "path", "file": path.name}
+    if strange := [text for text in overrides if not text.strip().startswith("task.")]:
+        raise RigError([f"--set {shown(strange[0])}: only keys of [task] can be chosen here"])
+    try:
+        return build_rig({**rig.model_dump(mode="json"), "task": table}, overrides, folder=path.parent).task
+    except RigError as error:
+        raise RigError([f"{path}: {line}" for line in error.problems]) from None
 
 
 def rig_hash(rig: RigConfig) -> str:

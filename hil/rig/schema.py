@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field, model_validator
 
-from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, WireConfig, key
+from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, MoteusConfig, WireConfig, key
 from drivers.protocols.mounting import Mounting
 from drivers.toml_file import short
 from hil.rig.plant import completed
@@ -138,9 +138,9 @@ def _task_problems(rig: RigConfig) -> list[str]:
 def _path_problems(rig: RigConfig) -> list[str]:
     """The first point of a path or of waypoints that is beyond an axis' travel, or too fast to get to."""
     task = rig.task
-    if task.kind not in ("path", "waypoints", "spline", "raster"):
+    timed = task.timed
+    if not timed and task.kind not in ("waypoints", "spline", "raster"):
         return []
-    timed = task.kind == "path"
     table, rows = ("task.samples", task.samples) if timed else ("task.waypoints", task.waypoints)
     if task.kind == "raster":
         opposite = [begin + length for begin, length in zip(task.corner, task.size, strict=True)]
@@ -177,8 +177,13 @@ def _wrap_problems(rig: RigConfig) -> list[str]:
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:
-    """Every drive would trip between any two commands, and no run could ever become ACTIVE."""
+    """Every drive would trip between any two commands, and no run could ever become ACTIVE; or another watchdog than
+    the one that drives are told.
+    """
     watchdog_s, period_s = rig.drives.watchdog_s, rig.period_ns * 1e-9
+    told = rig.bus.moteus or MoteusConfig()
+    if rig.bus.protocol == "moteus" and told.watchdog_s != watchdog_s:
+        return [f"bus.moteus.watchdog_s = {told.watchdog_s:g}: the drives are told another than drives.watchdog_s says"]
     if watchdog_s > period_s:
         return []
     return [

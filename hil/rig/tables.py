@@ -10,8 +10,10 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
+from drivers.plugins import known, unknown
 from drivers.protocols.mounting import Mounting
 from hil.rig.task_file import MOST_ROWS, sample_problems
+from hil.rig.task_kinds import KIND, TASKS, is_users
 from sim_plant.config import NonNegative, Positive, Resolution
 
 MAX_AXES: Final = 4
@@ -174,9 +176,13 @@ class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
     model_config = STRICT
-    kind: Literal[
-        "hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spline", "raster", "spiral"
-    ] = key("hold", "the kind of motion")
+    kind: str = key(
+        "hold",
+        f"the kind of motion: {', '.join(TASKS)}; or a task of your own: its registered name, package.module:Class, or "
+        "./file.py:Class beside the rig file",
+    )
+    parameters: dict[str, Any] = key({}, "of a task of your own: what its class takes")
+    source: str = key("", "text of such a task's file; filled in when the rig is loaded")
     axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
@@ -191,7 +197,9 @@ class TaskConfig(BaseModel):
     )
     file: str = key("", "path: CSV or NPZ beside the rig file, with time_s and a column for each axis that moves")
     samples: list[list[float]] = key(
-        [], "path: rows of time and positions in the order of `axes`; read from `file`", "s, then m (rad)"
+        [],
+        "path: rows of time and positions in the order of `axes`; read from `file`, or made by a task of your own",
+        "s, then m (rad)",
     )
     waypoints: list[list[float]] = key([], "waypoints, spline: positions in the order of `axes`", "m (rad)")
     speed: Positive = key(0.1, "waypoints, spline, raster: greatest speed of an axis", "m/s (rad/s)")
@@ -213,17 +221,24 @@ class TaskConfig(BaseModel):
 
     @model_validator(mode="after")
     def _complete(self) -> "TaskConfig":
+        if not self.samples and not known(KIND, self.kind):  # with them, a recording of a package that is not here
+            raise ValueError(unknown(KIND, self.kind))
         if self.kind == "injection" and self.injection is None:
             raise ValueError("kind = 'injection' needs a table [task.injection]")
         if self.kind == "point_to_point" and self.target and len(self.target) != len(self.axes):
             raise ValueError(f"target has {len(self.target)} values for {len(self.axes)} axes")
-        if self.kind == "path" and (problems := sample_problems(self.axes, self.samples)):
+        if self.timed and (problems := sample_problems(self.axes, self.samples)):
             raise ValueError(f"samples: {problems[0]}")
         if self.kind in ("waypoints", "spline"):
             self._check_waypoints()
         if self.kind == "raster":
             self._check_raster()
         return self
+
+    @property
+    def timed(self) -> bool:
+        """Whether it goes through `samples`: of a file, or of a program of users."""
+        return self.kind == "path" or is_users(self.kind)
 
     def _check_raster(self) -> None:
         for name, values in (("corner", self.corner), ("size", self.size)):

@@ -25,7 +25,7 @@ from drivers.frame import Frame
 from drivers.text_file import UnsuitableFileError
 from hil.cycle.event import Event
 from hil.cycle.record import RECORD
-from hil.cycle.tick import CycleResult, Tick
+from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, Tick
 from hil.rig.file import document_hash
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
@@ -138,8 +138,10 @@ class LockstepRecorder:
         self._first = self._told = 0
         self._check()
 
-    def observe(self, _tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
+    def observe(self, tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
         """Take one tick in."""
+        if tick.task:
+            self._note_task(tick, tick.task)
         self._records[self._held] = result.record
         self._held += 1
         if self._held == _LOCKSTEP_BATCH:
@@ -150,6 +152,12 @@ class LockstepRecorder:
         for event in events:
             self._recorder.write("events", event.time_ns, encode(event, self._told, 0).SerializeToString())
             self._told += 1
+
+    def _note_task(self, tick: Tick, task: LoadedTask) -> None:
+        kind = CommandKind.LOAD_TASK
+        posted = next(command.sequence for command in tick.commands if command.kind == kind)
+        entry = pb.CommandEntry(kind=kind, when_ns=tick.now_ns, posted=posted, task=task.document.encode())
+        self._recorder.write("commands", tick.now_ns, entry.SerializeToString())
 
     def _flush(self) -> None:
         write_batch(self._recorder, self._records[: self._held], self._n_axes, first=self._first, lost=0)

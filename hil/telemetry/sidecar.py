@@ -87,7 +87,7 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.notes))
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.notes), paths.task)
         self._noted = 0  # entries of this round
         self._events = EventLog(rig.name, publisher)
         self._out = out
@@ -211,8 +211,11 @@ class Sidecar:
         for connection in ended:
             if connection.closed_because:
                 self._gateway.note_rejected(connection.who, connection.closed_because, now_ns)
+        mailbox = run.mailbox if run and alive else None
+        last = run.window.last if run and run.caught_up else None
         for request in asked:
-            self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
+            self._gateway.take(request, mailbox, now_ns, state, last)
+        self._gateway.advance(mailbox, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
         self._publisher.answer_queries({"rig": self._description, "events": self._events.history})
         self._events.turn(now_ns)

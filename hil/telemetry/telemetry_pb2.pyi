@@ -243,14 +243,18 @@ class Authenticated(_message.Message):
     def __init__(self, body: _Optional[bytes] = ..., mac: _Optional[bytes] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
-    __slots__ = ("kind", "sequence", "expires_ns")
+    __slots__ = ("kind", "sequence", "expires_ns", "task", "more")
     KIND_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPIRES_NS_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
     kind: int
     sequence: int
     expires_ns: int
-    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ...) -> None: ...
+    task: bytes
+    more: bool
+    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., task: _Optional[bytes] = ..., more: _Optional[bool] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("accepted", "reason", "now_ns", "state", "sequence", "posted", "tick", "challenge")
@@ -273,17 +277,21 @@ class CommandReply(_message.Message):
     def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ..., sequence: _Optional[int] = ..., posted: _Optional[int] = ..., tick: _Optional[int] = ..., challenge: _Optional[_Union[Challenge, _Mapping]] = ...) -> None: ...
 
 class CommandEntry(_message.Message):
-    __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state")
+    __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state", "posted", "task")
     WHO_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     WHEN_NS_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    POSTED_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
     who: str
     kind: int
     when_ns: int
     accepted: bool
     reason: str
     state: str
-    def __init__(self, who: _Optional[str] = ..., kind: _Optional[int] = ..., when_ns: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., state: _Optional[str] = ...) -> None: ...
+    posted: int
+    task: bytes
+    def __init__(self, who: _Optional[str] = ..., kind: _Optional[int] = ..., when_ns: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., state: _Optional[str] = ..., posted: _Optional[int] = ..., task: _Optional[bytes] = ...) -> None: ...

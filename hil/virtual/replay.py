@@ -13,6 +13,8 @@ from hil.cycle.event import Event
 from hil.cycle.event_notes import CycleEvents
 from hil.cycle.record import MAX_RECEIVED
 from hil.cycle.step import ControlCycle
+from hil.cycle.task_loading import loaded_task, rig_with_task
+from hil.cycle.tick import CommandKind, LoadedTask, Tick
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import codec
@@ -85,6 +87,44 @@ def _check(step: codec.RecordedTick) -> None:
         raise ValueError(f"the times or counters of tick {tick.index}")
 
 
+def loaded_tasks(recording: Recording) -> dict[int, str]:
+    """The tasks that were loaded on the way, by the number of the command that did."""
+    found = {}
+    for item in recording:
+        if item.topic == "commands":
+            try:
+                entry = pb.CommandEntry.FromString(item.data)
+            except DecodeError as error:
+                raise RecordingError(f"{recording.path}: a command makes no sense: {error}") from None
+            if entry.kind == CommandKind.LOAD_TASK and entry.task:
+                found[entry.posted] = entry.task.decode(errors="replace")
+    return found
+
+
+class _Tasks:
+    """What a recording's LOAD_TASK commands load, planned anew for a rig."""
+
+    def __init__(self, recording: Recording, rig: RigConfig) -> None:
+        self._recording, self._rig = recording, rig
+        self._documents: dict[int, str] | None = None
+
+    def of(self, tick: Tick) -> LoadedTask | None:
+        for command in tick.commands:
+            if command.kind == CommandKind.LOAD_TASK:
+                if self._documents is None:
+                    self._documents = loaded_tasks(self._recording)
+                return self._planned(self._documents.get(command.sequence, ""), tick.index)
+        return None
+
+    def _planned(self, document: str, index: int) -> LoadedTask:
+        if not document:
+            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads is not in it")
+        try:
+            return loaded_task(rig_with_task(self._rig, document))
+        except (RigError, ValueError) as error:
+            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads: {error}") from None
+
+
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
     """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
     for item in recording:
@@ -110,13 +150,14 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle = _new_cycle(rig, base_dir)
+        cycle, tasks = _new_cycle(rig, base_dir), _Tasks(recording, rig)
         stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
+            step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
             report.events += stream.observe(cycle, result.record)
             report.ticks += 1

@@ -92,6 +92,7 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     checksum = False
+    states = True
     causes = False  # a statusword says FAULT; why, an emergency message does
     fd = False
     echo_id: int | None = cia301.SYNC_ID

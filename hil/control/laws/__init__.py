@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.plugins import where
 from drivers.toml_file import shown
 from hil.control.gain import Gain, declared
-from hil.control.law_registry import PACKAGE, is_built_in, law_class, where
+from hil.control.law_registry import PACKAGE, is_built_in, law_class
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.control.laws.coupled import Coupled, interpreted_axis_laws
 from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearning

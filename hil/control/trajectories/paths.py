@@ -77,6 +77,18 @@ class Path(Trajectory):
         )
 
 
+class AlongPath:
+    """The Plan of a path: `body`, made beforehand, behind an approach from wherever the stage rests."""
+
+    def __init__(self, body: Segments, columns: Sequence[int], approach_ns: int, settle_ns: int) -> None:
+        self.body, self.columns = body, list(columns)
+        self.approach_ns, self.settle_ns = approach_ns, settle_ns
+
+    def __call__(self, start: Sequence[float]) -> Trajectory:
+        """The trajectory from rest at `start`, m by axis."""
+        return Path(self.body, self.columns, start, self.approach_ns, self.settle_ns)
+
+
 def spline(rows: Sequence[Sequence[float]], *, repeat: bool, dwell_ns: int = 0) -> Segments:
     """The cubic spline through rows of time (s, increasing) and positions (m, one a column), at rest at both ends; then
     a rest of dwell_ns.
