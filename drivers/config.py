@@ -65,6 +65,25 @@ class ConstantBinding(SignalBinding):
     value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
 
 
+class FrameBinding(BaseModel):
+    """A frame that says something by itself: a message without signals, or with one value in it."""
+
+    model_config = STRICT
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key("", "name of a signal in it; without: the message alone says it")
+    value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
+
+
+class PeriodBinding(BaseModel):
+    """How often a message is sent."""
+
+    model_config = STRICT
+    message: str = key(REQUIRED, "name of the message in the DBC file, or MESSAGE.SIGNAL of a multiplexed one")
+    period_s: float = key(
+        REQUIRED, "period in which it is sent, and at once when a value in it changes", "s", gt=0, le=1
+    )
+
+
 Signals = list[SignalBinding]
 
 
@@ -99,8 +118,14 @@ class DbcBinding(BaseModel):
     on_change: list[str] = key(
         [],
         "command messages that are sent when a value in them changes: at the start too, and before every enabling; one "
-        "with nothing but `reset` when a reset is asked for",
+        "with nothing but `reset` when a reset is asked for. MESSAGE.SIGNAL: that page of a multiplexed message",
     )
+    start: list[FrameBinding] = key(
+        [], "frames that enable by themselves; one for all drives, or one per axis; again while a drive says otherwise"
+    )
+    stop: list[FrameBinding] = key([], "frames that disable by themselves, likewise; also at the start")
+    periodic: list[PeriodBinding] = key([], "command messages and requests that are not sent every tick but so often")
+    remote: list[str] = key([], "feedback messages that drives send when they are asked by a remote frame: every tick")
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")
     checksum: Signals = key([], "checksums in the payload, besides CAN's own")
@@ -148,6 +173,11 @@ class Cia402Config(BaseModel):
     )
     write_rated_torque: bool = key(False, "write 6076h, which on many drives is a property of the motor")
     start: Literal["nmt", "autostart"] = key("nmt", "autostart: the drives go to operational by themselves")
+    stop_options: Literal["release", "keep"] = key(
+        "release",
+        "release: disabled, in fault, or without its host a drive lets go at once (1029h, 6007h, 605Bh, 605Ch, 605Eh "
+        "are written where they exist and `write` states none); keep: as the drive has them",
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 
@@ -215,6 +245,9 @@ class BusConfig(BaseModel):
 
     @model_validator(mode="after")
     def _every_key_acts(self) -> "BusConfig":
+        for table, layout in (("dbc", "dbc:FILE"), ("cia402", "cia402"), ("moteus", "moteus")):
+            if getattr(self, table) is not None and self.protocol.partition(":")[0] != table:
+                raise ValueError(f"{table}: a table of protocol = {layout!r}, not of {self.protocol!r}")
         if self.interface in KERNEL_INTERFACES:
             if not re.fullmatch(CHANNEL_NAME, self.channel):
                 raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")

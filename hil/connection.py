@@ -19,7 +19,6 @@ from hil.live.mapped_file import Closing
 from hil.operate.command import at_hand
 from hil.rig.file import build_rig, task_of_file
 from hil.runs import Event
-from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.command_client import NoGatewayError, Verdict
@@ -51,16 +50,17 @@ class LiveRig(Closing):
     def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[dict[str, NDArray[Any]]]:
         """Every tick from now on, in batches of columns as hil.Run.columns has them: (ticks,) or (ticks, n_axes).
 
-        Without end. A reader that is too slow loses the oldest batches, and column `index` then has a gap. Raises
-        NoSidecarError where none comes for that long.
+        Rounded as docs/recording.md says; scheduled_ns and now_ns count from the control process's slot 0. Without end.
+        A reader that is too slow loses the oldest ticks, and column `index` then has a gap. Raises NoSidecarError where
+        none comes for that long.
         """
         while True:
-            yield codec.columns(self._client.wait_telemetry(timeout_s))
+            yield self._client.wait_ticks(timeout_s)
 
     def events(self, timeout_s: float = FIRST_S) -> Iterator[Event]:
         """Every change of the state and of the latched fault from now on; the first is the state as it is.
 
-        time: s, on the clock of the rig's machine. Without end. Raises NoSidecarError as `telemetry`.
+        time: s, since the control process's slot 0. Without end. Raises NoSidecarError as `telemetry`.
         """
         last: dict[str, int] = {"fault": int(Fault.NONE)}
         for columns in self.telemetry(timeout_s):

@@ -119,14 +119,12 @@ class Run:
     """One run as columns; arrays are (ticks,) or (ticks, n_axes), SI units (rad, N m for rotary axes).
 
     rig: its Rig's configuration. columns: all columns by name, as docs/architecture.md and the recording have them.
-    true: position before the encoder (m), where it is known (simulations), else None. log: all that happened, each with
-    tick, time, axis, measured value, limit, cause and what to do next (hil.cycle.event.Event); empty for an exported
-    run and for recordings of earlier versions.
+    true: position before the encoder (m), where it is known (simulations), else None. log: its events, whole
+    (hil.cycle.event.Event); empty for an exported run and for older recordings.
     """
 
     def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array | None = None) -> None:
-        self.rig, self.columns, self.true = rig, columns, true
-        self.log: list[Happened] = []
+        self.rig, self.columns, self.true, self.log = rig, columns, true, list[Happened]()
 
     @property
     def axes(self) -> list[str]:
@@ -244,8 +242,7 @@ class Run:
         """Write the run as one HTML file that needs nothing else: figures, pictures, events, law and rig."""
         from hil.operate.run_report import Story, report_page
 
-        told = [(event.run_ns * 1e-9, event.line) for event in self.log]
-        events = told or [(event.time, event.text) for event in self.events]
+        events = [(e.run_ns * 1e-9, e.line) for e in self.log] or [(event.time, event.text) for event in self.events]
         story = Story(self.summary(), events, {"rig hash": rig_hash(self.rig), **self._facts()}, self._failure())
         Path(path).write_text(report_page(self.rig, self, story), encoding="utf-8")
         return Path(path)
@@ -320,12 +317,18 @@ class Simulation(Run):
 class Recording(Run):
     """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
 
+    exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
+    the cycle is run again, as `hil replay` does; where ticks are missing, or this version comes to other frames, the
+    rounded values stay.
+
     Raises RecordingError where the file is none.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         data = read_run(Path(path))
-        super().__init__(data.rig, data.columns)
+        motion = None if "stamp_ns" in data.columns else replays.exact_motion(Path(path))  # older ones hold all bits
+        self.exact = motion is not None or "stamp_ns" in data.columns
+        super().__init__(data.rig, data.columns | (motion or {}))
         self.path, self.metadata, self.log = Path(path), data.metadata, data.events
         self.truncated, self.lost = data.truncated, data.lost
 
@@ -372,10 +375,9 @@ def simulate(
         if recorder:
             recorder.observe(tick, frames, result)
 
+    tell = recorder.tell if recorder else None
     try:
-        report, traces = sim.simulate(
-            config, folder, seconds, observer=observe, scenario=faults, tell=recorder.tell if recorder else None
-        )
+        report, traces = sim.simulate(config, folder, seconds, observer=observe, scenario=faults, tell=tell)
     except ValueError as error:
         raise RigError([f"{config.name}: {error}"]) from None
     finally:

@@ -39,11 +39,6 @@ class AllBut:
         return can_id not in self._ids
 
 
-def _nothing_more(_sample: Sample) -> list[Frame]:
-    """Layouts that carry the state of a drive beside its position send no further frames."""
-    return []
-
-
 class EmulatedStage:
     """Stage and drives behind one of the frame layouts.
 
@@ -84,7 +79,7 @@ class EmulatedStage:
         nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
-        self._encode_status = getattr(self._protocol, "encode_status", _nothing_more)
+        self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
         self._stage = Stage(
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
@@ -308,13 +303,13 @@ class EmulatedStage:
         positions = self._stage.readings()
         if self._mountings:
             positions = [self._position_at_drive(axis) for axis in range(len(self.drives))]
-        encode = self._protocol.encode_feedback
+        frames_of = self._frames_of
         sequence, forces, enable, reset = command
         answers: list[Frame] = []
         for axis, drive in enumerate(self.drives):
             if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
                 sample = drive.sample(positions[axis], now_ns)
-                answers += self._from_axis(axis, (encode(sample), *self._encode_status(sample)))
+                answers += self._from_axis(axis, frames_of(sample))
                 self.commands += axis == 0
         self._update()
         return answers
@@ -335,6 +330,11 @@ class EmulatedStage:
             self._note_sampling_of(sampling)
         self._update()
         return answers
+
+    def _feedback_alone(self, sample: Sample) -> list[Frame]:
+        """Of layouts that carry the state of a drive beside its position."""
+        assert self._protocol is not None
+        return [self._protocol.encode_feedback(sample)]
 
     def _note_sampling(self) -> None:
         self.sampled = self._stage.positions, self._stage.velocities

@@ -82,7 +82,7 @@ def device_protocol(
 
             return MoteusListener(bus, n_axes, rated_force)
         case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc import DbcDevice
+            from drivers.protocols.dbc_device import DbcDevice
 
             return DbcDevice(bus, n_axes, rated_force, base_dir)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

@@ -117,8 +117,10 @@ class HostProtocol(Protocol):
     def problems(self) -> Sequence[str]:
         """Why drives were refused, for people; empty where all is well."""
 
-    def decode(self, frame: Frame) -> Sample | Reject:
-        """Value of one received frame. Never raises, whatever the bytes."""
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
+        """Value of one received frame; several samples where it carries those of several axes. Never raises, whatever
+        the bytes.
+        """
 
     def encode(self, command: Command) -> list[Frame]:
         """Frames of one tick, in sending order; the one that triggers sampling is the last of the cyclic ones."""

@@ -73,12 +73,14 @@ class MountedHost:
         """Why drives were refused, for people."""
         return self.layout.problems
 
-    def decode(self, frame: Frame) -> Sample | Reject:
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
         """As the layout's, with the axis' position."""
-        sample = self.layout.decode(frame)
-        if isinstance(sample, Sample):
+        outcome = self.layout.decode(frame)
+        if isinstance(outcome, Reject):
+            return outcome
+        for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
             sample.position = self._mountings[sample.axis].count_at_axis(sample.position)
-        return sample
+        return outcome
 
     def encode(self, command: Command) -> list[Frame]:
         """As the layout's, of what the drives have to make."""

@@ -282,12 +282,18 @@ class RingReader(Closing):
 
         fields: of the records, all if none is named; a few cost a thirtieth.
         """
+        batch = self.look(self.next, limit, fields)
+        self.next = batch.first + len(batch.records)
+        return batch
+
+    def look(self, first: int, limit: int = 512, fields: Sequence[str] = ()) -> Batch:
+        """The same from ring index `first` on, whatever was read before; `read` goes on where it was."""
         written = self.written
-        lost = self._skip_overwritten(written)
-        first = self.next
-        count = min(written - first, limit)
+        oldest = max(written - self.slots + 1, 0)
+        lost = max(oldest - first, 0)
+        first += lost
+        count = max(min(written - first, limit), 0)
         records = self._copy(np.arange(first, first + count) % self.slots, fields)
-        self.next = first + count
         # Record i is safe unless the writer may have begun its slot again, once i + slots records are published.
         overtaken = min(max(self.written - self.slots + 1 - first, 0), count)
         return Batch(records[overtaken:], first + overtaken, lost + overtaken)
@@ -299,12 +305,6 @@ class RingReader(Closing):
         for field in fields:
             records[field] = self._slots[field][slots]
         return records
-
-    def _skip_overwritten(self, written: int) -> int:
-        oldest = max(written - self.slots + 1, 0)
-        lost = max(oldest - self.next, 0)
-        self.next += lost
-        return lost
 
     def close(self) -> None:
         """Unmap the file."""

@@ -11,14 +11,16 @@ from hil.live.ring import Batch, RingReader
 
 
 class RingEvents:
-    """Tells the events of one ring, batch by batch as its reader gets them. notes: the file of hil/live/notes.py."""
+    """Tells the events of one ring, batch by batch as its reader gets them. notes: the file of hil/live/notes.py.
+    begin: ring index from which ticks that are missing are a loss; None: from the first that is there on.
+    """
 
-    def __init__(self, reader: RingReader, notes: Path) -> None:
+    def __init__(self, reader: RingReader, notes: Path, begin: int | None = 0) -> None:
         self._stream = stream_of(reader.metadata["rig"], reader.period_ns)
         self._period_ns = reader.period_ns
         self._path = notes
         self._notes: list[Note] = []
-        self._next = 0  # ring index
+        self._next = begin  # ring index
 
     @property
     def latched(self) -> Event | None:
@@ -27,7 +29,8 @@ class RingEvents:
 
     def tell(self, batch: Batch) -> list[Event]:
         """What these ticks told, and what was put into words since."""
-        told = self._stream.tell(batch.records, batch.first - self._next)  # a batch without records may have lost some
+        # A batch without records may have lost some.
+        told = self._stream.tell(batch.records, 0 if self._next is None else max(batch.first - self._next, 0))
         if len(batch.records):
             self._next = batch.first + len(batch.records)
         return [*told, *self._stream.admit(self._fresh())]

@@ -30,7 +30,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, local_client
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0

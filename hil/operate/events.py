@@ -18,7 +18,7 @@ from hil.operate.summary import load_run
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.event_codec import decode
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 ANSWER_S = 3.0
 POLL_S = 0.1
@@ -80,7 +80,7 @@ def of_ring(name: str) -> list[Event]:
     paths = runtime_paths(name)
     found: list[Event] = []
     with RingReader(paths.ring) as reader:
-        told = RingEvents(reader, paths.notes)
+        told = RingEvents(reader, paths.notes, begin=None)
         while len((batch := reader.read()).records):
             found += told.tell(batch)
     return [*found, *told.close()]

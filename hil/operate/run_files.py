@@ -13,7 +13,7 @@ from drivers.text_file import UnsuitableFileError, open_untrusted
 from hil.rig.file import build_rig
 from hil.rig.npz_file import read_arrays
 from hil.rig.schema import RigConfig
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 Columns = Mapping[str, NDArray[Any]]
 _RIG = "rig_json"

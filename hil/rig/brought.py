@@ -1,4 +1,4 @@
-"""What a rig file brings with it: the texts of its plug-ins' files, and the samples of its task.
+"""What a rig file brings with it: the texts of its plug-ins' files, the samples of its task, what its law has learnt.
 
 A document that has them already (a recording's, or work sent to another process) keeps them, unless something else was
 chosen: it needs no file, and runs no code.
@@ -31,6 +31,7 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
     """
     for table, key in PLUGINS:
         _read_source(document, table, key, folder, chosen=[table, key] in overridden)
+    _read_learnt(document, folder, chosen=["law", "learnt"] in overridden)
     task = document.get("task")
     if not isinstance(task, dict):
         return
@@ -51,6 +52,7 @@ def named_files(rig: RigConfig) -> dict[str, str]:
     kind, _, dbc = rig.bus.protocol.partition(":")
     named["bus.protocol"] = dbc if kind == "dbc" else ""
     named["task.file"] = rig.task.file
+    named["law.learnt"] = rig.law.learnt
     return {key: name for key, name in named.items() if name}
 
 
@@ -70,6 +72,23 @@ def _read_source(document: dict[str, Any], table: str, key: str, folder: Path, *
             no_text = isinstance(error, UnicodeDecodeError)
             text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
             raise BroughtError(f"{table}.{key} = {shown(named[key])}: {path}: {text}") from None
+
+
+def _read_learnt(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
+    """Put what law.learnt holds into law.learnt_on and law.learnt_state."""
+    law, axes = document.get("law"), document.get("axes")
+    if not isinstance(law, dict) or not isinstance(axes, dict) or not isinstance(law.get("learnt", ""), str):
+        return
+    if not law.get("learnt"):
+        for key in ("learnt_on", "learnt_state"):
+            law.pop(key, None)
+    elif chosen or not law.get("learnt_state"):
+        from hil.rig.learnt_file import LearntFileError, read_learnt_file  # few rigs have one
+
+        try:
+            law["learnt_on"], law["learnt_state"] = read_learnt_file(folder / law["learnt"], list(axes))
+        except LearntFileError as error:
+            raise BroughtError(f"law.learnt: {error}") from None
 
 
 def _run_task(task: dict[str, Any], kind: str) -> None:

@@ -47,6 +47,7 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
     if path == ["law", "name"]:
         law = document.setdefault("law", {})
         if isinstance(law, dict) and law.get("name") != value:
+            law.pop("learnt", None)
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
     table = document
     for part in path[:-1]:
@@ -68,6 +69,23 @@ def _exchange_encoder(document: dict[str, Any], resolution: Any) -> None:
         axis["encoder_resolution"] = resolution[index] if own else resolution
 
 
+def _check_learnt(rig: RigConfig) -> None:
+    """What was learnt on another rig, task, law or gains would be played as a disturbance of its own."""
+    law = rig.law
+    if not law.learnt:
+        return
+    if not law.iterative_learning:
+        raise RigError([f"law.learnt = {shown(law.learnt)}: only with law.iterative_learning = true"])
+    own = learning_hash(rig)
+    if law.learnt_on != own:
+        raise RigError(
+            [
+                f"law.learnt = {shown(law.learnt)}: learnt on another rig (hash {short(law.learnt_on[:12])}, this "
+                f"one's is {own[:12]}): run this one without it, then `hil learnt` on that run"
+            ]
+        )
+
+
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
@@ -79,7 +97,9 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
     try:
         lines = modernise(document)
         bring(document, folder, paths)
-        return RigConfig.model_validate(document), lines
+        rig = RigConfig.model_validate(document)
+        _check_learnt(rig)
+        return rig, lines
     except (FormerKeyError, BroughtError) as error:
         raise RigError(str(error).splitlines()) from None
     except ValidationError as error:
@@ -142,6 +162,12 @@ def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> T
 def rig_hash(rig: RigConfig) -> str:
     """SHA-256 of the validated rig in canonical JSON; two files that mean the same rig have the same hash."""
     return document_hash(rig.model_dump(mode="json"))
+
+
+def learning_hash(rig: RigConfig) -> str:
+    """The same of the rig as if it had learnt nothing yet."""
+    law = rig.law.model_copy(update={"learnt": "", "learnt_on": "", "learnt_state": []})
+    return rig_hash(rig.model_copy(update={"law": law}))
 
 
 def document_hash(rig: dict[str, Any]) -> str:

@@ -129,6 +129,11 @@ class LawConfig(BaseModel):
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
+    learnt: str = key(
+        "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
+    )
+    learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
+    learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded")
     source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
 
     def effective_gains(self) -> dict[str, Any]:
@@ -281,10 +286,15 @@ class TelemetryConfig(BaseModel):
     model_config = STRICT
     listen: list[str] = key(["tcp/127.0.0.1:7447"], "Zenoh endpoints the sidecar listens on")
     publish_hz: float = key(50.0, "batches of telemetry a second", "Hz", gt=0, le=1000)
-    ring_slots: int = key(
-        4096, "ticks the ring between the control process and the sidecar holds", "ticks", ge=256, le=65536
+    blackbox_s: float = key(
+        60.0, "time the ring holds, which is the black box; a tick takes 4 KiB of memory", "s", ge=1, le=600
     )
     record: bool = key(True, "record every run")
+    record_part_size: int = key(500_000_000, "a file that is larger is followed by another", "B", ge=100_000, le=2**40)
+    record_part_s: float = key(3600.0, "a file that is older is followed by another", "s", ge=1, le=604800)
+    record_quota: int = key(
+        20_000_000_000, "most that recordings take; the oldest go, those of faults stay", "B", ge=1_000_000, le=2**50
+    )
     recording_required: bool = key(False, "without a working recorder a new ACTIVE is refused")
     # The last: in what follows in this class the name would hide the function.
     key: Annotated[str, Field(pattern=r"^[a-z0-9_-]+(/[a-z0-9_-]+)*$")] = key("hil", "prefix of all Zenoh keys")

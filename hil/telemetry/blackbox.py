@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -17,10 +18,9 @@ from hil.telemetry.recorder import Recorder, write_batch
 def save_ring(reader: RingReader, path: Path) -> int:
     """Write all a ring still holds to a recording; returns the number of ticks. Raises OSError when it does not fit."""
     recorder = Recorder(path, reader.metadata)
-    n_axes = len(reader.metadata["rig"]["axes"])
     saved = 0
     while len((batch := reader.read()).records):
-        write_batch(recorder, batch.records, n_axes, first=batch.first, lost=batch.lost)
+        write_batch(recorder, batch.records, first=batch.first, lost=batch.lost)
         saved += len(batch.records)
     recorder.close()
     if recorder.errors:
@@ -63,6 +63,18 @@ def run_directory() -> Path:
             directory.mkdir(parents=True)
             break
     return directory
+
+
+@contextlib.contextmanager
+def recordings_in(out: Path | None) -> Iterator[Path]:
+    """Where recordings go: `out`, or a new directory, which is gone again if none was made."""
+    directory = out or run_directory()
+    try:
+        yield directory
+    finally:
+        if out is None:
+            with contextlib.suppress(OSError):  # it holds something
+                directory.rmdir()
 
 
 def blackbox(

@@ -1,4 +1,4 @@
-"""Ring records to protobuf messages and back, whole batches at a time (numpy does the per-tick work)."""
+"""Recordings of the earlier layout (Telemetry, Traffic), and what it shares with today's (cycle_codec.py)."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ _COUNTERS = (
 STOP, RECORDER_OK, REALTIME_OK, RIG_OK, ESTOP = 1, 2, 4, 8, 32  # bits of record flags
 LONGEST_BATCH = 4096  # ticks in a message, several times what a sidecar drains in a round
 _STAGES = RECORD.fields["cpu_ns"][0].shape[0]  # type: ignore[index]
-_N_PORT = len(PortCounters._fields)
+N_PORT = len(PortCounters._fields)
 _DATA_BYTES = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 
 
@@ -123,14 +123,14 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
     _refuse_too_many("frames sent in a tick", max(message.sent_count, default=0), MAX_SENT)
     received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
     for place in range(len(message.index)):
-        *counts, bus_state = message.port[place * _N_PORT : (place + 1) * _N_PORT]
+        *counts, bus_state = message.port[place * N_PORT : (place + 1) * N_PORT]
         flags = message.flags[place]
         tick = Tick(
             index=message.index[place],
             scheduled_ns=message.scheduled_ns[place],
             now_ns=message.now_ns[place],
             port=PortCounters._make((*counts, BusState(bus_state))),
-            commands=tuple(_command(next(commands)) for _ in range(message.command_count[place])),
+            commands=tuple(taken_command(next(commands)) for _ in range(message.command_count[place])),
             stop=bool(flags & STOP),
             recorder_ok=bool(flags & RECORDER_OK),
             realtime_ok=bool(flags & REALTIME_OK),
@@ -142,7 +142,8 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
         yield RecordedTick(message.first + place, tick, inputs, outputs)
 
 
-def _command(command: pb.Command) -> OperatorCommand:
+def taken_command(command: pb.Command) -> OperatorCommand:
+    """An operator's command as it was recorded."""
     return OperatorCommand(CommandKind(command.kind), command.sequence, command.expires_ns)
 
 

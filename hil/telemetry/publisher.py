@@ -12,7 +12,11 @@ from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64
 QUERIES_A_ROUND = 8
-_ANSWERED = {"rig": zenoh.Encoding.APPLICATION_JSON, "events": zenoh.Encoding.APPLICATION_PROTOBUF}
+_ANSWERED = {
+    "rig": zenoh.Encoding.APPLICATION_JSON,
+    "schema": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("google.protobuf.FileDescriptorSet"),
+    "events": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("hil.telemetry.Events"),
+}
 
 
 class ListenError(Exception):
@@ -31,10 +35,10 @@ class Publisher(Closing):
             self._publishers = {
                 topic: self._session.declare_publisher(
                     f"{self.key}/{topic}",
-                    encoding=zenoh.Encoding.APPLICATION_PROTOBUF,
+                    encoding=zenoh.Encoding.APPLICATION_PROTOBUF.with_schema(f"hil.telemetry.{kind}"),
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic in ("telemetry", "status", "events")
+                for topic, kind in (("tick", "Tick"), ("status", "Status"), ("events", "Events"))
             }
             self.queries = {
                 name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))
@@ -53,7 +57,9 @@ class Publisher(Closing):
         return True
 
     def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
-        """Reply to everybody who asked for "rig" or "events". answers: called for each, as hardly anybody asks."""
+        """Reply to everybody who asked for "rig", "schema" or "events". answers: called for each, as hardly anybody
+        asks.
+        """
         for name, waiting in self.queries.items():
             for _ in range(QUERIES_A_ROUND):
                 query = waiting.try_recv()

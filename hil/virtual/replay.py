@@ -1,7 +1,7 @@
 """Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -11,17 +11,22 @@ from google.protobuf.message import DecodeError
 from drivers.frame import Frame
 from hil.cycle.event import Event
 from hil.cycle.event_notes import CycleEvents
-from hil.cycle.record import MAX_RECEIVED
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
 from hil.cycle.task_loading import loaded_task, rig_with_task
 from hil.cycle.tick import CommandKind, LoadedTask, Tick
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig, RigError
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import Recording, RecordingError
+from hil.telemetry.recording import Recording, RecordingError
 
+_EXACT = [*MOTION_FIELDS, "stamp_ns"]
 _LARGEST = 2**60  # ns: 36 years of a monotonic clock
+_TRAFFIC: dict[str, Callable[[bytes], Iterator[codec.RecordedTick]]] = {
+    "cycle": lambda data: cycle_codec.recorded_ticks(pb.Cycle.FromString(data)),
+    "traffic": lambda data: codec.recorded_ticks(pb.Traffic.FromString(data)),  # of the earlier layout
+}
 
 
 @dataclasses.dataclass
@@ -44,7 +49,8 @@ class Replayed:
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
 
-def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+def new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    """Raises RigError where this rig cannot have one."""
     try:
         return ControlCycle(rig, base_dir)
     except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
@@ -56,7 +62,7 @@ class _Comparison:
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self._names = rig.axis_names
-        self._cycle = _new_cycle(rig, base_dir)
+        self._cycle = new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
         self._largest = np.zeros(len(self._names))
         self._ticks = 0
@@ -101,7 +107,7 @@ def loaded_tasks(recording: Recording) -> dict[int, str]:
     return found
 
 
-class _Tasks:
+class Tasks:
     """What a recording's LOAD_TASK commands load, planned anew for a rig."""
 
     def __init__(self, recording: Recording, rig: RigConfig) -> None:
@@ -109,6 +115,7 @@ class _Tasks:
         self._documents: dict[int, str] | None = None
 
     def of(self, tick: Tick) -> LoadedTask | None:
+        """That of a tick's command, if it has one. Raises RecordingError."""
         for command in tick.commands:
             if command.kind == CommandKind.LOAD_TASK:
                 if self._documents is None:
@@ -126,16 +133,20 @@ class _Tasks:
 
 
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
-    """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
+    """Every recorded tick once, in order: a sidecar that was killed may have left ticks whose recording its successor
+    did not know of. Raises RecordingError for a message that no control process can have caused.
+    """
+    following = 0  # ring index
     for item in recording:
-        if item.topic == "traffic":
+        if item.topic in _TRAFFIC:
             try:
-                ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+                ticks = list(_TRAFFIC[item.topic](item.data))
                 for step in ticks:
                     _check(step)
             except (DecodeError, ValueError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
-            yield from ticks
+            yield from (step for step in ticks if step.ring >= following)
+            following = max([following, *(step.ring + 1 for step in ticks[-1:])])
 
 
 def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:
@@ -150,7 +161,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle, tasks = _new_cycle(rig, base_dir), _Tasks(recording, rig)
+        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
         stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
@@ -174,3 +185,22 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
         report.latched = stream.latched
     report.truncated = recording.truncated
     return report
+
+
+def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
+    """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record.
+
+    None where the cycle did not come to the same frames: another version, or ticks that are missing. Raises
+    RecordingError, RigError.
+    """
+    recording = Recording(path)
+    kept: list[bytes] = []
+    with rig_of_run(recording.metadata) as (rig, base_dir):
+        cycle = new_cycle(rig, base_dir)
+        for step in steps(recording):
+            result = cycle.step(step.tick, step.received)
+            if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
+                return None
+            kept.append(np.asarray(result.record[_EXACT]).tobytes())
+    records = np.frombuffer(b"".join(kept), RECORD[_EXACT])
+    return {name: records[name][:, : len(rig.axes)].copy() for name in _EXACT}

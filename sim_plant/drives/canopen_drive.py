@@ -30,6 +30,11 @@ _MODE = key_of(cia301.MODE)
 _ERROR_REGISTER = key_of(0x1001)
 _ERROR_CODE = key_of(0x603F)
 _QUICK_STOP_OPTION = key_of(0x605A)
+_CONNECTION_OPTION = key_of(0x6007)  # what to do without the host: nothing, fault, disable voltage, quick stop
+_POLARITY = key_of(0x607E)
+_SERVO_DRIVE = 0x00020192  # 1000h: type 2 of profile 402
+_MODES_OF_TARGETS = {_TORQUE: 0x208, key_of(0x607A): 0x081, key_of(0x60FF): 0x104}  # 6502h: TQ, CST; PP, CSP; PV, CSV
+_POSITION_TURNED, _TORQUE_TURNED = 0x80, 0x20  # 607Eh; torque's bit is the makers'
 _LAST_TRANSIT_OPTION = 4  # 605Ah: up to it the drive leaves QUICK STOP ACTIVE by itself
 
 
@@ -61,9 +66,16 @@ class Cia402Drive(CanopenNode):
         self._fresh_target = False
         self._enabling_ns = NEVER_NS  # when the power stage will be on
         self._own = eds == cia301.EDS
+        self._describe()
         self._install()
         self._bind_dictionary()
         self._boot()
+
+    def _describe(self) -> None:
+        """What many files leave to the drive: that it is a servo drive, and in which modes its targets make sense."""
+        self.dictionary.fill_in(key_of(0x1000), _SERVO_DRIVE)
+        modes = sum(bits for target, bits in _MODES_OF_TARGETS.items() if target in self.dictionary.entries)
+        self.dictionary.fill_in(key_of(0x6502), modes)
 
     def _install(self) -> None:
         """A bought drive has been told its motor's rated torque by whoever installed it."""
@@ -102,7 +114,16 @@ class Cia402Drive(CanopenNode):
         self.dictionary.values[_TORQUE] = 0
 
     def _on_master_lost(self) -> None:
-        self._fail(Emergency.HEARTBEAT)
+        """By 6007h. The project's own drive goes to FAULT, whose reason its host can read."""
+        option = 1 if self._own else self.dictionary.number(_CONNECTION_OPTION, 1)
+        if option == 1 or self.state is DriveState.FAULT:
+            self._fail(Emergency.HEARTBEAT)
+            return
+        self._emergency.raise_error(Emergency.HEARTBEAT, GENERIC | COMMUNICATION)
+        if option == 2:
+            self.switch_off()
+        elif option == 3 and self.state is DriveState.OPERATION_ENABLED:
+            self._take_controlword(cia301.QUICK_STOP)
 
     def _restore(self) -> None:
         self.dictionary.restore(0x2000, 0xFFFF)
@@ -139,6 +160,8 @@ class Cia402Drive(CanopenNode):
 
     def _count(self) -> int:
         count = self.servo.sample(self._position(), self.now_ns).position
+        if self.dictionary.number(_POLARITY) & _POSITION_TURNED:
+            count = -count
         return (count + (1 << 31)) % (1 << 32) - (1 << 31)
 
     def _statusword(self) -> int:
@@ -177,7 +200,8 @@ class Cia402Drive(CanopenNode):
         self._limited = abs(raw) > limit
         if not self._demands_torque() or self._controlword & cia301.HALT:
             return 0.0
-        return float(max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
+        sign = -1 if number(_POLARITY) & _TORQUE_TURNED else 1
+        return float(sign * max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
 
     def _command_servo(self, force: float, *, feed: bool = False, reset: bool = False) -> None:
         """Hand a force to the servo. Only SYNC with a new target torque feeds its watchdog."""

@@ -56,8 +56,8 @@ class MotionDrive(Cia402Drive):
         self._restore()
 
     def emulates(self, mode: int) -> bool:
-        """The EDS offers the mode, and it is emulated; a file that says nothing of modes is taken to offer CST."""
-        offered = self.dictionary.number(_MODES) or cia301.TORQUE_MODE_BIT
+        """The EDS offers the mode, and it is emulated; a drive without 6502h is taken to offer CST."""
+        offered = self.dictionary.number(_MODES, cia301.TORQUE_MODE_BIT)
         return mode in EMULATED and bool(offered >> (mode - 1) & 1)
 
     def reboot(self) -> None:

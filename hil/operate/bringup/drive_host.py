@@ -44,12 +44,14 @@ class DriveHost:
         self.stamps.clear()
         for frame in frames:
             outcome = self.protocol.decode(frame)
-            if isinstance(outcome, Sample):
-                self.stamps.append((outcome.axis, frame.timestamp_ns))
-                self.samples[outcome.axis], self.heard_ns[outcome.axis] = outcome, now_ns
-                self.rejects.pop(frame.can_id, None)
-            elif not frame.flags & ECHO:
-                self.rejects[frame.can_id] = outcome
+            if isinstance(outcome, Reject):
+                if not frame.flags & ECHO:
+                    self.rejects[frame.can_id] = outcome
+                continue
+            for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
+                self.stamps.append((sample.axis, frame.timestamp_ns))
+                self.samples[sample.axis], self.heard_ns[sample.axis] = sample, now_ns
+            self.rejects.pop(frame.can_id, None)
 
     def allow(self, axis: int, most_force: float) -> None:
         """From here on `push` may enable the drive of this axis, and no other, with at most so much force (N, N m), its
