@@ -1,5 +1,6 @@
 """A limit in time for calls of what users bring, at next to no cost: a plug-in that does not return is given up."""
 
+import atexit
 import os
 import signal
 import threading
@@ -51,6 +52,12 @@ class Watch:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             self.armed = False
 
+    def rest(self) -> None:
+        """No more timer: a process that is ending has no handler for it any more."""
+        if self.armed and signal.getsignal(signal.SIGALRM) == self._look:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
 
 watch = Watch()
+atexit.register(watch.rest)
 os.register_at_fork(after_in_child=watch.disarm)

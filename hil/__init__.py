@@ -17,6 +17,7 @@ _PUBLIC = {
     "Law": "hil.control.laws.base",
     "LawInputs": "hil.control.laws.base",
     "Model": "hil.control.laws.base",
+    "Plant": "sim_plant.user_stage",
     "Recording": "hil.runs",
     "RecordingError": "hil.telemetry.recorder",
     "Reference": "hil.control.laws.base",

@@ -107,12 +107,13 @@ class LiveRig(Closing):
         """
         with at_hand(self.name) as client:
             rig = client.rig()
-            if isinstance(task, dict):
-                whole = {**rig.model_dump(mode="json"), "task": task}
-                chosen = build_rig(whole, overrides).task
-            else:
-                chosen = task_of_file(rig, Path(task), overrides)
-            return client.load_task(task_document(chosen))
+        if isinstance(task, dict):
+            chosen = build_rig({**rig.model_dump(mode="json"), "task": task}, overrides).task
+        else:
+            chosen = task_of_file(rig, Path(task), overrides)
+        document = task_document(chosen)
+        with at_hand(self.name) as client:  # only now: who says nothing for long loses the connection
+            return client.load_task(document)
 
     def close(self) -> None:
         """Leave; the rig goes on."""

@@ -1,10 +1,11 @@
 """The part of a rig file that describes the emulated stage: [plant]. The true plant, not the nominal model."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
+from drivers.plugins import Kind, known, unknown
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
 Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
@@ -20,6 +21,17 @@ NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 Position = Annotated[float, Field(ge=-1e3, le=1e3)]
 Resolution = Annotated[float, Field(ge=1e-15, le=1e3)]
 PerAxis = float | list[float]  # one number for all axes, or one per axis
+
+
+# Kinds of stage, and where the values of ours are made. A user's is a class like sim_plant.user_stage.Plant.
+STAGES: dict[str, str] = {
+    "ideal": "sim_plant.stages:ideal",
+    "air-bearing": "sim_plant.stages:air_bearing",
+    "crossed-roller": "sim_plant.stages:crossed_roller",
+    "ball-screw": "sim_plant.stages:ball_screw",
+    "flexure": "sim_plant.stages:flexure",
+}
+STAGE_KIND = Kind("stage", "stages", "plant", "stage", "hil.stages", STAGES, ("begin", "advance"))
 
 
 class PlantError(ArithmeticError):
@@ -177,9 +189,14 @@ class PlantConfig(BaseModel):
     brake_force: Positive | list[Positive] = key(100.0, "force the brakes of [drives] hold", "N (N m)")
     seed: int = key(1, "of the noise in force and encoders", "1", ge=0, lt=2**32)
 
-    stage: Literal["ideal", "air-bearing", "crossed-roller", "ball-screw", "flexure"] = key(
-        "ideal", "kind of stage: values for the keys below that are not stated (sim_plant/stages.py); ideal: none"
+    stage: str = key(
+        "ideal",
+        f"kind of stage: {', '.join(STAGES)}: values for the keys below that are not stated (sim_plant/stages.py), "
+        "ideal: none; or a stage of your own in place of our physics: its registered name, package.module:Class, or "
+        "./file.py:Class beside the rig file",
     )
+    parameters: dict[str, Any] = key({}, "of a stage of your own: what its class takes")
+    source: str = key("", "text of such a stage's file; filled in when the rig is loaded")
     presliding: Distance | list[Distance] = key(
         0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
     )
@@ -213,6 +230,13 @@ class PlantConfig(BaseModel):
     )
     encoder_period: Positive | list[Positive] = key(20e-6, "signal period of the encoder", "m (rad)")
     encoder_latency: Latency | list[Latency] = key(0.0, "by which a sample is older than its time stamp says", "s")
+
+    @field_validator("stage")
+    @classmethod
+    def _known_stage(cls, name: str) -> str:
+        if not known(STAGE_KIND, name):
+            raise ValueError(unknown(STAGE_KIND, name))
+        return name
 
     @model_validator(mode="after")
     def _counted_per_axis(self) -> "PlantConfig":

@@ -20,7 +20,8 @@ from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
-from sim_plant.physics.stage import Stage, Truth, per_axis_array
+from sim_plant.physics.stage import Truth, per_axis_array
+from sim_plant.user_stage import stage_of
 
 Array = NDArray[np.float64]
 FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
@@ -80,7 +81,8 @@ class EmulatedStage:
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
         self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
-        self._stage = Stage(
+        self._stage = stage_of(
+            plant,
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )

@@ -24,6 +24,7 @@ from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
+from sim_plant.user_stage import stage_problems
 
 
 def check_rig(
@@ -72,6 +73,7 @@ def check_rig(
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
     found += [text for finding in learning if (text := finding.problem())]
+    found += stage_problems(rig.plant, rig.axis_names)
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     document["warnings"] = warnings
     document["corners"] = [corner.as_json() for corner in corners]

@@ -16,7 +16,8 @@ from hil.rig.task_file import TaskFileError, read_task_file
 from hil.rig.task_kinds import KIND, is_users, run_task
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-PLUGINS = (("law", "name"), ("task", "kind"))  # tables whose key may name a file's class; `source` is its text
+# Tables whose key may name a file's class; `source` is its text.
+PLUGINS = (("law", "name"), ("task", "kind"), ("plant", "stage"))
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 

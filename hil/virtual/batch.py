@@ -20,7 +20,8 @@ from hil.control.trajectories import Trajectory, make_trajectory, task_repeat
 from hil.cycle.gate import ForceLimits
 from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
-from sim_plant.physics.stage import Stage, Truth
+from sim_plant.physics.stage import Truth
+from sim_plant.user_stage import stage_of
 
 FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
 
@@ -76,7 +77,7 @@ class BatchRun:
         self._nominal_resolution = np.array([axis.encoder_resolution for axis in axes])
         self._resolution = per_axis(rig.plant.encoder_resolution, n)
         initial = per_axis(rig.plant.initial_position, n)
-        self._stage = Stage(truth, np.zeros(shape) + initial)
+        self._stage = stage_of(rig.plant, truth, np.zeros(shape) + initial)
         self._origin = np.rint(initial / self._resolution) * self._nominal_resolution
         # What all plants have in common, on floats as in the cycle.
         self._shared = [axis_inputs() for _ in range(n)]

@@ -47,6 +47,7 @@ NO_MODULES = {
     "sim_plant.floats",
     "hil.laws",
     "hil.tasks",
+    "hil.stages",
     "hil.target",
 }  # of the build; an entry point group; a systemd unit
 HERE = Path(__file__).relative_to(ROOT).as_posix()

@@ -29,8 +29,10 @@ from tests.telemetry.test_commands import free_port
 SMALL = {"kind": "circle", "axes": ["x", "y"], "radius": 1e-4, "frequency_hz": 0.5}
 
 
-def long_task(rows: int = 20_000) -> str:
+@pytest.fixture
+def long_task() -> str:
     """A path whose JSON does not fit a message by far, nor compresses well."""
+    rows = 20_000
     random = np.random.default_rng(1)
     samples = np.column_stack([0.05 * np.arange(rows), 1e-6 * random.random((rows, 2))]).tolist()
     return json.dumps({"kind": "path", "axes": ["x", "y"], "samples": samples})
@@ -57,12 +59,11 @@ def test_a_task_is_loaded_and_recorded(client: tuple[CommandClient, CommandBench
     assert task.plan([0.0] * 4).phase_names == ("approach", "figure")
 
 
-def test_the_longest_task_travels_in_parts(client: tuple[CommandClient, CommandBench]) -> None:
+def test_the_longest_task_travels_in_parts(long_task: str, client: tuple[CommandClient, CommandBench]) -> None:
     asking, bench = client
-    document = long_task()
-    assert asking.load_task(document).accepted
+    assert asking.load_task(long_task).accepted
     (entry,) = bench.entries
-    assert json.loads(entry.task)["samples"] == json.loads(document)["samples"]
+    assert json.loads(entry.task)["samples"] == json.loads(long_task)["samples"]
     assert asking.command(CommandKind.STOP).accepted  # the connection goes on
 
 

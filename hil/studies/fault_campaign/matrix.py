@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
 from hil.cycle.tick import CommandKind
 from hil.rig.file import build_rig
+from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.checkpoints import CampaignRun, Checkpoint, bring_to, checkpoints
@@ -267,7 +268,8 @@ class Chunk:
     try there.
     """
 
-    document: dict[str, Any]
+    document: str  # JSON
+    files: dict[str, str]  # that it refers to
     base_dir: str
     point: Checkpoint
     cells: tuple[tuple[int, int], ...]
@@ -282,7 +284,7 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
     """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign. only: what the
     names of the trials contain.
     """
-    document = rig.model_dump(mode="json")
+    document, files = rig.model_dump_json(), referenced_files(rig, base_dir)
     cells = [
         (index, axis)
         for index, trial in enumerate(TRIALS)
@@ -292,7 +294,7 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
     result = []
     for offset, point in enumerate(checkpoints(rig)):
         chosen = tuple(cell for number, cell in enumerate(cells) if (number + offset) % stride == 0)
-        result.append(Chunk(document, str(base_dir), point, chosen))
+        result.append(Chunk(document, files, str(base_dir), point, chosen))
     return result
 
 
@@ -316,9 +318,10 @@ def capabilities_of(run: CampaignRun) -> Capability:
 
 def run_chunk(chunk: Chunk) -> list[Cell]:
     """Bring one run to the chunk's checkpoint and try every cell from there, each in a fork."""
-    run = bring_to(build_rig(chunk.document), Path(chunk.base_dir), chunk.point)
-    capabilities, cells = capabilities_of(run), []
-    for index, axis in chunk.cells:
-        trial = TRIALS[index].over(capabilities)
-        cells.append(in_fork(functools.partial(run_cell, trial, chunk.point, axis, run)))
+    with unpacked_rig(chunk.document, chunk.files, Path(chunk.base_dir)) as (rig, folder):
+        run = bring_to(rig, folder, chunk.point)
+        capabilities, cells = capabilities_of(run), []
+        for index, axis in chunk.cells:
+            trial = TRIALS[index].over(capabilities)
+            cells.append(in_fork(functools.partial(run_cell, trial, chunk.point, axis, run)))
     return cells

@@ -6,12 +6,23 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import metres, print_plant_notes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.crew import crew, resumed
 from hil.studies.tune.objective import Margins, Outcome
-from hil.studies.tune.search import Found, Start, front, refuse_short_margins, rounded, tune_axis, write_gains
+from hil.studies.tune.search import (
+    AxisSearch,
+    Found,
+    Start,
+    front,
+    refuse_short_margins,
+    rounded,
+    run_search,
+    tune_axis,
+    write_gains,
+)
 from hil.studies.tune.search_space import law_gains, space_of
 from hil.virtual.sim import usable
 
@@ -35,6 +46,7 @@ def tune(
         int, typer.Option(min=1, max=10, help="of every trial, in sizes a little apart: luck counts less")
     ] = 1,
     start: Annotated[Start, typer.Option(help="where to begin: mid-range, or the rig file's gains")] = Start.MIDDLE,
+    scheduler: Scheduler = "",
     dry_run: Annotated[bool, typer.Option(help="do not write the rig file")] = False,
 ) -> None:
     """Find gains for a law on a set of tasks and plants, show the trade, and write them to the rig file.
@@ -61,7 +73,17 @@ def tune(
     found = []
     with Progress(console=console, transient=True) as bar:
         job = bar.add_task(f"{rig.name}: {name}", total=(generations + 1) * len(rig.axes))
-        for axis, axis_name in enumerate(rig.axis_names):
+        if scheduler:
+            size, document = (population, generations), rig.model_dump_json()
+            work = [
+                AxisSearch(document, name, axis, size, seed, least, start.value, tuple(chosen), repeats)
+                for axis in range(len(rig.axes))
+            ]
+            with crew(0, scheduler) as hands:
+                for axis_found in resumed(hands, run_search, work):
+                    found.append(axis_found)
+                    bar.update(job, advance=generations + 1)
+        for axis, axis_name in enumerate([] if scheduler else rig.axis_names):
 
             def report(outcome: Outcome, axis_name: str = axis_name) -> None:
                 note = f"{name}, {axis_name}: {outcome.ratio[outcome.cost.argmin()]:.3g} times what is good"

@@ -126,6 +126,29 @@ def tune_axis(
     return Found(bench.run(np.stack([bench.known(), best])), met, bench.gains(best[None]))
 
 
+class AxisSearch(NamedTuple):
+    """One axis' search as it travels: the rig as JSON, and the arguments of tune_axis."""
+
+    rig: str
+    law: str
+    axis: int
+    size: tuple[int, int]
+    seed: int
+    least: Margins
+    start: str
+    only: tuple[str, ...]
+    repeats: int
+
+
+def run_search(job: AxisSearch) -> Found:
+    """As tune_axis, on whatever machine this is."""
+    rig = RigConfig.model_validate_json(job.rig)
+    return tune_axis(
+        rig, job.law, job.axis, job.size, job.seed, job.least, Start(job.start),
+        report=lambda outcome: None, only=job.only, repeats=job.repeats,
+    )  # fmt: skip
+
+
 def refuse_short_margins(rig: RigConfig, least: Margins) -> None:
     """Raises RigError naming every axis whose loop is unstable, or whose margins are less than `least`."""
     report = check_stability(rig)
