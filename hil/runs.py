@@ -304,8 +304,7 @@ class Simulation(Run):
     def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array, report: sim.SimReport) -> None:
         super().__init__(rig, columns, true)
         self.figures, self.log = report, report.events
-        self.law_failure = report.law_failure
-        self.trace_sha256 = report.trace_sha256
+        self.law_failure, self.trace_sha256 = report.law_failure, report.trace_sha256
 
     def _facts(self) -> dict[str, Any]:
         return {"trace_sha256": self.trace_sha256, "simulated": "in virtual time, against the emulated stage"}
