@@ -91,7 +91,7 @@ KINDS: Final[dict[Kind, KindText]] = {
         "write errors",
         "",
         "the disk is full or broken, or the directory is not writable",
-        "make room or mend the disk, then restart the sidecar",
+        "make room or mend the disk: recording goes on by itself",
     ),
     Kind.SIDECAR: KindText("sidecar", Severity.NOTICE, action="none"),
     Kind.RECORDS_LOST: KindText(

@@ -111,7 +111,8 @@ class EventLog:
         recorder = self.recorder
         if recorder and recorder.errors > self._errors:
             self._errors = recorder.errors
-            event = own_event(Kind.RECORDER, f"cannot write {recorder.path}", now_ns, KINDS[Kind.RECORDER].cause)
+            cause = recorder.problem or KINDS[Kind.RECORDER].cause
+            event = own_event(Kind.RECORDER, f"cannot record in {recorder.folder}", now_ns, cause)
             self._tell_own(self._tallies.admit([event._replace(value=float(recorder.errors), limit=0.0)]))
 
     def _message(self, events: Iterable[pb.Event]) -> bytes:
