@@ -45,7 +45,7 @@ include deploy/package.mk
 include deploy/compiled.mk
 
 proto: setup  ## renew the generated protobuf module
-	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto
+	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto hil/telemetry/events.proto
 
 docs: setup  ## renew the pages that are made from tables in code
 	@$(BIN)/python -m docs.make_pages

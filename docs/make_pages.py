@@ -14,6 +14,7 @@ from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
 from hil.control.law_registry import LAWS, law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
+from hil.cycle.event_table import FAULT_TEXTS, KINDS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 from hil.rig.file import load_rig
@@ -92,7 +93,36 @@ def faults_page() -> str:
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
             f"| {REACTION_TEXT[rule.reaction]} | {armed} |"
         )
-    return "\n".join([*lines, *_capability_lines()]) + "\n"
+    return "\n".join([*lines, *_advice_lines(), *_kind_lines(), *_capability_lines()]) + "\n"
+
+
+def _kind_lines() -> list[str]:
+    """Every kind of event, and where events are told."""
+    lines = ["", "## Events", ""]
+    lines += [
+        "Whatever happens is told with tick, time, axis, measured value, limit, cause and what to do next:",
+        "`journalctl -u 'hil-*@NAME'` and `hil events NAME` at the rig; `hil events RUN`, summary.json, the marks of",
+        "tracking.png and the topic `events` of the recording afterwards; on Zenoh the key `KEY/RIG/events`, published",
+        "as it happens, and queried by whoever joins late (message `Events`, hil/telemetry/events.proto).",
+        "",
+        "| kind | it says | measured | usual cause | what to do next |",
+        "|---|---|---|---|---|",
+    ]
+    for kind, text in KINDS.items():
+        measured = f"{text.measured}, {text.unit}" if text.unit else text.measured
+        cells = (kind.name, text.text, measured, text.cause, text.action)
+        lines.append("| " + " | ".join(cell or "its own" for cell in cells) + " |")
+    return lines
+
+
+def _advice_lines() -> list[str]:
+    """What an event says of each fault: measured, usual cause, what to do next."""
+    lines = ["", "## What to do", ""]
+    lines += ["Made from `hil/cycle/event_table.py`; every event of a fault carries the same words.", ""]
+    lines += ["| fault | measured | unit | usual cause | what to do next |", "|---|---|---|---|---|"]
+    for fault, text in FAULT_TEXTS.items():
+        lines.append(f"| {fault.name.lower()} | {text.measured} | {text.unit} | {text.cause} | {text.action} |")
+    return lines
 
 
 def _capability_lines() -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.cycle.event import Event as Happened
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.task_loading import task_document
@@ -21,6 +22,7 @@ from hil.runs import Event
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.command_client import NoGatewayError, Verdict
+from hil.telemetry.event_codec import decode
 
 FIRST_S = 5.0
 _CHANGE = (("state", State), ("fault", Fault))
@@ -34,6 +36,7 @@ class LiveRig(Closing):
 
     def __init__(self, name: str, endpoint: str | None = None, key: str = "hil") -> None:
         self.name = name
+        self._logged = False
         self._client = RigClient(endpoint or find_endpoint(name), key, name)
         with contextlib.ExitStack() as undo:
             undo.callback(self._client.close)
@@ -62,6 +65,16 @@ class LiveRig(Closing):
         last: dict[str, int] = {"fault": int(Fault.NONE)}
         for columns in self.telemetry(timeout_s):
             yield from _changes(columns, last)
+
+    def log(self, timeout_s: float = FIRST_S) -> list[Happened]:
+        """Events whole (hil.cycle.event.Event): tick, axis, measured value, limit, cause, what to do next.
+
+        The first call gives all the sidecar keeps, later ones what has come since, and do not wait. Raises
+        NoSidecarError.
+        """
+        found = self._client.events() if self._logged else self._client.wait_events(timeout_s)
+        self._logged = True
+        return [decode(event) for event in found]
 
     def wait_for(self, state: str, timeout_s: float = 30.0) -> pb.Status:
         """The first status in that state, such as "READY". Raises TimeoutError, NoSidecarError."""

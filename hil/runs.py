@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.cycle.event import Event as Happened
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
@@ -39,6 +40,7 @@ from hil.telemetry.codec import PER_AXIS, PER_TICK
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual import replay as replays
 from hil.virtual import sim
+from hil.virtual.event_marks import marks_of
 from hil.virtual.figures_of_merit import axis_statistics
 from hil.virtual.scenario import load_scenario
 
@@ -117,11 +119,12 @@ class Run:
     """One run as columns; arrays are (ticks,) or (ticks, n_axes), SI units (rad, N m for rotary axes).
 
     rig: its Rig's configuration. columns: all columns by name, as docs/architecture.md and the recording have them.
-    true: position before the encoder (m), where it is known (simulations), else None.
+    true: position before the encoder (m), where it is known (simulations), else None. log: its events, whole
+    (hil.cycle.event.Event); empty for an exported run and for older recordings.
     """
 
     def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array | None = None) -> None:
-        self.rig, self.columns, self.true = rig, columns, true
+        self.rig, self.columns, self.true, self.log = rig, columns, true, list[Happened]()
 
     @property
     def axes(self) -> list[str]:
@@ -232,14 +235,14 @@ class Run:
         """Draw setpoint, error and force of every axis as .png, .svg, .pdf, ...; returns the path."""
         from hil.cli.pictures import tracking_picture
 
-        tracking_picture(Path(path), self.rig, self)
+        tracking_picture(Path(path), self.rig, self, marks=marks_of(self.log, self.columns["index"]))
         return Path(path)
 
     def report(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one HTML file that needs nothing else: figures, pictures, events, law and rig."""
         from hil.operate.run_report import Story, report_page
 
-        events = [(event.time, event.text) for event in self.events]
+        events = [(e.run_ns * 1e-9, e.line) for e in self.log] or [(event.time, event.text) for event in self.events]
         story = Story(self.summary(), events, {"rig hash": rig_hash(self.rig), **self._facts()}, self._failure())
         Path(path).write_text(report_page(self.rig, self, story), encoding="utf-8")
         return Path(path)
@@ -300,9 +303,8 @@ class Simulation(Run):
 
     def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array, report: sim.SimReport) -> None:
         super().__init__(rig, columns, true)
-        self.figures = report
-        self.law_failure = report.law_failure
-        self.trace_sha256 = report.trace_sha256
+        self.figures, self.log = report, report.events
+        self.law_failure, self.trace_sha256 = report.law_failure, report.trace_sha256
 
     def _facts(self) -> dict[str, Any]:
         return {"trace_sha256": self.trace_sha256, "simulated": "in virtual time, against the emulated stage"}
@@ -326,7 +328,7 @@ class Recording(Run):
         motion = None if "stamp_ns" in data.columns else replays.exact_motion(Path(path))  # older ones hold all bits
         self.exact = motion is not None or "stamp_ns" in data.columns
         super().__init__(data.rig, data.columns | (motion or {}))
-        self.path, self.metadata = Path(path), data.metadata
+        self.path, self.metadata, self.log = Path(path), data.metadata, data.events
         self.truncated, self.lost = data.truncated, data.lost
 
     def _facts(self) -> dict[str, Any]:
@@ -372,8 +374,9 @@ def simulate(
         if recorder:
             recorder.observe(tick, frames, result)
 
+    tell = recorder.tell if recorder else None
     try:
-        report, traces = sim.simulate(config, folder, seconds, observer=observe, scenario=faults)
+        report, traces = sim.simulate(config, folder, seconds, observer=observe, scenario=faults, tell=tell)
     except ValueError as error:
         raise RigError([f"{config.name}: {error}"]) from None
     finally:

@@ -31,6 +31,7 @@ COMMANDS: dict[str, Entry] = {
     "emulate": Entry("hil.virtual.commands:emulate", "The plant on the bus, when there is no stage"),
     "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
     "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
+    "events": Entry("hil.operate.events:events", "What happened: of a running rig, or of a recording"),
     "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
     "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
     "new": Entry("hil.operate.new:new", "Write a rig file for a stage of your own"),

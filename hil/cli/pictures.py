@@ -1,6 +1,7 @@
 """Pictures of a run: setpoint, following error and applied force over time."""
 
 import io
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,9 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hil.cli.marks import Mark
 from hil.rig.schema import RigConfig
 
 _BUCKETS = 1500  # per drawn line; each keeps its lowest and highest value, so that no peak is lost
+_LATCHED_SHOWN = 6
 _UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
@@ -40,21 +43,37 @@ class Tracked(Protocol):
         """Applied force, N."""
 
 
-def tracking_picture(path: Path, rig: RigConfig, run: Tracked, lateness: NDArray[np.float64] | None = None) -> None:
-    """One column per axis: position, error and force over time (s); below, where known, tick lateness (s, per tick)."""
+def tracking_picture(
+    path: Path,
+    rig: RigConfig,
+    run: Tracked,
+    lateness: NDArray[np.float64] | None = None,
+    marks: Sequence[Mark] = (),
+) -> None:
+    """One column per axis: position, error and force over time (s); below, where known, tick lateness (s, per tick).
+
+    Every mark is a line through the panels of its axis, those of latched faults in words below; a .png file holds all
+    of them as text, too (its Description).
+    """
     n_axes = len(rig.axes)
     rows = 3 + (lateness is not None)
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(3.4 * max(n_axes, 2), 2.0 * rows), layout="constrained")
         grid = figure.add_gridspec(rows, n_axes)
         for axis in range(n_axes):
-            _axis_panels([figure.add_subplot(grid[row, axis]) for row in range(3)], rig, run, axis)
+            panels = [figure.add_subplot(grid[row, axis]) for row in range(3)]
+            _axis_panels(panels, rig, run, axis)
+            _mark(panels, rig, [mark for mark in marks if mark.axis in ("", rig.axis_names[axis])])
         if lateness is not None:
             panel = figure.add_subplot(grid[3, :])
             _line(panel, rig, lateness * 1e6, "tick lateness, µs", "C4")
+            _mark([panel], rig, marks)
         figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
+        if words := _latched_words(marks, 40 * max(n_axes, 2)):
+            figure.supxlabel(words, x=0.01, ha="left", fontsize=7, color="red", family="monospace")
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
+        told = {"Description": "\n".join(mark.line for mark in marks)} if path.suffix == ".png" and marks else None
+        figure.savefig(path, dpi=110, metadata=told)
 
 
 def axis_svg(rig: RigConfig, run: Tracked, axis: int) -> str:
@@ -74,6 +93,27 @@ def _axis_panels(panels: Sequence[Axes], rig: RigConfig, run: Tracked, axis: int
     _line(panels[0], rig, run.setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
     _line(panels[1], rig, run.error[:, axis] * to_short, f"following error, {short}", "C3")
     _line(panels[2], rig, run.force[:, axis], f"force, {force_unit}", "C2")
+
+
+def _mark(panels: Sequence[Axes], rig: RigConfig, marks: Sequence[Mark]) -> None:
+    """A line through every panel at each mark; its label in the first."""
+    for mark in marks:
+        at = mark.place / rig.rate_hz
+        for panel in panels:
+            panel.axvline(at, color=mark.colour, linestyle=mark.style, alpha=0.7)
+        if mark.latched:
+            panels[0].annotate(
+                mark.label, (at, 1.0), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right",
+                color=mark.colour, fontsize=7,
+            )  # fmt: skip
+
+
+def _latched_words(marks: Sequence[Mark], width: int) -> str:
+    """The first latched faults in words, lines of `width` characters."""
+    lines = [mark.line for mark in marks if mark.latched]
+    shown = [textwrap.fill(line, width, subsequent_indent="    ") for line in lines[:_LATCHED_SHOWN]]
+    more = [f"and {len(lines) - _LATCHED_SHOWN} more faults latched: hil events"] if len(lines) > _LATCHED_SHOWN else []
+    return "\n".join([*shown, *more])
 
 
 def _line(panel: Axes, rig: RigConfig, values: NDArray[np.float64], label: str, colour: str) -> None:

@@ -87,6 +87,7 @@ class Commissioning:
         self.done = not self._pushes
         self.running = False
         self.problem = ""
+        self.axis, self.moved, self.expected = 0, 0.0, 0.0  # of the push that was refused, m
         self._next = 0
         self._ticks = 0
         self._braking = False
@@ -138,6 +139,7 @@ class Commissioning:
 
     def _refuse(self, push: AxisPush, moved: float, expected: float, what: str) -> None:
         self.running = False
+        self.axis, self.moved, self.expected = push.axis, self._sign * moved, self._sign * expected
         milliseconds = self._ticks * self._period_s * 1e3
         self.problem = (
             f"axis {push.name}: pushed by {self._sign * push.force:+g} for {milliseconds:.0f} ms it moved "

@@ -1,7 +1,8 @@
 """The detectors: each looks at one thing and flags the faults it finds; the gravest one decides what the tick does.
 
 Rules:
-- A detector only flags. It changes nothing but its own streak counters, and reacts to nothing.
+- A detector only flags, with what it measured, the limit it holds that against, and the axis. It changes nothing but
+  its own streak counters, and reacts to nothing.
 - Detectors run in every state. fault_table.py says in which states a fault is armed; one that is not armed is dropped.
 - A fault is present in this tick or it is not: what must last for several ticks (streaks) is counted by the detector,
   and flagged once it has lasted long enough.
@@ -24,6 +25,7 @@ from hil.control.laws.base import Reference
 from hil.cycle.fault_table import RULES, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.oscillation import OscillationDetector
+from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
@@ -37,6 +39,7 @@ _STATUS_FAULTS = (
     (int(DriveStatus.ENCODER_FAULT), Fault.ENCODER_FAULT),
 )
 _BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
+NO_ACK_TICKS: Final = 2  # in a row
 _ARMED: Final = [sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State]
 
 
@@ -51,10 +54,27 @@ class AxisLimits(NamedTuple):
     jump_step: float  # m a sample may differ from the last one per period
     stuck_force: float
     braking: float  # m/s^2 the force limit is good for, halved
+    force: float
+
+
+class Evidence(NamedTuple):
+    """What a detector measured of a fault, and the limit it was held against, in the unit that event_table.py names.
+
+    fault: a Fault. axis: 0-based, or NO_AXIS.
+    """
+
+    fault: int
+    axis: int
+    value: float
+    limit: float
+
+
+def _gravity(evidence: Evidence) -> int:
+    return -REACTIONS[evidence.fault]
 
 
 class FaultMonitor:
-    """The detectors. Each method looks at one thing and flags faults as bits of `active`."""
+    """The detectors. Each method looks at one thing and flags faults as bits of `active`, with their `evidence`."""
 
     def __init__(
         self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
@@ -78,6 +98,7 @@ class FaultMonitor:
         self._stuck_position = [0.0] * n
         self._swings = [OscillationDetector(limits.oscillation, period_ns * 1e-9) for limits in axes]
         self.active = 0
+        self.evidence: list[Evidence] = []
         self.counts = [0] * len(Fault)
 
     def restart(self) -> None:
@@ -93,10 +114,22 @@ class FaultMonitor:
     def begin(self) -> None:
         """A new tick: nothing is flagged yet."""
         self.active = 0
+        if self.evidence:
+            self.evidence = []
 
-    def flag(self, fault: Fault) -> None:
-        """Mark a fault as present in this tick."""
+    def withdraw(self, fault: Fault) -> None:
+        """Mark a grant as missing in this tick; it is there or not, so that there is nothing to measure."""
         self.active |= 1 << fault
+
+    def flag(self, fault: Fault, value: float, limit: float, axis: int = NO_AXIS) -> None:
+        """Mark a fault as present in this tick, with what was measured and the limit it is beyond."""
+        self.active |= 1 << fault
+        self.evidence.append(Evidence(fault, axis, float(value), float(limit)))
+
+    def armed_evidence(self) -> list[Evidence]:
+        """Of the faults that counted in this tick; the gravest first where a record cannot hold all."""
+        armed = [evidence for evidence in self.evidence if self.active >> evidence.fault & 1]
+        return armed if len(armed) <= MAX_EVIDENCE else sorted(armed, key=_gravity)
 
     def check_bus(self, tick: Tick, useless_now: int) -> None:
         """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use
@@ -107,7 +140,7 @@ class FaultMonitor:
         if slots < 1:
             slots = 1
         if useless_now >= self._flood_frames * slots:
-            self.flag(Fault.RECEIVE_FLOOD)
+            self.flag(Fault.RECEIVE_FLOOD, useless_now, self._flood_frames * slots)
         if port == before:
             self._no_ack_ticks = self._refused_ticks = 0
             if port.state is not BusState.ERROR_ACTIVE:
@@ -117,27 +150,28 @@ class FaultMonitor:
         if port.state is not BusState.ERROR_ACTIVE or port.bus_off != before.bus_off or port.down != before.down:
             self._flag_bus_state(port)
             if port.bus_off != before.bus_off:
-                self.flag(Fault.BUS_OFF)
+                self.flag(Fault.BUS_OFF, BusState.BUS_OFF, BusState.ERROR_ACTIVE)
             if port.down != before.down:
-                self.flag(Fault.INTERFACE_DOWN)
+                self.flag(Fault.INTERFACE_DOWN, BusState.DOWN, BusState.ERROR_ACTIVE)
         self._no_ack_ticks = self._no_ack_ticks + 1 if port.no_ack > before.no_ack else 0
-        if self._no_ack_ticks >= 2:
-            self.flag(Fault.NO_ACK)
+        if self._no_ack_ticks >= NO_ACK_TICKS:
+            self.flag(Fault.NO_ACK, self._no_ack_ticks, NO_ACK_TICKS)
         self._refused_ticks = self._refused_ticks + 1 if port.refused > before.refused else 0
         if self._refused_ticks:
-            self.flag(Fault.TRANSMIT_REFUSED)
-            if self._refused_ticks >= self._safety.transmit_refused_limit:
-                self.flag(Fault.TRANSMIT_BLOCKED)
+            limit = self._safety.transmit_refused_limit
+            self.flag(Fault.TRANSMIT_REFUSED, port.refused - before.refused, 0.0)
+            if self._refused_ticks >= limit:
+                self.flag(Fault.TRANSMIT_BLOCKED, self._refused_ticks, limit)
         if slots == 1 and (port.overflow > before.overflow or port.discarded > before.discarded):
-            self.flag(Fault.RECEIVE_FLOOD)
+            self.flag(Fault.RECEIVE_FLOOD, port.overflow + port.discarded - before.overflow - before.discarded, 0.0)
 
     def _flag_bus_state(self, port: PortCounters) -> None:
         if port.state == BusState.ERROR_PASSIVE:
-            self.flag(Fault.BUS_PASSIVE)
+            self.flag(Fault.BUS_PASSIVE, port.state, BusState.ERROR_ACTIVE)
         elif port.state == BusState.BUS_OFF:
-            self.flag(Fault.BUS_OFF)
+            self.flag(Fault.BUS_OFF, port.state, BusState.ERROR_ACTIVE)
         elif port.state == BusState.DOWN:
-            self.flag(Fault.INTERFACE_DOWN)
+            self.flag(Fault.INTERFACE_DOWN, port.state, BusState.ERROR_ACTIVE)
 
     def check_timing(self, tick: Tick) -> None:
         """Skipped slots and long gaps between ticks."""
@@ -145,59 +179,86 @@ class FaultMonitor:
         skipped = not first and tick.index > self._previous_index + 1
         self._overruns = self._overruns + 1 if skipped else 0
         if skipped:
-            self.flag(Fault.OVERRUN)
-            if self._overruns >= self._safety.overrun_streak:
-                self.flag(Fault.OVERRUN_BURST)
-            if tick.now_ns - self._previous_now_ns > self._safety.overrun_zero_s * 1e9:
-                self.flag(Fault.OVERRUN_LONG)
+            safety, gap_ns = self._safety, tick.now_ns - self._previous_now_ns
+            self.flag(Fault.OVERRUN, tick.index - self._previous_index - 1, 0.0)
+            if self._overruns >= safety.overrun_streak:
+                self.flag(Fault.OVERRUN_BURST, self._overruns, safety.overrun_streak)
+            if gap_ns > safety.overrun_zero_s * 1e9:
+                self.flag(Fault.OVERRUN_LONG, gap_ns * 1e-9, safety.overrun_zero_s)
         self._previous_index = tick.index
         self._previous_now_ns = tick.now_ns
 
     def check_grants(self, tick: Tick) -> None:
         """What makes a new ACTIVE unacceptable without stopping a running one."""
         if not tick.realtime_ok:
-            self.flag(Fault.REALTIME_DENIED)
+            self.withdraw(Fault.REALTIME_DENIED)
         if not tick.recorder_ok:
-            self.flag(Fault.RECORDER_LOST)
+            self.withdraw(Fault.RECORDER_LOST)
         if not tick.rig_ok:
-            self.flag(Fault.RIG_CHANGED)
+            self.withdraw(Fault.RIG_CHANGED)
 
     def check_samples(self, inbox: Inbox, enabled_seen: bool) -> None:
         """Silence, bad frames and what the drives say of themselves."""
-        oldest = inbox.oldest()
-        if oldest:
-            self.flag(Fault.ENCODER_GAP)
-            if oldest >= self._safety.silent_stop_ticks:
-                self.flag(Fault.ENCODER_LOST)
-            if oldest >= self._safety.silent_zero_ticks:
-                self.flag(Fault.ENCODER_DEAD)
+        if inbox.oldest():
+            self._flag_silence(inbox)
         if inbox.bad_frames >= self._bad_frame_limit:
-            self.flag(Fault.BAD_FRAMES)
-        for sample in inbox.samples:
+            self.flag(Fault.BAD_FRAMES, inbox.bad_frames, self._bad_frame_limit)
+        for axis, sample in enumerate(inbox.samples):
             if sample is None:
                 continue
             if sample.status & _BAD_STATUS:
                 for bit, fault in _STATUS_FAULTS:
                     if sample.status & bit:
-                        self.flag(fault)
+                        self.flag(fault, 1.0, 0.0, axis)
             if enabled_seen and not sample.status & DriveStatus.ENABLED:
-                self.flag(Fault.DRIVE_DISABLED)
+                self.flag(Fault.DRIVE_DISABLED, 0.0, 1.0, axis)
+
+    def _flag_silence(self, inbox: Inbox) -> None:
+        stop, zero = self._safety.silent_stop_ticks, self._safety.silent_zero_ticks
+        for axis, age in enumerate(inbox.age):
+            if not age:
+                continue
+            self.flag(Fault.ENCODER_GAP, age, 0.0, axis)
+            if age >= stop:
+                self.flag(Fault.ENCODER_LOST, age, stop, axis)
+            if age >= zero:
+                self.flag(Fault.ENCODER_DEAD, age, zero, axis)
+
+    def flag_not_enabled(self, waited: int, inbox: Inbox) -> None:
+        """Axes that do not say, `waited` ticks after they were told to, that they apply torque."""
+        for axis, sample in enumerate(inbox.samples):
+            if sample is None or not sample.status & DriveStatus.ENABLED:
+                self.flag(Fault.ENABLE_TIMEOUT, waited, self._safety.enable_timeout_ticks, axis)
+
+    def flag_requests(self, requested: Sequence[float]) -> None:
+        """Forces asked for that are no finite number."""
+        for axis, force in enumerate(requested):
+            if force - force != 0.0:
+                self.flag(Fault.NOT_FINITE, force, self._axes[axis].force, axis)
+
+    def flag_heartbeat(self, now_ns: int, heard_ns: int | None) -> None:
+        """The operator's heartbeat, last heard at heard_ns, is overdue."""
+        self.flag(Fault.HEARTBEAT_LOST, (now_ns - (heard_ns or 0)) * 1e-9, self._safety.heartbeat_s)
 
     def check_released(self, inbox: Inbox) -> None:
         """Where no torque is permitted: a drive that goes on saying it is enabled."""
-        said = zip(inbox.fresh, inbox.samples, strict=True)
-        enabled = any(fresh and sample is not None and sample.status & DriveStatus.ENABLED for fresh, sample in said)
-        self._enabled_ticks = self._enabled_ticks + 1 if enabled else 0
+        enabled = NO_AXIS
+        for axis, sample in enumerate(inbox.samples):
+            if inbox.fresh[axis] and sample is not None and sample.status & DriveStatus.ENABLED:
+                enabled = axis
+                break
+        self._enabled_ticks = self._enabled_ticks + 1 if enabled != NO_AXIS else 0
         if self._enabled_ticks >= self._safety.disable_timeout_ticks:
-            self.flag(Fault.DRIVE_STAYS_ENABLED)
+            self.flag(Fault.DRIVE_STAYS_ENABLED, self._enabled_ticks, self._safety.disable_timeout_ticks, enabled)
 
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""
-        if abs(step) <= self._axes[axis].jump_step * max(1.0, periods):
+        limit = self._axes[axis].jump_step * max(1.0, periods)
+        if abs(step) <= limit:
             self._glitches[axis] = 0
             return False
         self._glitches[axis] += 1
-        self.flag(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH)
+        self.flag(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH, abs(step), limit, axis)
         return True
 
     def check_filter(self, axis: int, innovation: float) -> None:
@@ -208,9 +269,9 @@ class FaultMonitor:
             return
         self._diverging[axis] += 1
         if innovation != innovation:
-            self.flag(Fault.NOT_FINITE)
+            self.flag(Fault.NOT_FINITE, innovation, limit, axis)
         if self._diverging[axis] >= self._safety.nis_ticks:
-            self.flag(Fault.FILTER_DIVERGED)
+            self.flag(Fault.FILTER_DIVERGED, abs(innovation), limit, axis)
 
     def check_motion(
         self, axis: int, q: float, v: float, force: float, sample: Reference, planned: float, *, following: bool
@@ -224,22 +285,23 @@ class FaultMonitor:
         limits, vd = self._axes[axis], sample.velocity
         low, high = limits.position_low, limits.position_high
         if not low <= q <= high:
-            self.flag(Fault.TRAVEL)
+            self.flag(Fault.TRAVEL, q, low if q < low else high, axis)
         if abs(v) > limits.speed or v != v:
-            self.flag(Fault.SPEED)
+            self.flag(Fault.SPEED, abs(v), limits.speed, axis)
         if abs(vd) > limits.speed:
-            self.flag(Fault.SPEED_PLANNED)
+            self.flag(Fault.SPEED_PLANNED, abs(vd), limits.speed, axis)
         self._check_stuck(axis, q, force, limits.stuck_force)
         if not following:
             return
         stopped_at = q + v * abs(v) / (2.0 * limits.braking)
         if not (low <= planned <= high and low <= stopped_at <= high):
-            self.flag(Fault.TRAVEL_PLANNED)
-        error = q - sample.position
-        if abs(error) > limits.following_error * (1.0 + abs(vd) / limits.speed):
-            self.flag(Fault.FOLLOWING_ERROR)
+            outside = stopped_at if low <= planned <= high else planned
+            self.flag(Fault.TRAVEL_PLANNED, outside, low if outside < low else high, axis)
+        error, most = q - sample.position, limits.following_error * (1.0 + abs(vd) / limits.speed)
+        if abs(error) > most:
+            self.flag(Fault.FOLLOWING_ERROR, abs(error), most, axis)
         if self._swings[axis].seen(error):
-            self.flag(Fault.OSCILLATION)
+            self.flag(Fault.OSCILLATION, self._swings[axis].swing, limits.oscillation, axis)
 
     def _check_stuck(self, axis: int, position: float, force: float, threshold: float) -> None:
         if -threshold < force < threshold or position != self._stuck_position[axis]:
@@ -248,7 +310,7 @@ class FaultMonitor:
             return
         self._stuck[axis] += 1
         if self._stuck[axis] >= self._safety.stuck_ticks:
-            self.flag(Fault.ENCODER_STUCK)
+            self.flag(Fault.ENCODER_STUCK, self._stuck[axis], self._safety.stuck_ticks, axis)
 
     def worst_fault(self, state: State) -> tuple[Fault, Reaction]:
         """The gravest fault armed in `state` (lowest number first among equals), counted; (NONE, COUNT) when there is

@@ -27,6 +27,7 @@ def axis_limits(rig: RigConfig) -> list[AxisLimits]:
             jump_step=safety.jump_margin * axis.limits.speed * period + 2.0 * axis.encoder_resolution,
             stuck_force=safety.stuck_force_fraction * axis.limits.force,
             braking=0.5 * axis.limits.force / axis.model.mass,
+            force=axis.limits.force,
         )
         for axis in rig.axes.values()
     ]

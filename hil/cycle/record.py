@@ -12,6 +12,9 @@ from hil.rig.schema import MAX_AXES
 MAX_RECEIVED: Final = 32
 MAX_SENT: Final = 6
 MAX_COMMANDS: Final = 4
+MAX_EVIDENCE: Final = 8
+NO_AXIS: Final = -1  # of evidence that belongs to no axis
+EVERY_AXIS: Final = 0xFFFF  # the same as a record has it
 REJECT_REASONS = 10  # drivers.protocols.base.Reject
 
 _AXES = (MAX_AXES,)
@@ -63,6 +66,7 @@ _FIELDS = [
     ("illegal_events", "<u8"),
     ("commands_refused", "<u8"),
     ("law_floors", "<u8"),  # denominators floored by the law
+    ("evidence_total", "<u8"),  # of all ticks, what is beyond MAX_EVIDENCE in one included
     ("saturations", "<u8", _AXES),  # ticks in which the gate clamped or rate-limited
     # of the previous tick, written by the shell: ns of CPU per stage, and of run delay
     ("cpu_ns", "<u4", (5,)),  # read, estimate, control, gate, send
@@ -71,8 +75,12 @@ _FIELDS = [
     ("n_commands", "<u2"),
     ("n_received", "<u2"),
     ("n_sent", "<u2"),
-    ("reserved", "<u2"),
+    ("n_evidence", "<u2"),  # in this tick; the gravest MAX_EVIDENCE of them are kept
     ("commands", COMMAND, (MAX_COMMANDS,)),
+    # what the detectors measured of the faults they flagged
+    ("evidence_of", "<u4", (MAX_EVIDENCE,)),  # fault, and from bit 16 the axis; EVERY_AXIS: no axis
+    ("evidence_value", "<f8", (MAX_EVIDENCE,)),
+    ("evidence_limit", "<f8", (MAX_EVIDENCE,)),
     ("sent", FRAME, (MAX_SENT,)),
     ("received", FRAME, (MAX_RECEIVED,)),
 ]

@@ -20,9 +20,12 @@ from mypy_extensions import i64
 from drivers.frame import Frame
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws.base import LawInputs
+from hil.cycle.fault_monitor import Evidence
 from hil.cycle.record import (
     COMMAND,
+    EVERY_AXIS,
     FRAME,
+    MAX_EVIDENCE,
     MAX_RECEIVED,
     MAX_SENT,
     MOTION_FIELDS,
@@ -54,12 +57,15 @@ _SATURATIONS: Final = _word("saturations")
 _SPENT: Final = _word("cpu_ns")
 _COUNTS: Final = _word("n_commands")
 _COMMANDS: Final = _word("commands")
+_EVIDENCE_OF: Final = _word("evidence_of")
+_MEASURED: Final = _word("evidence_value")
 _SENT: Final = _word("sent")
 _RECEIVED: Final = _word("received")
 _COMMAND_WORDS: Final = COMMAND.itemsize // 8
 _FRAME_WORDS: Final = FRAME.itemsize // 8
 _PADDING: Final = bytes(7)
 
+_MAX_I16: Final = 0x7FFF
 _MAX_U32: Final = 0xFFFFFFFF
 _HALF_U32: Final = 0x80000000
 _MAX_U64: Final = 2**64 - 1
@@ -87,6 +93,8 @@ class RecordBuilder:
         self._words: vec[i64] = vec[i64]([0] * (RECORD_SIZE // 8))  # all but the motion fields
         self._motion: vec[float] = vec[float]([0.0] * (_STAMP - _MOTION))
         self._flags = 0
+        self._measured: vec[float] = vec[float]([0.0] * (2 * MAX_EVIDENCE))  # values, then limits
+        self._n_evidence = self._evidence_total = 0
         # What the words hold already: it seldom changes.
         self._age_ticks = self._status = [0] * n_axes
         self._rejects = [0] * REJECT_REASONS
@@ -98,6 +106,8 @@ class RecordBuilder:
         # The record's parts, each with what it is a copy of; the last one by the number of frames received.
         self._to_head, self._head = record[:begin], words[:begin]
         self._to_motion, self._from_motion = record[begin:end], memoryview(self._motion).cast("B")
+        self._to_measured = record[8 * _MEASURED : 8 * (_MEASURED + 2 * MAX_EVIDENCE)]
+        self._from_measured = memoryview(self._measured).cast("B")
         used = [8 * (_RECEIVED + _FRAME_WORDS * received) for received in range(MAX_RECEIVED + 1)]
         self._to_rest, self._rest = [record[end:last] for last in used], [words[end:last] for last in used]
 
@@ -172,6 +182,21 @@ class RecordBuilder:
         """How often the law has held a denominator at its floor."""
         self._words[_ILLEGAL + 2] = floors
 
+    def evidence(self, found: Sequence[Evidence]) -> None:
+        """What the detectors measured in this tick, the gravest first; the first MAX_EVIDENCE are kept, all are
+        counted.
+        """
+        words, measured = self._words, self._measured
+        for place, (fault, axis, value, limit) in enumerate(found[:MAX_EVIDENCE]):
+            word = _EVIDENCE_OF + place // 2
+            what = fault | (axis & EVERY_AXIS) << 16
+            words[word] = _pair(words[word], what) if place & 1 else _pair(what, 0)
+            measured[place] = value
+            measured[place + MAX_EVIDENCE] = limit
+        self._n_evidence = len(found)
+        self._evidence_total += len(found)
+        words[_ILLEGAL + 3] = self._evidence_total
+
     def spent(self, read: int, estimate: int, control: int, gate: int, send: int) -> None:
         """The shell's: ns that this tick's stages took, to be told in the next record."""
         words = self._words
@@ -192,7 +217,13 @@ class RecordBuilder:
     ) -> np.void:
         """All that went in and out of the tick; the record, which is the same object every time."""
         n_received = len(received)
-        self._words[_COUNTS] = len(commands) | n_received << 16 | len(sent) << 32
+        n_evidence = self._n_evidence
+        self._words[_COUNTS] = (
+            len(commands)
+            | n_received << 16
+            | len(sent) << 32
+            | (n_evidence if n_evidence < _MAX_I16 else _MAX_I16) << 48
+        )
         if commands:
             self._commands(commands)
         self._frames(0, sent)
@@ -200,6 +231,9 @@ class RecordBuilder:
         self._to_head[:] = self._head
         self._to_motion[:] = self._from_motion
         self._to_rest[n_received][:] = self._rest[n_received]
+        if n_evidence:
+            self._to_measured[:] = self._from_measured
+            self._n_evidence = 0
         return self.record
 
     def _commands(self, commands: Sequence[tuple[OperatorCommand, bool]]) -> None:

@@ -97,6 +97,11 @@ class ControlCycle:
         return [*self.protocol.problems, *([push] if push else [])]
 
     @property
+    def failure(self) -> str:
+        """Why a user's law no longer counts, with file and line; empty where all is well."""
+        return self.axes.law.failure
+
+    @property
     def silent(self) -> bool:
         """Nothing is sent until a reset."""
         return self.supervisor.silent
@@ -177,7 +182,7 @@ class ControlCycle:
                 axis, x.position, motion.velocity, applied[axis], x.sample, x.end.position, following=following
             )
         if self._heartbeat_ns and tick.now_ns - (self.commands.heartbeat_ns or 0) > self._heartbeat_ns:
-            monitor.flag(Fault.HEARTBEAT_LOST)
+            monitor.flag_heartbeat(tick.now_ns, self.commands.heartbeat_ns)
 
     def _act(self, tick: Tick) -> list[Frame]:
         """Law, gate, encode."""
@@ -190,7 +195,7 @@ class ControlCycle:
         if permitted:
             self._requested = self._ask()
             if not gate.finite(self._requested):
-                self.monitor.flag(Fault.NOT_FINITE)
+                self.monitor.flag_requests(self._requested)
                 supervisor.latch(Fault.NOT_FINITE, Reaction.ZERO, tick)
                 permitted = False
         self._mark(GATE)
@@ -235,4 +240,6 @@ class ControlCycle:
         refused = supervisor.commands.refused
         records.counters(tick.port, inbox.rejects, inbox.lost, supervisor.machine.refused, refused)
         records.law_floors(self.axes.law.denominator_floors)
+        if self.monitor.evidence:
+            records.evidence(self.monitor.armed_evidence())
         return records.traffic(supervisor.commands.handled, sent, received)

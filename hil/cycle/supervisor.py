@@ -235,6 +235,7 @@ class Supervisor:
             else:
                 self.commissioning.start(self._axes.measured)
         elif self._waited_for_enable >= self._rig.safety.enable_timeout_ticks:
+            self._monitor.flag_not_enabled(self._waited_for_enable, self._inbox)
             self.latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
 
     def _push(self, tick: Tick) -> None:
@@ -242,7 +243,9 @@ class Supervisor:
         commissioning = self.commissioning
         commissioning.advance(self._axes.measured, self._axes.ahead_velocity())
         if commissioning.problem:
-            self._monitor.flag(Fault.AXIS_NOT_AS_STATED)
+            self._monitor.flag(
+                Fault.AXIS_NOT_AS_STATED, commissioning.moved, commissioning.expected, commissioning.axis
+            )
             self.latch(Fault.AXIS_NOT_AS_STATED, Reaction.ZERO, tick)
         elif commissioning.done:
             self._axes.rest()

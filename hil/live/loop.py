@@ -20,12 +20,14 @@ from typing import Final, NamedTuple
 
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
+from hil.cycle.note import Note
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
 from hil.cycle.tick import CommandKind, LoadedTask, OperatorCommand, Tick
-from hil.live.drive_problems import DriveProblems
+from hil.live.journal import Journal
 from hil.live.mailbox import Mailbox
 from hil.live.miss_ledger import MissLedger
+from hil.live.notes import NoteWriter
 from hil.live.pacing import Pacer, run_signal_handlers, sleeper
 from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
@@ -67,8 +69,9 @@ class Parts(NamedTuple):
     claim: Claim
     rig_file: WatchedFile
     notifier: Notifier
-    problems: DriveProblems
+    notes: NoteWriter
     task_file: Path
+    journal: Journal
 
 
 class ControlLoop:
@@ -96,7 +99,7 @@ class ControlLoop:
         self._realtime_ok = parts.claim.verdict.ok
         self._records = parts.cycle.records
         self._cpu_mark_ns = self._cpu_ns = 0
-        self._told: tuple[State, tuple[str, ...]] | None = None
+        self._told: tuple[State, tuple[Note, ...]] | None = None
         self._silent = self._recall_due = False
         self._next_rebind = 0
         self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
@@ -210,20 +213,19 @@ class ControlLoop:
         """To systemd and on the stop page. Only from here: whoever hears it knows that ticks are being run."""
         state = self._cycle.state
         self._stop_line.tell(state.name, self.pacer.index)
-        problems = self.parts.problems
-        if state not in TORQUE_STATES:  # printing may wait
-            problems.tell(self._cycle.problems)
-        if (state, problems.told) == self._told:
+        notes = self.parts.notes
+        if state not in TORQUE_STATES:  # writing may wait
+            notes.write(self._cycle, self.pacer.index, self.pacer.now_ns)
+        if (state, notes.told) == self._told:
             self.parts.notifier.send("WATCHDOG=1")
             return
         verdict = "" if self._realtime_ok else ", real time degraded"
-        failure = self._cycle.law.failure  # of a user's law: why there is a fault
-        told = [state.name + verdict, *problems.told, *([failure] if failure else [])]
+        told = [state.name + verdict, *(note.text for note in notes.told)]
         lines = ["WATCHDOG=1", f"STATUS={'; '.join(told)}"]
         if self._told is None:
             lines.append("READY=1")
         self.parts.notifier.send(*lines)
-        self._told = state, problems.told
+        self._told = state, notes.told
 
     def _look_for_task(self) -> None:
         number = self._mailbox.task_posted

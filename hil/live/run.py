@@ -21,9 +21,10 @@ from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.control.feasibility import unit_questions
 from hil.control.stability import refuse_unstable
-from hil.live.drive_problems import DriveProblems
+from hil.live.journal import Journal
 from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
+from hil.live.notes import NoteWriter
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
 from hil.live.runtime_paths import runtime_paths
@@ -126,6 +127,8 @@ def control_loop(
     with contextlib.ExitStack() as stack:
         # Before a bus, core, priority or memory is asked for: a second control process must not disturb the first.
         stop_line = stack.enter_context(StopLine(files.directory))
+        journal = Journal(files)  # before real time and locked memory, none of which is for it
+        stack.callback(journal.leave)
         port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
         stack.callback(port.close)
         notifier = Notifier()
@@ -140,10 +143,10 @@ def control_loop(
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
-        problems = DriveProblems(files.problems)
+        notes = NoteWriter(files.notes)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems, files.task),
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, files.task, journal),
             stage_clock,
         )
 
@@ -166,6 +169,7 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
     loop.parts.ring.close()
     loop.parts.timing.show()
     _say_farewell(loop)
+    loop.parts.journal.end()
     if loop.overstayed:
         print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
         return EXIT_SOFTWARE

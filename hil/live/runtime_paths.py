@@ -23,14 +23,14 @@ class RuntimePaths(NamedTuple):
     access: Path  # what of the sidecar is open to whom, as JSON, for `hil doctor`
     timing: Path  # what hil/live/timing_record.py keeps of the loop
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
-    problems: Path  # why drives were refused, a line each (hil/live/drive_problems.py)
+    notes: Path  # what the cycle says in words (hil/live/notes.py)
     task: Path  # another task for the control process (hil/live/task_file.py)
 
 
 def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
-    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json", "problems", "task")
+    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json", "notes", "task")
     return RuntimePaths(directory, *(directory / name for name in names))
 
 

@@ -2,12 +2,14 @@
 
 import html
 import sys
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.operate.monitor import Newest, silence
+from hil.operate.monitor import Newest, banner, event_lines, silence
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, find_endpoint
 from hil.telemetry.window import silent_axes
@@ -15,6 +17,7 @@ from hil.telemetry.window import silent_axes
 ROLLOVER = 1200  # points kept per line: two minutes at 10 Hz
 UPDATE_MS = 100
 SOURCE = "statuses"  # of the page's lines
+EVENTS_LISTED = 50
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728")
 
 
@@ -49,6 +52,14 @@ def headline(status: pb.Status, age_s: float = 0.0) -> str:
     return f'<b style="color: red">{html.escape(dead)}</b> · it was: {text}' if dead else text
 
 
+def event_list(status: pb.Status, events: Sequence[pb_events.Event]) -> str:
+    """The latched fault as a banner, and the last events, the newest first, as HTML; all words are escaped."""
+    latched = html.escape(banner(status, events).plain)
+    lines = [html.escape(line) for line in event_lines(list(events)[-EVENTS_LISTED:]).plain.splitlines()]
+    head = f'<div style="background: red; color: white; padding: 4px"><b>{latched}</b></div>' if latched else ""
+    return head + "<br>".join(reversed(lines))
+
+
 class Page:
     """One browser session's document, fed by a client of its own."""
 
@@ -57,6 +68,7 @@ class Page:
         self._newest = Newest(client)
         self._source: Any = None
         self._title: Any = None
+        self._events: Any = None
         document.title = "hil"
         document.add_periodic_callback(self.update, UPDATE_MS)
         document.on_session_destroyed(lambda _context: client.close())
@@ -69,6 +81,7 @@ class Page:
         if self._source is None or self._source.data.keys() != row(status).keys():  # another rig's axes
             self._lay_out(status)
         self._title.text = headline(status, self._newest.age_s)
+        self._events.text = event_list(status, list(self._newest.events))
         if fresh and status.position:
             self._source.stream(row(status), rollover=ROLLOVER)
 
@@ -80,6 +93,7 @@ class Page:
         self._document.clear()
         self._source = ColumnDataSource({name: [] for name in row(status)}, name=SOURCE)
         self._title = Div(text="", styles={"font-size": "1.1em"})
+        self._events = Div(text="", sizing_mode="stretch_width")
         panels = [
             self._panel("setpoint, mm (mrad)", status, "setpoint"),
             self._panel("largest following error of the last second, µm (µrad)", status, "max_error"),
@@ -87,7 +101,7 @@ class Page:
             self._lateness(),
         ]
         grid = gridplot([panels[:2], panels[2:]], sizing_mode="stretch_width")
-        self._document.add_root(column(self._title, grid, sizing_mode="stretch_width"))
+        self._document.add_root(column(self._title, grid, self._events, sizing_mode="stretch_width"))
 
     def _panel(self, title: str, status: pb.Status, quantity: str) -> Any:
         from bokeh.plotting import figure

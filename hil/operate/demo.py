@@ -6,6 +6,7 @@ import shutil
 import signal
 import sys
 import time
+from collections import deque
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,14 +16,16 @@ from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
 from drivers.runtime import make_private, read_private, runtime_dir
+from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
-from hil.operate.monitor import drive_words, line, view
+from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
@@ -114,6 +117,7 @@ class Demo:
         self.console = console
         self.troubles: list[str] = []
         self.status = pb.Status()
+        self.events: deque[pb_events.Event] = deque(maxlen=EVENTS_KEPT)
         self._family = Family()
         self._said_s = 0.0
         self.stalls = 0
@@ -185,7 +189,8 @@ class Demo:
         status = self.status
         words = zip(status.axes, status.drive_status, strict=False)
         drives = "".join(f"; {axis}: {drive_words(bits).plain.strip()}" for axis, bits in words)
-        return f"state {status.state or 'unknown'}, fault {status.fault or 'unknown'}{drives}{self._refusal}"
+        told = banner(status, list(self.events)).plain
+        return f"state {status.state or 'unknown'}, {told or 'no fault'}{drives}{self._refusal}"
 
     def _operate(self) -> None:
         """What an operator does: activate what is READY; reset what stopped because this machine held a process up."""
@@ -204,9 +209,13 @@ class Demo:
         stopped = status.state == "FAULT" != before.state and status.fault in STALL_FAULTS
         if stopped or (tripped(status) and not tripped(before)):
             self.stalls += 1
-            what = status.fault if stopped else "a drive's watchdog tripped"
+            what = (
+                banner(status, list(self.events)).plain
+                if stopped
+                else f"a drive's watchdog tripped at tick {status.index}"
+            )
             if self.stalls <= SHOWN_STALLS:
-                self.console.print(f"{what} at tick {status.index}: this machine held a process up; resetting")
+                self.console.print(f"{what}: this machine held a process up; resetting", soft_wrap=True)
 
     def _command(self, kind: CommandKind) -> None:
         try:
@@ -221,6 +230,7 @@ class Demo:
         """Take in the newest status and act on it. Raises DemoError when a process ended, Interrupted on a signal."""
         self._check_alive()
         status = client.status()
+        self.events.extend(client.events())
         if status is None:
             return False
         before, self.status = self.status, status
@@ -239,7 +249,7 @@ class Demo:
         with Live(view(self.status), console=self.console, auto_refresh=False, transient=True) as live:
             while time.monotonic() < until:
                 if self._look(client):
-                    live.update(view(self.status), refresh=True)
+                    live.update(view(self.status, events=list(self.events)), refresh=True)
                 time.sleep(POLL_S)
 
     def _say_line(self, left: float) -> None:
@@ -304,7 +314,7 @@ def summed_up(scene: Scene, console: Console) -> dict[str, Any] | None:
         return None
     summary = summarise(run)
     write_json(summary, str(scene.out / "summary.json"))
-    tracking_picture(scene.out / "tracking.png", run.rig, run, run.lateness)
+    tracking_picture(scene.out / "tracking.png", run.rig, run, run.lateness, run.marks)
     show(summary, run.rig, console)
     return summary
 
@@ -330,7 +340,9 @@ def demo(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
 ) -> None:
-    """Exit status 0: it went as planned; 1: something failed, and the output says what; 130 or 143: interrupted."""
+    """Exit status 0: it went as planned; 1: something failed, and the output says what; 3: it ended in a fault; 130 or
+    143: interrupted.
+    """
     chosen = (*(overrides or ()), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()
@@ -357,6 +369,8 @@ def demo(
         console.print(trouble, soft_wrap=True, markup=False)
     if signals.seen:
         sys.exit(128 + signals.seen)
+    if summary and summary["latched"]:
+        sys.exit(EXIT_FAULT)
     if stage.troubles or summary is None:
         sys.exit(1)
     _what_next(scene, console)

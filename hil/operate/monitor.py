@@ -6,6 +6,8 @@ import sys
 import termios
 import time
 import tty
+from collections import deque
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +23,7 @@ from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import metres
 from hil.operate.estop import stop_rig
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
@@ -31,9 +34,15 @@ POLL_S = 0.05
 FIRST_S = 30.0
 LINE_INTERVAL_S = 0.5  # without a terminal
 
+EVENTS_KEPT, EVENTS_SHOWN = 200, 8
 STOP_KEY = "e"
 STOP_HINT = "on the rig's machine: e stops (as hil estop does)"
 
+_EVENT_STYLES = {
+    pb_events.Event.CRITICAL: "bold red",
+    pb_events.Event.ERROR: "bold red",
+    pb_events.Event.WARNING: "yellow",
+}
 _STATE_STYLES = {"ACTIVE": "bold green", "HOMING": "green", "READY": "cyan", "FAULT": "bold red", "ESTOP": "bold red"}
 
 
@@ -109,13 +118,39 @@ def counter_rows(status: pb.Status) -> Table:
     return table
 
 
-def view(status: pb.Status, age_s: float = 0.0) -> RenderableType:
-    """The whole picture. age_s: of the status."""
+def event_lines(events: Iterable[pb_events.Event]) -> Text:
+    """The events in words, the newest last, one line each with its wall clock."""
+    text = Text()
+    for event in events:
+        at = time.strftime("%H:%M:%S", time.localtime(event.wall_ns * 1e-9))
+        text.append(f"{at} {event.line}\n", style=_EVENT_STYLES.get(event.severity, ""))
+    text.rstrip()
+    return text
+
+
+def banner(status: pb.Status, events: Sequence[pb_events.Event]) -> Text:
+    """The fault that is latched: when, which axis, measured, limit, cause, what to do next; empty where none is."""
+    if status.fault in ("", "NONE"):
+        return Text()
+    latched = [
+        event for event in events if event.kind == pb_events.Event.FAULT_LATCHED and event.name == status.fault.lower()
+    ]
+    return Text(latched[-1].line if latched else f"fault {status.fault}", style="bold white on red")
+
+
+def view(status: pb.Status, age_s: float = 0.0, events: Sequence[pb_events.Event] = ()) -> RenderableType:
+    """The whole picture. age_s: of the status. events: so far, of which the last few are shown."""
     title = (
         f"{status.rig} · {status.law} · {1e9 / status.period_ns if status.period_ns else 0:g} Hz · tick {status.index}"
     )
     return Panel(
-        Group(control_line(status, age_s), axis_rows(status), counter_rows(status)),
+        Group(
+            *([banner(status, events)] if status.fault not in ("", "NONE") else []),
+            control_line(status, age_s),
+            axis_rows(status),
+            counter_rows(status),
+            *([event_lines(events[-EVENTS_SHOWN:])] if events else []),
+        ),
         title=Text(title),
         subtitle=STOP_HINT,
     )
@@ -144,7 +179,8 @@ def monitor(
     try:
         with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:
             if once:
-                console.print(view(client.wait_status(3.0)))
+                status = client.wait_status(3.0)
+                console.print(view(status, events=client.wait_events(3.0)))
             else:
                 _watch(client, console)
     except NoSidecarError as error:
@@ -155,16 +191,20 @@ def monitor(
 
 
 class Newest:
-    """The newest status and its age, s."""
+    """The newest status and its age, s; the newest events. fresh: those that came with the last look."""
 
     def __init__(self, client: RigClient) -> None:
         self._client = client
         self._heard_s = time.monotonic()
         self.status: pb.Status | None = None
+        self.events: deque[pb_events.Event] = deque(maxlen=EVENTS_KEPT)
+        self.fresh: list[pb_events.Event] = []
 
     def look(self) -> bool:
         """Take a newer one in; False where there is none."""
         status = self._client.status()
+        self.fresh = self._client.events()
+        self.events.extend(self.fresh)
         if status:
             self.status, self._heard_s = status, time.monotonic()
         return status is not None
@@ -210,7 +250,7 @@ def _watch(client: RigClient, console: Console) -> None:
     with Live(waiting, console=console, auto_refresh=False, transient=False) as live, Keys(0) as keys:
         while True:
             if (newest.look() or newest.age_s > STALE_S) and newest.status:
-                live.update(view(newest.status, newest.age_s), refresh=True)
+                live.update(view(newest.status, newest.age_s, list(newest.events)), refresh=True)
             if keys.within(POLL_S) == STOP_KEY and newest.status:
                 stop_rig(newest.status.rig)  # what it prints appears above the picture
 
@@ -220,6 +260,8 @@ def _watch_lines(client: RigClient, console: Console) -> None:
     due_s = 0.0
     while True:
         newest.look()
+        if newest.fresh:
+            console.print(event_lines(newest.fresh), soft_wrap=True)
         if newest.status is None and newest.age_s > FIRST_S:
             raise NoSidecarError(f"no sidecar answers at {client.endpoint}")
         if newest.status and time.monotonic() >= due_s:

@@ -1,7 +1,7 @@
 """Summary of a run from its recording: the table at the end of `hil demo`, and summary.json."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,25 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from hil.cli.marks import Mark
 from hil.cli.output import axis_table
 from hil.control.trajectories import make_trajectory
+from hil.cycle.event import Event
+from hil.cycle.event_table import Kind
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig
-from hil.telemetry import codec
+from hil.telemetry import codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.event_codec import decode
 from hil.telemetry.recording import Recorded, Recording, RecordingError
 from hil.telemetry.tick_codec import columns as tick_columns
 from hil.telemetry.tick_schema import TickSchema
+from hil.virtual.event_marks import marks_of
 from hil.virtual.figures_of_merit import axis_statistics
 
+MOST_EVENTS = 5000  # of a long run; the recording has all
 _FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
 
 
@@ -38,6 +44,19 @@ class RunData:
     status: pb.Status | None  # the last one
     lost: int  # ticks that are missing from it
     truncated: bool
+    events: list[Event] = field(default_factory=list)  # of its topic "events"; older recordings have none
+
+    @property
+    def latched(self) -> Event | None:
+        """The event of the fault that the run ended with."""
+        at_end = int(self.columns["fault"][-1]) if len(self.columns["fault"]) else 0
+        latched = [event for event in self.events if event.kind is Kind.FAULT_LATCHED]
+        return latched[-1] if at_end and latched else None
+
+    @property
+    def marks(self) -> list[Mark]:
+        """Of its events, for pictures."""
+        return marks_of(self.events, self.columns["index"])
 
     @property
     def error(self) -> NDArray[np.float64]:
@@ -73,6 +92,7 @@ def load_run(path: Path) -> RunData:
     ticks: list[Recorded] = []
     delays: list[int] = []
     last, lost = pb.Counters(), 0
+    events: list[Event] = []
     try:
         for item in recording:
             if item.topic == "telemetry":
@@ -89,11 +109,13 @@ def load_run(path: Path) -> RunData:
                 delays.extend(cycle.run_delay_ns)
             elif item.topic == "status":
                 status = pb.Status.FromString(item.data)
+            elif item.topic == "events":
+                events.append(decode(events_pb2.Event.FromString(item.data)))
         columns = _joined(batches) if batches else _of_ticks(ticks, recording.metadata)
         columns.setdefault("run_delay_ns", np.resize(np.array(delays, np.int64), len(columns["index"])))
     except (DecodeError, ValueError, OverflowError, KeyError, TypeError) as error:
         raise RecordingError(f"{path}: its telemetry makes no sense: {error}") from None
-    return RunData(rig, recording.metadata, columns, last, status, lost, recording.truncated)
+    return RunData(rig, recording.metadata, columns, last, status, lost, recording.truncated, events)
 
 
 def _of_ticks(ticks: list[Recorded], metadata: dict[str, Any]) -> dict[str, NDArray[Any]]:
@@ -124,6 +146,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "seconds": float(columns["now_ns"][-1] - columns["now_ns"][0]) * 1e-9 if ticks else 0.0,
         "final_state": State(int(columns["state"][-1])).name if ticks else None,
         "faults": list(_faults(columns["fault"])),
+        "latched": run.latched.document if run.latched else None,
         "steady_from_tick": first,
         "axes": axis_statistics(run.rig.axis_names, run.error[first:], run.force[first:]),
         "lateness": _lateness(run.lateness),
@@ -141,7 +164,17 @@ def summarise(run: RunData) -> dict[str, Any]:
         },
         "telemetry": {"produced": produced, "sent": sent, "dropped": dropped},
         "recording": {"ticks": ticks, "lost": run.lost, "truncated": run.truncated},
+        "events": [event.document for event in _gravest(run.events)],
+        "events_left_out": max(0, len(run.events) - MOST_EVENTS),
     }
+
+
+def _gravest(events: list[Event]) -> list[Event]:
+    """At most MOST_EVENTS of them, in their order."""
+    if len(events) <= MOST_EVENTS:
+        return events
+    kept = sorted(range(len(events)), key=lambda place: (events[place].severity, place))[:MOST_EVENTS]
+    return [events[place] for place in sorted(kept)]
 
 
 def _faults(column: NDArray[Any]) -> Iterable[str]:
@@ -188,3 +221,5 @@ def show(summary: dict[str, Any], rig: RigConfig, console: Console) -> None:
     table.add_row("faults", ", ".join(summary["faults"]) or "none")
     table.add_row("real time", summary["realtime"] or "-")
     console.print(table)
+    if summary["latched"]:
+        console.print(summary["latched"]["line"], style="red", markup=False, highlight=False, soft_wrap=True)

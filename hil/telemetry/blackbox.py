@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -62,6 +63,18 @@ def run_directory() -> Path:
             directory.mkdir(parents=True)
             break
     return directory
+
+
+@contextlib.contextmanager
+def recordings_in(out: Path | None) -> Iterator[Path]:
+    """Where recordings go: `out`, or a new directory, which is gone again if none was made."""
+    directory = out or run_directory()
+    try:
+        yield directory
+    finally:
+        if out is None:
+            with contextlib.suppress(OSError):  # it holds something
+                directory.rmdir()
 
 
 def blackbox(

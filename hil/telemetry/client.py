@@ -4,10 +4,10 @@ import contextlib
 import json
 import socket
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 import zenoh
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 from zenoh.handlers import RingChannel
 
@@ -15,9 +15,11 @@ from drivers.toml_file import short
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
 from hil.rig.schema import MAX_AXES
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry import tick_codec
 from hil.telemetry.credentials import Credentials
+from hil.telemetry.event_feed import EventFeed
 from hil.telemetry.session import client_config
 from hil.telemetry.tick_schema import TickSchema
 
@@ -25,6 +27,7 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _PER_AXIS = ("units", "position", "setpoint", "max_error", "force", "drive_status", "answer_age")
 _LONGEST = 4096  # characters of a text in a status: a path
 _POLL_S = 0.01
+M = TypeVar("M", bound=Message)
 _KEPT = 4096  # ticks for a reader that is late
 _ANSWER_S = 2.0
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
@@ -66,6 +69,10 @@ def decoded(payload: bytes) -> pb.Status | None:
 
 def printable(status: pb.Status) -> pb.Status:
     """The status without characters that would command a terminal (ESC and its like), its texts not endless."""
+
+
+def printable(status: M) -> M:
+    """The message without characters that would command a terminal (ESC and its like)."""
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
@@ -98,6 +105,7 @@ class RigClient(Closing):
         self._schema: TickSchema | None = None
         self._period_ns = 0
         self._ticks: Any = None
+        self._events: EventFeed | None = None
 
     def _connect(self) -> bool:
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
@@ -113,6 +121,25 @@ class RigClient(Closing):
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
         return decoded(sample.payload.to_bytes()) if sample else None
+
+    def events(self) -> list[pb_events.Event]:
+        """Events that were not returned before, those from before the first call with them; never waits."""
+        if not self._connect() or self._session is None:
+            return []
+        if self._events is None:
+            self._events = EventFeed(self._session, f"{self._key}/events")
+        return [printable(event) for event in self._events.take()]
+
+    def wait_events(self, timeout_s: float) -> list[pb_events.Event]:
+        """All events the sidecar still keeps. Raises NoSidecarError."""
+        found: list[pb_events.Event] = []
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            found += self.events()
+            if self._events and self._events.answered:
+                return found
+            time.sleep(_POLL_S)
+        raise NoSidecarError(_NOBODY.format(self.endpoint))
 
     def wait_status(self, timeout_s: float) -> pb.Status:
         """The next status. Raises NoSidecarError."""

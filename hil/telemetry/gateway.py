@@ -44,7 +44,7 @@ class Gateway:
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
     counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
-    words (hil/live/drive_problems.py). task: where the file of another task goes.
+    words (hil/live/notes.py). task: where the file of another task goes.
     """
 
     def __init__(

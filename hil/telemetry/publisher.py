@@ -15,6 +15,7 @@ QUERIES_A_ROUND = 8
 _ANSWERED = {
     "rig": zenoh.Encoding.APPLICATION_JSON,
     "schema": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("google.protobuf.FileDescriptorSet"),
+    "events": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("hil.telemetry.Events"),
 }
 
 
@@ -37,7 +38,7 @@ class Publisher(Closing):
                     encoding=zenoh.Encoding.APPLICATION_PROTOBUF.with_schema(f"hil.telemetry.{kind}"),
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic, kind in (("tick", "Tick"), ("status", "Status"))
+                for topic, kind in (("tick", "Tick"), ("status", "Status"), ("events", "Events"))
             }
             self.queries = {
                 name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))
@@ -56,7 +57,9 @@ class Publisher(Closing):
         return True
 
     def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
-        """Reply to everybody who asked for "rig" or "schema". answers: called for each, as hardly anybody asks."""
+        """Reply to everybody who asked for "rig", "schema" or "events". answers: called for each, as hardly anybody
+        asks.
+        """
         for name, waiting in self.queries.items():
             for _ in range(QUERIES_A_ROUND):
                 query = waiting.try_recv()

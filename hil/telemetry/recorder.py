@@ -2,7 +2,8 @@
 
 Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Topics: `tick` (every
 tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to the byte, for replay: cycle_codec.py),
-`status` (10 Hz), `commands` (every request, refused ones included). recording.py reads them.
+`status` (10 Hz), `commands` (every request, refused ones included), `events` (what happened, one message each).
+recording.py reads them.
 """
 
 import contextlib
@@ -19,17 +20,24 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
+from hil.cycle.event import Event
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, Tick
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
-from hil.telemetry import cycle_codec
+from hil.telemetry import cycle_codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.event_codec import encode
 from hil.telemetry.recording import RUN_ATTACHMENT, RecordingError
 from hil.telemetry.tick_codec import TickEncoder
 from hil.telemetry.tick_schema import TICK, TickSchema
 
-MESSAGES: dict[str, type[Message]] = {"cycle": pb.Cycle, "status": pb.Status, "commands": pb.CommandEntry}
+MESSAGES: dict[str, type[Message]] = {
+    "cycle": pb.Cycle,
+    "status": pb.Status,
+    "commands": pb.CommandEntry,
+    "events": events_pb2.Event,
+}
 CHUNK_SIZE = 1024 * 1024  # at most; a chunk is written twice a second
 BATCH = 500  # ticks of a Cycle message at most: larger ones compress no better
 FLUSH_NS = 500_000_000  # what a killed process or a power cut can cost
@@ -197,7 +205,7 @@ class LockstepRecorder:
         self._recorder = Recorder(path, metadata)
         self._records = np.zeros(BATCH, RECORD)
         self._held = 0
-        self._first = 0
+        self._first = self._told = 0
         self._check()
 
     def observe(self, tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
@@ -208,6 +216,12 @@ class LockstepRecorder:
         self._held += 1
         if self._held == BATCH:
             self._flush()
+
+    def tell(self, events: Sequence[Event]) -> None:
+        """Take events in, as hil.virtual.sim tells them."""
+        for event in events:
+            self._recorder.write("events", event.time_ns, encode(event, self._told, 0).SerializeToString())
+            self._told += 1
 
     def _note_task(self, tick: Tick, task: LoadedTask) -> None:
         kind = CommandKind.LOAD_TASK

@@ -10,8 +10,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -22,16 +21,18 @@ from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
-from hil.live.drive_problems import read_problems
 from hil.live.mailbox import Mailbox, MailboxError
+from hil.live.notes import read_problems
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.blackbox import run_directory, save_black_boxes
+from hil.telemetry.blackbox import recordings_in, save_black_boxes
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
+from hil.telemetry.event_log import EventLog
+from hil.telemetry.events_pb2 import Events
 from hil.telemetry.fault_snapshots import FaultSnapshots
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
@@ -109,8 +110,9 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems), paths.task)
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.notes), paths.task)
         self._noted = 0  # entries of this round
+        self._events = EventLog(rig.name, publisher, paths.notes)
         self._store = store
         self._progress = ProgressFile(paths.directory / PROGRESS)
         self._status_due_ns = 0
@@ -152,6 +154,7 @@ class Sidecar:
         self._gateway.follow(reader.metadata)
         limits, save = Limits.of(self.rig.telemetry), self._progress.write
         recorder = RunRecorder(self._store, reader, limits, progress, save) if self._store else None
+        self._events.follow(reader, progress.published, recorder)
         self.attached = Attached(reader, self._open_mailbox(), progress, recorder)
 
     def _open_mailbox(self) -> Mailbox | None:
@@ -166,6 +169,7 @@ class Sidecar:
                 pass
             if not self.attached.reader.writer_alive:
                 self._conclude(time.monotonic_ns())
+            self._events.leave()
             self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
             self.publish_status(time.monotonic_ns())
             self.attached.close()
@@ -178,6 +182,7 @@ class Sidecar:
         if run is None or run.over:
             return
         run.over = True
+        self._events.conclude(run.reader, now_ns)
         self.publish_status(now_ns)
         run.end_recording(now_ns)
         if run.progress.recorded == run.reader.written:
@@ -209,6 +214,7 @@ class Sidecar:
         if run.recorder and run.snapshots:
             run.recorder.take(records, messages, batch.first)
             run.snapshots.watch(records, batch.first)
+        self._events.batch(batch)
         run.window.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
@@ -229,7 +235,10 @@ class Sidecar:
             self._gateway.take(request, mailbox, now_ns, state, last)
         self._gateway.advance(mailbox, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        self._publisher.answer_queries({"rig": self._description, "schema": self._schema})
+        self._publisher.answer_queries(
+            {"rig": self._description, "schema": self._schema, "events": self._events.history}
+        )
+        self._events.turn(now_ns)
 
     def _note_command(self, entry: pb.CommandEntry) -> None:
         """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
@@ -242,6 +251,7 @@ class Sidecar:
             name = CommandKind(entry.kind).name if entry.kind in set(CommandKind) else f"command {entry.kind}"
             verdict = "accepted" if entry.accepted else f"refused: {entry.reason}"
             print(f"{entry.who}: {name}: {verdict}; state {entry.state or '-'}", flush=True)
+            self._events.request(name, entry)
 
     def _description(self) -> bytes:
         """Which rig this is: the whole of it, as JSON."""
@@ -254,6 +264,7 @@ class Sidecar:
         schema = run.encoder.schema if run else TickSchema(self.rig.model_dump(mode="json"))
         files = build_file_descriptor_set(pb.Status)
         files.MergeFrom(schema.files)
+        files.MergeFrom(build_file_descriptor_set(Events))
         return bytes(files.SerializeToString())
 
     def publish_status(self, now_ns: int) -> None:
@@ -270,7 +281,7 @@ class Sidecar:
             status.control_alive = run.reader.writer_alive
             status.control_ended = run.reader.ended
             if run.reader.writer_alive:
-                status.drive_problems.extend(read_problems(self._paths.problems))
+                status.drive_problems.extend(read_problems(self._paths.notes))
             status.produced = run.reader.written
             status.sent, status.dropped = run.progress.sent, run.dropped
             if run.caught_up:
@@ -359,18 +370,6 @@ def serve(
             paths.access.unlink(missing_ok=True)
 
 
-@contextmanager
-def _recordings(out: Path | None) -> Iterator[Path]:
-    """Where recordings go: `out`, or a new directory, which is gone again if none was made."""
-    directory = out or run_directory()
-    try:
-        yield directory
-    finally:
-        if out is None:
-            with suppress(OSError):  # it holds something
-                directory.rmdir()
-
-
 def sidecar(
     rig: Annotated[Path, typer.Argument(help="rig file")],
     out: Annotated[Path | None, typer.Option(help="directory for recordings [runs/<time>]")] = None,
@@ -388,7 +387,7 @@ def sidecar(
         raise typer.BadParameter("needs --credentials", param_hint="--commands-from")
     try:
         outside = Outside(commands_from, Credentials(credentials) if credentials else None)
-        recordings = _recordings(out) if config.telemetry.record else nullcontext()
+        recordings = recordings_in(out) if config.telemetry.record else nullcontext()
         with sole(paths, "sidecar"), recordings as directory:
             for saved in save_black_boxes(paths, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)

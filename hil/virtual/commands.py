@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import RigFile, shipped_scenario
 from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
@@ -34,7 +35,10 @@ def sim(
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
     ] = None,
 ) -> None:
-    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time."""
+    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time.
+
+    Exit status 3: the run ended in a fault.
+    """
     from hil.control.estimator.gains import per_axis
     from hil.control.feasibility import task_problems
     from hil.rig.bus_load import refuse_unschedulable
@@ -67,6 +71,7 @@ def sim(
                 progress=lambda done: bar.update(job, completed=done),
                 observer=recorder.observe if recorder else None,
                 scenario=scenario,
+                tell=recorder.tell if recorder else None,
             )
         except ValueError as error:  # a task or layout the rig cannot carry
             raise RigError([f"{rig}: {error}"]) from None
@@ -76,7 +81,21 @@ def sim(
     report.overrides = list(overrides)
     _show(console, config, report, traces, picture)
     if json_target:
-        write_json(dataclasses.asdict(report), json_target)
+        write_json(_document(report), json_target)
+    if report.latched:
+        raise typer.Exit(EXIT_FAULT)
+
+
+def _document(report: Any) -> dict[str, Any]:
+    """A report as JSON has it: its events as objects with names."""
+    document: dict[str, Any] = dataclasses.asdict(dataclasses.replace(report, events=[], latched=None))
+    latched = report.latched.document if report.latched else None
+    return {**document, "events": [event.document for event in report.events], "latched": latched}
+
+
+def _show_latched(report: Any, console: Console) -> None:
+    if report.latched:
+        console.print(report.latched.line, style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
@@ -97,13 +116,17 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
+    _show_latched(report, console)
     if report.law_failure:
         console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
     if picture:
-        from hil.cli.pictures import tracking_picture
+        import numpy as np
 
-        tracking_picture(picture, config, traces)
+        from hil.cli.pictures import tracking_picture
+        from hil.virtual.event_marks import marks_of
+
+        tracking_picture(picture, config, traces, marks=marks_of(report.events, np.arange(report.ticks)))
         console.print(f"picture {picture}")
 
 
@@ -114,6 +137,7 @@ def _show_replay(report: Any, console: Console) -> None:
         verdict = f"nothing was compared, as {why}"
     files = f" of {report.parts} files" if report.parts > 1 else ""
     console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames{files} replayed; {verdict}")
+    _show_latched(report, console)
     if report.first_different is not None:
         console.print(f"the first tick that differs is {report.first_different}")
     if report.gap_at is not None:
@@ -135,7 +159,7 @@ def replay(
         str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
     ] = "",
 ) -> None:
-    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared."""
+    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared; 3: the run ended in a fault."""
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
     from hil.telemetry.recording import RecordingError
     from hil.virtual.replay import replay_run
@@ -147,10 +171,11 @@ def replay(
         raise typer.Exit(1) from None
     _show_replay(report, Console(stderr=json_target == "-"))
     if json_target:
-        document: dict[str, Any] = dataclasses.asdict(report)
-        write_json(document, json_target)
+        write_json(_document(report), json_target)
     if report.different or not report.frames:
         raise typer.Exit(1)
+    if report.latched:
+        raise typer.Exit(EXIT_FAULT)
 
 
 def emulate(

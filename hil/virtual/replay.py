@@ -9,6 +9,8 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.frame import Frame
+from hil.cycle.event import Event
+from hil.cycle.event_notes import CycleEvents
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
 from hil.cycle.task_loading import loaded_task, rig_with_task
@@ -43,6 +45,8 @@ class Replayed:
     not_compared: int = 0  # ticks that are recorded behind such a gap
     parts: int = 1  # files
     truncated: bool = False
+    events: list[Event] = dataclasses.field(default_factory=list)
+    latched: Event | None = None  # of the fault that the run ended with
     other_law: str | None = None
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
@@ -160,6 +164,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
         cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
+        stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if report.gap_at is not None or step.ring != report.ticks:
@@ -168,6 +173,7 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
                 continue
             step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
+            report.events += stream.observe(cycle, result.record)
             report.ticks += 1
             report.frames += len(step.sent)
             if bytes_of(result.frames) != bytes_of(step.sent):
@@ -178,6 +184,8 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
                 other.step(step, result.record["force"])
         if other:
             report.other_law, report.other_force = other.law, other.result()
+        report.events += stream.close()
+        report.latched = stream.latched
     report.truncated, report.parts = recording.truncated, max(len(recording.parts), 1)
     return report
 

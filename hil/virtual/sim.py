@@ -1,14 +1,18 @@
 """A whole run in lockstep and its figures: what `hil sim` shows."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drivers.frame import Frame
+from hil.cycle.event import Event
+from hil.cycle.event_notes import CycleEvents
 from hil.cycle.state_machine import State
+from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.figures_of_merit import axis_statistics
 from hil.virtual.lockstep import LockstepRun, Observer
@@ -33,6 +37,8 @@ class SimReport:
     samples_lost: int = 0
     wire_busy: float = 0.0
     overrides: list[str] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    latched: Event | None = None  # of the fault that the run ended with
     law_failure: str = ""  # why a user's law no longer counts, with file and line
 
 
@@ -44,11 +50,25 @@ def simulate(
     progress: Callable[[int], None] | None = None,
     observer: Observer | None = None,
     scenario: Scenario | None = None,
+    tell: Callable[[Sequence[Event]], None] | None = None,
 ) -> tuple[SimReport, "Traces"]:
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
-    every sample.
+    every sample. tell: is given the events as they are told.
     """
-    run = LockstepRun(rig, base_dir, observer=observer, scenario=scenario)
+    stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
+    events: list[Event] = []
+
+    def told(new: Sequence[Event]) -> None:
+        events.extend(new)
+        if tell and new:
+            tell(new)
+
+    def observe(tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
+        told(stream.observe(run.cycle, result.record))
+        if observer:
+            observer(tick, frames, result)
+
+    run = LockstepRun(rig, base_dir, observer=observe, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
     traces = Traces(ticks, len(rig.axes))
     started = time.perf_counter()
@@ -58,6 +78,7 @@ def simulate(
         if progress and index % 1000 == 0:
             progress(index)
     elapsed = time.perf_counter() - started
+    told(stream.close())
     first = steady_from(run, ticks)
     report = SimReport(
         rig=rig.name,
@@ -73,6 +94,8 @@ def simulate(
         trace_sha256=run.trace_sha256,
         samples_lost=run.cycle.inbox.lost,
         wire_busy=run.wire.busy_ns / (ticks * rig.period_ns),
+        events=events,
+        latched=stream.latched,
         law_failure=run.cycle.law.failure,
     )
     return report, traces

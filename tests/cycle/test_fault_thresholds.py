@@ -31,8 +31,8 @@ SAFETY = SafetyConfig(
     transmit_refused_limit=4, overrun_streak=6, overrun_zero_s=0.02, disable_timeout_ticks=30,
 )  # fmt: skip
 LIMITS = [
-    AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0),
-    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0),
+    AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0, 5.0),
+    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0, 5.0),
 ]
 INNOVATION = [1e-4, 2e-4]
 AXIS = 1  # the one that a case is about; the other one is well

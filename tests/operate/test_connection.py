@@ -56,6 +56,7 @@ def test_a_live_rig_is_watched_and_commanded(tmp_path: Path) -> None:
                 assert verdict.accepted, json.dumps(verdict._asdict())
                 assert next(events).text in ("state ACTIVE", "state HOMING")
                 assert rig.status().axes == ["x", "y"]
+                assert ("STATE", "CONNECTED -> READY") in [(event.kind.name, event.name) for event in rig.log()]
                 columns = next(rig.telemetry())
                 assert columns["force"].shape == (len(columns["index"]), 2)
                 assert np.all(np.diff(columns["index"]) > 0)

@@ -17,11 +17,13 @@ import pytest
 from rich.console import Console
 
 from drivers.protocols.base import DriveStatus
+from hil.cli.exit_status import EXIT_FAULT
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CommandKind
 from hil.operate.demo import Demo, Scene, Signals, drive_report
 from hil.operate.summary import RunData, load_run
 from hil.rig.file import load_rig
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient
 from hil.telemetry.command_client import Verdict
@@ -173,6 +175,19 @@ def test_a_killed_control_process_leaves_the_drives_at_zero_within_10_ms_and_the
     assert len(run.columns["index"]) == run.status.produced == run.status.sent
 
 
+def test_a_demo_that_ends_in_a_fault_says_axis_time_value_and_limit_and_exits_with_3(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = hil("demo", "paper", "--seconds", "5", "--out", str(out), "--set", "axes.x.limits.following_error=1e-6")
+    assert done.returncode == EXIT_FAULT, done.stdout + done.stderr
+    told = json.loads((out / "summary.json").read_text())["latched"]
+    assert told["axis"] == "x"  # its errors alone have so low a limit
+    assert told["value"] > told["limit"] > 0
+    assert re.fullmatch(r"tick \d+ \(\d+\.\d+ s\): fault latched: \w+ on x: .* \S+ m, limit \S+ m; .*", told["line"])
+    assert told["line"] in done.stdout
+    assert told["line"] in (out / "control.log").read_text()
+    assert told["line"].encode() in (out / "tracking.png").read_bytes()
+
+
 def test_a_killed_sidecar_is_reported_and_the_stage_is_stopped(show: Show) -> None:
     show.read_until("to go")
     os.kill(show.pid("sidecar"), signal.SIGKILL)
@@ -203,6 +218,9 @@ class Conversation:
 
     def status(self) -> pb.Status:
         return self.statuses.pop(0)
+
+    def events(self) -> list[pb_events.Event]:
+        return []
 
     def command(self, kind: CommandKind) -> Verdict:
         self.heard.append(kind)

@@ -18,8 +18,9 @@ from typer import Exit
 from drivers.protocols.base import DriveStatus
 from hil.cli.pictures import tracking_picture
 from hil.operate import dashboard, monitor
-from hil.operate.monitor import Newest, line, silence, view
+from hil.operate.monitor import Newest, banner, line, silence, view
 from hil.rig.schema import RigConfig
+from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import RigClient, printable
 
@@ -123,12 +124,33 @@ def test_the_page_streams_one_column_per_axis_and_quantity() -> None:
     assert "killed" in dashboard.headline(status(control_alive=False))
 
 
+def event(name: str, kind: int = pb_events.Event.FAULT_LATCHED, **changes: Any) -> pb_events.Event:
+    line = f"tick 7 (0.007 s): fault latched: {name} on x: age 3 ticks, limit 3 ticks; cause: <b>; next: reset"
+    return pb_events.Event(kind=kind, name=name, severity=pb_events.Event.ERROR, line=line, wall_ns=10**18, **changes)
+
+
+def test_a_latched_fault_is_a_banner_above_the_list_of_events() -> None:
+    stopped, events = status(state="FAULT", fault="ENCODER_LOST"), [event("speed"), event("encoder_lost")]
+    assert banner(stopped, events).plain == events[1].line
+    assert banner(status(), events).plain == ""
+    assert banner(stopped, []).plain == "fault ENCODER_LOST"  # its event has not come yet
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(view(stopped, events=events))
+    text = console.export_text()
+    assert text.count("encoder_lost on x") == 2
+    assert text.index("encoder_lost on x") < text.index("max error, last s")
+    page = dashboard.event_list(stopped, events)
+    assert "<b>;" not in page
+    assert page.count("encoder_lost on x") == 2
+    assert page.index("encoder_lost on x", page.index("</div>")) < page.index("speed on x"), "the newest first"
+
+
 def test_the_page_is_laid_out_by_the_first_status_and_fed_by_the_next() -> None:
     pytest.importorskip("bokeh", reason="the extra `dashboard` is not installed")
     from bokeh.document import Document
 
     messages = [pb.Status(rig="microscope"), status(), None, status(index=1334)]
-    client = SimpleNamespace(status=lambda: messages.pop(0), close=lambda: None)
+    client = SimpleNamespace(status=lambda: messages.pop(0), events=list, close=lambda: None)
     document = Document()
     page = dashboard.Page(document, client)  # type: ignore[arg-type]
     for _ in range(4):
@@ -194,6 +216,9 @@ def test_a_sidecar_that_falls_silent_is_said_to_within_a_second() -> None:
         def status(self) -> pb.Status | None:
             return self.statuses.pop() if self.statuses else None
 
+        def events(self) -> list[Any]:
+            return []
+
     newest = Newest(cast(RigClient, Silent()))
     assert newest.look()
     began = time.monotonic()
@@ -233,6 +258,9 @@ def test_one_key_stops_the_rig_that_is_shown_and_the_terminal_is_left_as_it_was(
 
         def status(self) -> pb.Status:
             return status()
+
+        def events(self) -> list[Any]:
+            return []
 
     stopped: list[str] = []
 

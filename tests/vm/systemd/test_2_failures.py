@@ -16,7 +16,7 @@ RIG = Rig("microscope")
 DROP_INS = Path("/run/systemd/system/hil-control@.service.d")
 EX_NOPERM, EX_CONFIG = 77, 78
 SEVERAL_RESTARTS_S = 5  # RestartSec is 1
-FLOOD = 20_000  # lines; LogRateLimitBurst allows 200 in 10 s, of which journald makes up to 1200 on a disk with room
+FLOOD = 20_000  # lines; LogRateLimitBurst allows 1000 in 10 s, of which journald makes up to 6000 on a disk with room
 
 
 def drop_in(text: str) -> None:

@@ -1,0 +1,319 @@
+"""Events: what happened in a run, told from the records of its ticks.
+
+Rules:
+- What follows from the records alone is told by `EventStream`, and nowhere else: lockstep, replay, sidecar and
+  recordings give it the same records and get the same events. The control loop pays for none of it.
+- Every event carries what a person needs to act on it alone: tick, time, axis, measured value, limit, cause, what to do
+  next. The texts are those of event_table.py.
+- A storm is bounded and counted (event_storm.py).
+
+Theory of operation: the detectors leave what they measured in the record (fault_monitor.Evidence). The stream compares
+each record with the one before it; numpy finds the few ticks in which anything changed, and only those are looked at.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.bus.counters import BusState
+from hil.cycle.event import Event
+from hil.cycle.event_storm import Tallies
+from hil.cycle.event_table import (
+    FAULT_TEXTS,
+    GRANTS,
+    KINDS,
+    REFUSED_ACTION,
+    FaultText,
+    Kind,
+    Severity,
+    severity_of,
+)
+from hil.cycle.fault_table import Fault
+from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+
+_STOP, _RIG_OK, _ESTOP = 1, 8, 32  # bits of a record's flags
+_COMPARED = ("state", "fault", "faults_active", "flags")
+_ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N m"}
+_HELD = 64  # ticks `observe` collects
+_NAN: Final = math.nan
+_REACHED: Final = {
+    (State.BOOT, State.CONNECTED): "the bus is up",
+    (State.CONNECTED, State.READY): "every axis answers and is healthy",
+    (State.HOMING, State.STOPPING): "the home position is reached",
+    (State.STOPPING, State.READY): "at rest",
+    (State.STOPPING, State.FAULT): "at rest with a fault latched",
+    (State.STOPPING, State.SHUTDOWN): "at rest, and the process is to end",
+}
+
+
+class _Seen(NamedTuple):
+    """What the stream remembers of the tick before."""
+
+    tick: int = -1
+    state: int = int(State.BOOT)
+    fault: int = 0
+    active: int = 0
+    flags: int = _RIG_OK
+    bus: int = int(BusState.ERROR_ACTIVE)
+    total: int = 0  # evidence
+
+
+class EventStream:
+    """Tells the events of one run from its records, in order.
+
+    axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. latched: the event of the
+    fault that is latched now.
+    """
+
+    def __init__(self, axes: Sequence[tuple[str, str]], period_ns: int) -> None:
+        self._axes = list(axes)
+        self._period_ns = max(period_ns, 1)
+        self._window_ticks = max(1, round(1e9 / self._period_ns))
+        self._tallies = Tallies()
+        self._last = _Seen()
+        self._pairs: set[tuple[int, int]] = set()  # fault and axis flagged in the last tick
+        self._held = np.zeros(_HELD, RECORD)
+        self._n_held = 0
+        self.latched: Event | None = None
+
+    def observe(self, record: np.void) -> list[Event]:
+        """Take one tick in; what it and those before it told comes with a later one, or with `close`."""
+        self._held[self._n_held] = record
+        self._n_held += 1
+        return self.release() if self._n_held == _HELD else []
+
+    def close(self) -> list[Event]:
+        """What is still held back: ticks of `observe`, and the counts of the present second."""
+        return [*self.release(), *self._tallies.end()]
+
+    def release(self) -> list[Event]:
+        """What the ticks of `observe` that are held back have told."""
+        records, self._n_held = self._held[: self._n_held], 0
+        return self.tell(records)
+
+    def admit(self, events: Iterable[Event]) -> list[Event]:
+        """Events from elsewhere that are to be bounded with these."""
+        return self._tallies.admit(events)
+
+    def tell(self, records: NDArray[np.void], lost: int = 0) -> list[Event]:
+        """The events of these ticks. lost: ticks that are missing before the first of them."""
+        told: list[Event] = []
+        if not len(records):
+            return told
+        if lost:
+            event = self._event(Kind.RECORDS_LOST, "ring", records[0], value=float(lost), limit=0.0)
+            told += self.admit([event])
+            self._last = self._last._replace(tick=-1)
+        for place in self._places(records).tolist():
+            record = records[place]
+            if place:
+                before = records[place - 1]
+                self._last = self._last._replace(tick=int(before["index"]))
+            told += self._tallies.turn(int(record["index"]) // self._window_ticks)
+            told += self.admit(self._look(record))
+        self._last = self._last._replace(tick=int(records["index"][-1]))
+        told += self._tallies.turn(self._last.tick // self._window_ticks)
+        return told
+
+    def _places(self, records: NDArray[np.void]) -> NDArray[np.int64]:
+        """Of the ticks in which something changed or was flagged."""
+        last = self._last
+        marked = (records["n_evidence"] > 0) | (records["n_commands"] > 0) | self._late(records)
+        before = dict(zip(_COMPARED, (last.state, last.fault, last.active, last.flags), strict=True))
+        for name in _COMPARED:
+            marked |= _changes(records[name], before[name])
+        marked |= _changes(records["port"][:, -1], last.bus)
+        marked |= np.diff(records["index"], prepend=last.tick if last.tick >= 0 else records["index"][0] - 1) > 1
+        if self._pairs or int(records["evidence_total"][0]) != last.total + int(records["n_evidence"][0]):
+            marked[0] = True
+        flagged = np.flatnonzero(records["n_evidence"][:-1] > 0)
+        marked[flagged + 1] = True  # where what was flagged may be over
+        return np.flatnonzero(marked)
+
+    def _late(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
+        late: NDArray[np.bool_] = records["now_ns"] - records["scheduled_ns"] > self._period_ns // 2
+        return late
+
+    # one tick ---------------------------------------------------------------------------------------------------------
+
+    def _look(self, record: np.void) -> Iterator[Event]:
+        """What one tick has to tell; remembers it."""
+        last = self._last
+        index, state, fault = int(record["index"]), int(record["state"]), int(record["fault"])
+        active, flags, bus = int(record["faults_active"]), int(record["flags"]), int(record["port"][-1])
+        self._last = _Seen(index, state, fault, active, flags, bus, int(record["evidence_total"]))
+        yield from self._pacing(record, last.tick)
+        if bus != last.bus:
+            yield self._bus(record, last.bus, bus)
+        if (flags ^ last.flags) & _RIG_OK:
+            name = "as it was read" if flags & _RIG_OK else "changed"
+            yield self._event(Kind.RIG_FILE, name, record)
+        evidence = _evidence(record)
+        yield from self._faults(record, evidence, active, last)
+        if fault != last.fault:
+            yield from self._latches(record, evidence, last.fault, fault)
+        commands = [_Command(*row) for row in record["commands"][: int(record["n_commands"])].tolist()]
+        for command in commands:
+            if command.kind != CommandKind.HEARTBEAT or not command.accepted:
+                yield self._command(record, command)
+        if state != last.state:
+            yield self._state(record, last, commands)
+
+    def _pacing(self, record: np.void, before: int) -> Iterator[Event]:
+        index = int(record["index"])
+        late_ns = int(record["now_ns"]) - int(record["scheduled_ns"])
+        if 0 <= before < index - 1:
+            yield self._event(Kind.TICKS_LOST, "slots", record, value=float(index - before - 1), limit=0.0)
+        elif late_ns > self._period_ns // 2:
+            limit = self._period_ns // 2 * 1e-9
+            yield self._event(Kind.TICK_LATE, "deadline", record, value=late_ns * 1e-9, limit=limit)
+
+    def _bus(self, record: np.void, before: int, now: int) -> Event:
+        name = f"{BusState(before).name} -> {BusState(now).name}"
+        healed = now == BusState.ERROR_ACTIVE
+        event = self._event(Kind.BUS, name, record, value=float(now), limit=float(BusState.ERROR_ACTIVE))
+        if not healed:
+            return event
+        return event._replace(severity=Severity.NOTICE, cause="the controller recovered", action="none")
+
+    def _faults(self, record: np.void, evidence: "list[_Evidence]", active: int, last: _Seen) -> Iterator[Event]:
+        """Faults that this tick flagged and the one before did not; what was measured beyond what a record keeps."""
+        unkept = int(record["evidence_total"]) - last.total - len(evidence)
+        pairs = {(found.fault, found.axis) for found in evidence}
+        known = {fault for fault, _ in pairs}
+        bare = [fault for fault in Fault if fault and active >> fault & 1 and fault not in known]
+        if unkept > 0:  # what was flagged before still is, if its bit is set: a record with no room is no end of it
+            pairs |= {pair for pair in self._pairs if active >> pair[0] & 1}
+        for fault in bare:
+            if not any(pair[0] == fault for pair in pairs):
+                pairs.add((int(fault), NO_AXIS))
+                measured = (0.0, 1.0) if fault in GRANTS else (_NAN, _NAN)
+                evidence = [*evidence, _Evidence(int(fault), NO_AXIS, *measured)]
+        for found in evidence:
+            if (found.fault, found.axis) not in self._pairs:
+                yield self._fault(Kind.FAULT_SEEN, record, found)
+        for number, axis in sorted(self._pairs - pairs):
+            if number in GRANTS:
+                yield self._fault(Kind.FAULT_CLEARED, record, _Evidence(number, axis, 1.0, 1.0))
+        self._pairs = pairs
+        if unkept > 0:
+            event = self._event(Kind.FAULT_SEEN, "more in one tick than a record keeps", record)
+            yield event._replace(times=unkept, cause="see the faults told beside it", action="as for those")
+
+    def _latches(self, record: np.void, evidence: "list[_Evidence]", before: int, now: int) -> Iterator[Event]:
+        if before and self.latched:
+            when = self._event(Kind.FAULT_CLEARED, "", record)
+            cleared = self.latched._replace(kind=when.kind, severity=when.severity, tick=when.tick, action=when.action)
+            yield cleared._replace(time_ns=when.time_ns, run_ns=when.run_ns, cause="an operator's reset")
+            self.latched = None
+        if now:
+            found = next((found for found in evidence if found.fault == now), _Evidence(now, NO_AXIS, _NAN, _NAN))
+            self.latched = self._fault(Kind.FAULT_LATCHED, record, found)
+            yield self.latched
+
+    def _command(self, record: np.void, command: "_Command") -> Event:
+        name = CommandKind(command.kind).name if command.kind in set(CommandKind) else f"number {command.kind}"
+        event = self._event(Kind.COMMAND, f"{name} {'accepted' if command.accepted else 'refused'}", record)
+        if command.accepted:
+            return event._replace(cause="an operator's command")
+        late_ns = int(record["now_ns"]) - command.expires_ns
+        stale = f"it expired {late_ns * 1e-6:.1f} ms before" if late_ns > 0 else "replayed, or a guard refused it"
+        cause = f"{stale}; the state is {State(int(record['state'])).name}"
+        return event._replace(severity=Severity.WARNING, cause=cause, action=REFUSED_ACTION)
+
+    def _state(self, record: np.void, last: _Seen, commands: "list[_Command]") -> Event:
+        before, now = State(last.state), State(int(record["state"]))
+        event = self._event(Kind.STATE, f"{before.name} -> {now.name}", record)
+        event = event._replace(cause=self._state_cause(record, last, commands))
+        if now is State.FAULT and self.latched:
+            return event._replace(severity=self.latched.severity, action=self.latched.action)
+        if now is State.ESTOP:
+            action = "find out why; then hil command NAME reset"
+            return event._replace(severity=Severity.WARNING, action=action)
+        return event
+
+    def _state_cause(self, record: np.void, last: _Seen, commands: "list[_Command]") -> str:
+        """Why the state changed, as far as the record says."""
+        before, now, fault = State(last.state), State(int(record["state"])), int(record["fault"])
+        if fault and fault != last.fault:
+            return f"fault {Fault(fault).name.lower()}"
+        if now is State.ESTOP and int(record["flags"]) & _ESTOP:
+            return "stop was pressed (hil estop)"
+        if accepted := [command for command in commands if command.accepted and command.kind != CommandKind.HEARTBEAT]:
+            return "command " + ", ".join(CommandKind(command.kind).name for command in accepted)
+        if reached := _REACHED.get((before, now)):
+            return reached + (f": {Fault(fault).name.lower()}" if fault and now is State.FAULT else "")
+        if int(record["flags"]) & _STOP:
+            return "the process was told to end"
+        return f"fault {Fault(fault).name.lower()}" if fault else "it was so when the records begin"
+
+    # events -----------------------------------------------------------------------------------------------------------
+
+    def _event(self, kind: Kind, name: str, record: np.void, value: float = _NAN, limit: float = _NAN) -> Event:
+        text, index = KINDS[kind], int(record["index"])
+        return Event(
+            kind, text.severity, name, index, int(record["now_ns"]), index * self._period_ns, "", text.measured,
+            value, limit, text.unit, text.cause, text.action,
+        )  # fmt: skip
+
+    def _fault(self, kind: Kind, record: np.void, found: "_Evidence") -> Event:
+        fault = Fault(found.fault)
+        text: FaultText = FAULT_TEXTS[fault]
+        named, unit = 0 <= found.axis < len(self._axes), text.unit
+        name, rotary = "", False
+        if named:
+            name, axis_kind = self._axes[found.axis]
+            rotary = axis_kind == "rotary"
+        event = self._event(kind, fault.name.lower(), record, found.value, found.limit)
+        latched = kind is Kind.FAULT_LATCHED
+        severity = event.severity if kind is Kind.FAULT_CLEARED else severity_of(fault, latched=latched)
+        event = event._replace(severity=severity, axis=name, measured=text.measured)
+        unit = _ROTARY.get(unit, unit) if rotary else unit
+        if kind is Kind.FAULT_CLEARED:
+            return event._replace(unit=unit, cause="it is there again")
+        return event._replace(unit=unit, cause=text.cause, action=text.action.replace("AXIS", name or "NAME"))
+
+
+class _Evidence(NamedTuple):
+    fault: int
+    axis: int
+    value: float
+    limit: float
+
+
+class _Command(NamedTuple):
+    """As hil.cycle.record.COMMAND has it."""
+
+    kind: int
+    accepted: int
+    sequence: int
+    expires_ns: int
+
+
+def _evidence(record: np.void) -> list[_Evidence]:
+    kept = min(int(record["n_evidence"]), MAX_EVIDENCE)
+    found = []
+    for place in range(kept):
+        what = int(record["evidence_of"][place])
+        axis = what >> 16
+        measured = float(record["evidence_value"][place]), float(record["evidence_limit"][place])
+        found.append(_Evidence(what & 0xFFFF, NO_AXIS if axis == EVERY_AXIS else axis, *measured))
+    return found
+
+
+def _changes(column: NDArray[Any], before: int) -> NDArray[np.bool_]:
+    """Where a column differs from the tick before."""
+    changed = np.empty(len(column), bool)
+    changed[0] = int(column[0]) != before
+    np.not_equal(column[1:], column[:-1], out=changed[1:])
+    return changed
+
+
+def stream_of(rig: dict[str, Any], period_ns: int) -> EventStream:
+    """The stream for a rig as a run's description holds it (hil.rig.provenance.describe_run)."""
+    return EventStream([(name, str(axis["kind"])) for name, axis in rig["axes"].items()], period_ns)

@@ -1,0 +1,101 @@
+"""`hil events NAME|RUN`: what happened, of a running rig, of one that ran, or of a recording."""
+
+import json
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
+from hil.cycle.event import Event
+from hil.live.ring import RingError, RingReader
+from hil.live.ring_events import RingEvents
+from hil.live.runtime_paths import known_sidecars, runtime_paths
+from hil.operate.summary import load_run
+from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+from hil.telemetry.credentials import Credentials
+from hil.telemetry.event_codec import decode
+from hil.telemetry.recording import RecordingError
+
+ANSWER_S = 3.0
+POLL_S = 0.1
+
+
+def events(
+    what: Annotated[str, typer.Argument(metavar="NAME|RUN", help="name of a rig, a recording, or the folder of a run")],
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="of a rig: go on until Ctrl-C")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line")] = False,
+    connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
+    key: Annotated[str, typer.Option(help="[telemetry] key of the rig file")] = "hil",
+    credentials: Annotated[Path | None, typer.Option(help="directory, for an endpoint tls/...")] = None,
+) -> None:
+    """Every event, one line each: tick, time, axis, measured value, limit, cause, what to do next.
+
+    Of a rig on this machine whose sidecar does not answer, those its ring still holds. Exit status 69: nobody knows
+    that rig; 74: the recording cannot be read.
+    """
+    path = Path(what)
+    try:
+        if path.exists() or path.suffix == ".mcap":
+            show(of_recording(path), as_json=as_json)
+        else:
+            secret = Credentials(credentials) if credentials else None
+            with RigClient(connect or find_endpoint(what), key, what, secret) as client:
+                _of_rig(client, what, as_json=as_json, follow=follow, remote=connect is not None)
+    except RecordingError as error:
+        print(f"hil events: {error}", file=sys.stderr)
+        raise typer.Exit(EXIT_FILE) from None
+    except (NoSidecarError, RingError) as error:
+        print(f"hil events: {error}", file=sys.stderr)
+        raise typer.Exit(EXIT_UNAVAILABLE) from None
+    except KeyboardInterrupt:
+        pass
+
+
+def show(found: Iterable[Event], *, as_json: bool) -> None:
+    """To standard output, one line each."""
+    for event in found:
+        print(json.dumps(event.document) if as_json else event.line, flush=True)
+
+
+def of_recording(path: Path) -> list[Event]:
+    """Those a recording holds; of one that was made before there were any, those a replay tells. Raises
+    RecordingError.
+    """
+    path = path / "run.mcap" if path.is_dir() else path
+    if found := load_run(path).events:
+        return found
+    from hil.virtual.replay import replay_run
+
+    return replay_run(path).events
+
+
+def of_ring(name: str) -> list[Event]:
+    """Those the ring of a rig on this machine still holds, whether its control process lives or not. Raises
+    RingError.
+    """
+    paths = runtime_paths(name)
+    found: list[Event] = []
+    with RingReader(paths.ring) as reader:
+        told = RingEvents(reader, paths.notes, begin=None)
+        while len((batch := reader.read()).records):
+            found += told.tell(batch)
+    return [*found, *told.close()]
+
+
+def _of_rig(client: RigClient, name: str, *, as_json: bool, follow: bool, remote: bool) -> None:
+    try:
+        if not (remote or known_sidecars(name)):
+            raise NoSidecarError(f"no sidecar of {name} runs here")
+        show(map(decode, client.wait_events(ANSWER_S)), as_json=as_json)
+    except NoSidecarError:
+        if remote:
+            raise
+        show(of_ring(name), as_json=as_json)
+        print("hil events: no sidecar answers; these are the events that the ring still holds", file=sys.stderr)
+    while follow:
+        show(map(decode, client.events()), as_json=as_json)
+        time.sleep(POLL_S)
