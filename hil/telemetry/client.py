@@ -67,12 +67,8 @@ def decoded(payload: bytes) -> pb.Status | None:
     return printable(status) if fits else None
 
 
-def printable(status: pb.Status) -> pb.Status:
-    """The status without characters that would command a terminal (ESC and its like), its texts not endless."""
-
-
 def printable(status: M) -> M:
-    """The message without characters that would command a terminal (ESC and its like)."""
+    """The message without characters that would command a terminal (ESC and its like), its texts not endless."""
     for field, value in status.ListFields():
         if field.type == field.TYPE_STRING:
             if isinstance(value, str):
