@@ -4,10 +4,13 @@ Every key of the rig file is declared with `key`: default, meaning and unit in o
 schema for editors and `hil explain` are made from these declarations.
 """
 
+import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
+CHANNEL_RULE = "1 to 15 letters, digits, '_', '.' or '-', not '.' first"
 STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 REQUIRED = ...
 
@@ -62,6 +65,25 @@ class ConstantBinding(SignalBinding):
     value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
 
 
+class FrameBinding(BaseModel):
+    """A frame that says something by itself: a message without signals, or with one value in it."""
+
+    model_config = STRICT
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key("", "name of a signal in it; without: the message alone says it")
+    value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
+
+
+class PeriodBinding(BaseModel):
+    """How often a message is sent."""
+
+    model_config = STRICT
+    message: str = key(REQUIRED, "name of the message in the DBC file, or MESSAGE.SIGNAL of a multiplexed one")
+    period_s: float = key(
+        REQUIRED, "period in which it is sent, and at once when a value in it changes", "s", gt=0, le=1
+    )
+
+
 Signals = list[SignalBinding]
 
 
@@ -96,8 +118,14 @@ class DbcBinding(BaseModel):
     on_change: list[str] = key(
         [],
         "command messages that are sent when a value in them changes: at the start too, and before every enabling; one "
-        "with nothing but `reset` when a reset is asked for",
+        "with nothing but `reset` when a reset is asked for. MESSAGE.SIGNAL: that page of a multiplexed message",
     )
+    start: list[FrameBinding] = key(
+        [], "frames that enable by themselves; one for all drives, or one per axis; again while a drive says otherwise"
+    )
+    stop: list[FrameBinding] = key([], "frames that disable by themselves, likewise; also at the start")
+    periodic: list[PeriodBinding] = key([], "command messages and requests that are not sent every tick but so often")
+    remote: list[str] = key([], "feedback messages that drives send when they are asked by a remote frame: every tick")
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")
     checksum: Signals = key([], "checksums in the payload, besides CAN's own")
@@ -145,19 +173,64 @@ class Cia402Config(BaseModel):
     )
     write_rated_torque: bool = key(False, "write 6076h, which on many drives is a property of the motor")
     start: Literal["nmt", "autostart"] = key("nmt", "autostart: the drives go to operational by themselves")
+    stop_options: Literal["release", "keep"] = key(
+        "release",
+        "release: disabled, in fault, or without its host a drive lets go at once (1029h, 6007h, 605Bh, 605Ch, 605Eh "
+        "are written where they exist and `write` states none); keep: as the drive has them",
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
+
+
+MoteusNumber = Annotated[int, Field(ge=1, le=127)]
+
+
+class MoteusConfig(BaseModel):
+    """[bus.moteus]: moteus controllers. Lists are in the order of [axes].
+
+    A count is 1/100 000 of a turn of the output shaft, a torque is N m there: axes.NAME.gear and encoder_resolution
+    follow from the travel of a turn.
+    """
+
+    model_config = STRICT
+    nodes: list[MoteusNumber] = key([], "number (id.id) of each axis' controller", "1", derived="1, 2, ...")
+    position: Literal["int16", "int32", "float"] = key(
+        "int32", "type in which positions are asked for: int16 tells 3.2 turns in steps of 1/10 000 turn"
+    )
+    torque: Literal["int16", "int32", "float"] = key(
+        "float", "type in which torques are sent: int16 in steps of 0.01 N m, int32 of 0.001 N m"
+    )
+    watchdog_s: float = key(
+        0.01,
+        "watchdog timeout in every command, after which a drive goes to servo.timeout_mode; as drives.watchdog_s",
+        "s",
+        gt=0,
+        le=1,
+    )
+
+
+KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emulated drives run on
+
+
+Option = bool | int | float | str
 
 
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
     model_config = STRICT
-    interface: Literal["auto", "socketcan", "local"] = key(
-        "auto", "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is"
+    interface: Annotated[str, Field(pattern=r"^[a-z0-9_-]{2,30}$")] = key(
+        "auto",
+        "socketcan: a CAN interface of the kernel; local: the emulated bus of this machine; auto: what there is; any "
+        "other of python-can's (pcan, kvaser, slcan, ...): for `hil bus`, `hil drives` and `hil bench bus` alone",
     )
-    channel: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,15}$")] = key("can0", "name of the CAN interface")
-    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|dbc:.+)$")] = key(
-        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, or dbc:FILE with FILE beside the rig file"
+    channel: Annotated[str, Field(pattern=r"^[!-~]{1,100}$")] = key(
+        "can0", f"name of the CAN interface: {CHANNEL_RULE}; or what the adapter calls it"
+    )
+    options: dict[str, Option] = key(
+        {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
+    )
+    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|moteus|dbc:.+)$")] = key(
+        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, moteus, or dbc:FILE with FILE beside the rig file"
     )
     bitrate: int = key(1_000_000, "nominal bit rate", "bit/s", ge=10_000, le=1_000_000)
     data_bitrate: int = key(5_000_000, "bit rate of the data phase of CAN FD", "bit/s", ge=10_000, le=8_000_000)
@@ -167,7 +240,20 @@ class BusConfig(BaseModel):
     feedback_id: int = key(0x100, "stage layouts: axis i (from 0) answers on feedback_id + i", "1", ge=0, le=0x7F0)
     node_id: int = key(1, "cia402: CANopen node of the first axis; the others follow", "1", ge=1, le=120)
     dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
+    moteus: MoteusConfig | None = key(None, "moteus: the controllers, where they are not as the defaults say")
     cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
+
+    @model_validator(mode="after")
+    def _every_key_acts(self) -> "BusConfig":
+        for table, layout in (("dbc", "dbc:FILE"), ("cia402", "cia402"), ("moteus", "moteus")):
+            if getattr(self, table) is not None and self.protocol.partition(":")[0] != table:
+                raise ValueError(f"{table}: a table of protocol = {layout!r}, not of {self.protocol!r}")
+        if self.interface in KERNEL_INTERFACES:
+            if not re.fullmatch(CHANNEL_NAME, self.channel):
+                raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")
+            if self.options:
+                raise ValueError(f"options: none are taken with interface = {self.interface!r}")
+        return self
 
 
 class WireConfig(BaseModel):

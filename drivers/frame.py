@@ -21,7 +21,7 @@ class Frame(NamedTuple):
     """A frame as it was received or is to be sent.
 
     can_id: 11- or 29-bit identifier, with EXTENDED, REMOTE and ERROR as Linux sets them.
-    data: 0 to 8 bytes, or one of FD_LENGTHS for an FD frame.
+    data: 0 to 8 bytes, or one of FD_LENGTHS for an FD frame. Of a remote frame only their number means something.
     flags: BRS, ESI, FD, ECHO.
     timestamp_ns: reception time on the receiver's monotonic (or virtual) clock; 0 for a frame not yet sent.
     """

@@ -3,6 +3,8 @@
 Whoever can write there can move the stage, so the directory belongs to one user and nobody else may enter it.
 """
 
+import contextlib
+import errno
 import os
 import signal
 import stat
@@ -10,6 +12,7 @@ from pathlib import Path
 
 from drivers.runtime_path import runtime_path, trusted_owner
 
+LARGEST = 2**20  # bytes of what one process leaves for others to read
 _OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
@@ -62,14 +65,46 @@ def stop_signals() -> tuple[signal.Signals, ...]:
     return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
+def create_private(path: Path) -> int:
+    """An open new file (read and write) that its owner alone can read, in place of one that was left there."""
+    with contextlib.suppress(FileNotFoundError):  # of a process that had the same number and was killed
+        path.unlink()
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+
+
+def open_private(path: str | os.PathLike[str], flags: int) -> int:
+    """An open file of a runtime directory: no link, pipe or device, and of nobody but this user, the directory's or
+    root.
+
+    flags: of open(2); with O_CREAT it is made where missing. Raises OSError that names it.
+    """
+    fd = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    try:
+        found, directory = os.fstat(fd), os.stat(os.path.dirname(os.path.abspath(path)))
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "is not a file", str(path))
+        if found.st_uid not in (os.geteuid(), directory.st_uid, 0):
+            raise OSError(errno.EPERM, f"belongs to user {found.st_uid}", str(path))
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def read_private(path: str | os.PathLike[str]) -> bytes:
+    """What such a file holds, up to LARGEST bytes. Raises OSError."""
+    with os.fdopen(open_private(path, os.O_RDONLY), "rb") as file:
+        return file.read(LARGEST)
+
+
 def write_private(path: Path, text: str) -> None:
     """Write a file that its owner alone can read; readers see the old text or the new, nothing in between."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
     try:
-        with os.fdopen(fd, "w", encoding="utf-8") as file:
+        with os.fdopen(create_private(temporary), "w", encoding="utf-8") as file:
             file.write(text)
         os.replace(temporary, path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
         raise OSError(error.errno, error.strerror, str(path)) from None

@@ -31,10 +31,9 @@ def named_directory() -> str:
 def trusted_owner(path: str, owner: int) -> bool:
     """Whether a directory of that user may be this user's runtime directory.
 
-    Root may use another user's where the environment names it or a service made it: it is how an administrator looks at
-    a service. A directory found under a name that anybody can take in /dev/shm or /tmp must be one's own, root's too.
+    It must be one's own, root's too: whose directory it is decides what is found in it. Root may look at the service's,
+    whose name in /run nobody else can take.
     """
     if owner == os.geteuid():
         return True
-    chosen = bool(named_directory()) or os.path.commonpath([path, _SERVICE_DIRECTORY]) == _SERVICE_DIRECTORY
-    return os.geteuid() == 0 and chosen
+    return os.geteuid() == 0 and os.path.commonpath([path, _SERVICE_DIRECTORY]) == _SERVICE_DIRECTORY

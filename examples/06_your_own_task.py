@@ -20,3 +20,8 @@ try:
     hil.load_rig("paper", task)
 except hil.RigError as error:
     print(f"as it should be: {error}")
+
+# Or a program that makes the path, run once when the rig is loaded: here a rose of five petals.
+program = Path(__file__).parent / "tasks" / "rose.py"
+rose = [f"task.kind={program}:Rose", "task.axes=['x', 'y']", "task.parameters.petals=5"]
+print(f"{hil.simulate('paper', 6.0, overrides=rose).summary()['axes']['y']['max_error'] * 1e6:.2f} um at most")

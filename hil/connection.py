@@ -1,8 +1,10 @@
 """A running rig in Python: `hil.connect`. What is said and asked goes through its sidecar, as in `hil monitor`."""
 
 import contextlib
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +12,12 @@ from numpy.typing import NDArray
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
+from hil.cycle.task_loading import task_document
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
 from hil.operate.command import at_hand
+from hil.rig.file import build_rig, task_of_file
 from hil.runs import Event
-from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.command_client import NoGatewayError, Verdict
@@ -44,16 +47,17 @@ class LiveRig(Closing):
     def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[dict[str, NDArray[Any]]]:
         """Every tick from now on, in batches of columns as hil.Run.columns has them: (ticks,) or (ticks, n_axes).
 
-        Without end. A reader that is too slow loses the oldest batches, and column `index` then has a gap. Raises
-        NoSidecarError where none comes for that long.
+        Rounded as docs/recording.md says; scheduled_ns and now_ns count from the control process's slot 0. Without end.
+        A reader that is too slow loses the oldest ticks, and column `index` then has a gap. Raises NoSidecarError where
+        none comes for that long.
         """
         while True:
-            yield codec.columns(self._client.wait_telemetry(timeout_s))
+            yield self._client.wait_ticks(timeout_s)
 
     def events(self, timeout_s: float = FIRST_S) -> Iterator[Event]:
         """Every change of the state and of the latched fault from now on; the first is the state as it is.
 
-        time: s, on the clock of the rig's machine. Without end. Raises NoSidecarError as `telemetry`.
+        time: s, since the control process's slot 0. Without end. Raises NoSidecarError as `telemetry`.
         """
         last: dict[str, int] = {"fault": int(Fault.NONE)}
         for columns in self.telemetry(timeout_s):
@@ -69,16 +73,34 @@ class LiveRig(Closing):
         raise TimeoutError(f"{self.name} is {status.state}, fault {status.fault}, not {state}, after {timeout_s:g} s")
 
     def command(self, action: str) -> Verdict:
-        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict.
+        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict. Another task
+        goes by `load_task`.
 
         accepted: whether it did; reason: why not; state: after it. Raises ValueError for another word, NoGatewayError
         where nobody takes it; `hil estop` then still stops the rig.
         """
-        kinds = {kind.name.lower(): kind for kind in CommandKind}
+        kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.LOAD_TASK}
         if action not in kinds:
             raise ValueError(f"{action!r}: the commands are {', '.join(kinds)}")
         with at_hand(self.name) as client:
             return client.command(kinds[action])
+
+    def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
+        """Load another task while the rig is at rest (READY): a CSV or NPZ file with a path, a TOML file with a table
+        [task], or such a table; overrides: task.key=value. It is checked from where the stage stands, and lasts until
+        the control process ends.
+
+        Raises RigError for what is no task of this rig, NoGatewayError as `command`.
+        """
+        with at_hand(self.name) as client:
+            rig = client.rig()
+        if isinstance(task, dict):
+            chosen = build_rig({**rig.model_dump(mode="json"), "task": task}, overrides).task
+        else:
+            chosen = task_of_file(rig, Path(task), overrides)
+        document = task_document(chosen)
+        with at_hand(self.name) as client:  # only now: who says nothing for long loses the connection
+            return client.load_task(document)
 
     def close(self) -> None:
         """Leave; the rig goes on."""

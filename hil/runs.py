@@ -314,12 +314,18 @@ class Simulation(Run):
 class Recording(Run):
     """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
 
+    exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
+    the cycle is run again, as `hil replay` does; where ticks are missing, or this version comes to other frames, the
+    rounded values stay.
+
     Raises RecordingError where the file is none.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         data = read_run(Path(path))
-        super().__init__(data.rig, data.columns)
+        motion = None if "stamp_ns" in data.columns else replays.exact_motion(Path(path))  # older ones hold all bits
+        self.exact = motion is not None or "stamp_ns" in data.columns
+        super().__init__(data.rig, data.columns | (motion or {}))
         self.path, self.metadata = Path(path), data.metadata
         self.truncated, self.lost = data.truncated, data.lost
 

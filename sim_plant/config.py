@@ -1,10 +1,11 @@
 """The part of a rig file that describes the emulated stage: [plant]. The true plant, not the nominal model."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
+from drivers.plugins import Kind, known, unknown
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
 Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
@@ -20,6 +21,17 @@ NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 Position = Annotated[float, Field(ge=-1e3, le=1e3)]
 Resolution = Annotated[float, Field(ge=1e-15, le=1e3)]
 PerAxis = float | list[float]  # one number for all axes, or one per axis
+
+
+# Kinds of stage, and where the values of ours are made. A user's is a class like sim_plant.user_stage.Plant.
+STAGES: dict[str, str] = {
+    "ideal": "sim_plant.stages:ideal",
+    "air-bearing": "sim_plant.stages:air_bearing",
+    "crossed-roller": "sim_plant.stages:crossed_roller",
+    "ball-screw": "sim_plant.stages:ball_screw",
+    "flexure": "sim_plant.stages:flexure",
+}
+STAGE_KIND = Kind("stage", "stages", "plant", "stage", "hil.stages", STAGES, ("begin", "advance"))
 
 
 class PlantError(ArithmeticError):
@@ -79,8 +91,9 @@ ObjectPlace = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2}
 Turn = Annotated[float, Field(ge=-1e3, le=1e3)]
 Interval = Annotated[float, Field(ge=0, le=10)]  # s
 _OF_KIND = {
-    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits"},
+    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits", "answers"},
     "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
+    "moteus": {"nodes", "turn", "enable_delay_s"},
     "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
 }
 
@@ -92,20 +105,27 @@ class EmulatedDriveConfig(BaseModel):
     """
 
     model_config = STRICT
-    kind: Literal["cia402", "odrive", "vesc"] = key(REQUIRED, "what they are")
-    nodes: list[NodeNumber] = key([], "odrive, vesc: their numbers", "1", derived="0, 1, ...")
+    kind: Literal["cia402", "moteus", "odrive", "vesc"] = key(REQUIRED, "what they are")
+    nodes: list[NodeNumber] = key(
+        [], "moteus, odrive, vesc: their numbers", "1", derived="0, 1, ...; moteus: 1, 2, ..."
+    )
     turn: list[Turn] = key(
-        [], "odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round", "m (rad)"
+        [],
+        "moteus, odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round",
+        "m (rad)",
     )
     feedback_s: float = key(0.001, "odrive, vesc: period in which they send their position", "s", ge=1e-4, le=1)
     heartbeat_s: float = key(0.02, "odrive, vesc: period in which they send their state", "s", ge=1e-3, le=1)
     torque_constant: Positive = key(0.05, "vesc: torque of the motor per ampere", "N m/A")
     pole_pairs: int = key(7, "vesc: electrical per mechanical revolutions", "1", ge=1, le=100)
-    enable_delay_s: Interval = key(0.0, "cia402, odrive: from the command to torque", "s")
+    enable_delay_s: Interval = key(0.0, "cia402, moteus, odrive: from the command to torque", "s")
     missing: list[ObjectPlace] = key([], 'cia402: objects of the EDS that the drive has not, as "1029h:01"')
     aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
     answer_delay_s: Interval = key(0.0, "cia402: delay of its SDO answers", "s")
     dummy_mapping: bool = key(True, "cia402: RPDOs may map dummy objects, where the EDS says so")
+    answers: Literal["expedited", "unsized", "segmented"] = key(
+        "expedited", "cia402: how it answers SDO reads of numbers; unsized: expedited, without telling the size"
+    )
     status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)
 
     @model_validator(mode="after")
@@ -169,9 +189,14 @@ class PlantConfig(BaseModel):
     brake_force: Positive | list[Positive] = key(100.0, "force the brakes of [drives] hold", "N (N m)")
     seed: int = key(1, "of the noise in force and encoders", "1", ge=0, lt=2**32)
 
-    stage: Literal["ideal", "air-bearing", "crossed-roller", "ball-screw", "flexure"] = key(
-        "ideal", "kind of stage: values for the keys below that are not stated (sim_plant/stages.py); ideal: none"
+    stage: str = key(
+        "ideal",
+        f"kind of stage: {', '.join(STAGES)}: values for the keys below that are not stated (sim_plant/stages.py), "
+        "ideal: none; or a stage of your own in place of our physics: its registered name, package.module:Class, or "
+        "./file.py:Class beside the rig file",
     )
+    parameters: dict[str, Any] = key({}, "of a stage of your own: what its class takes")
+    source: str = key("", "text of such a stage's file; filled in when the rig is loaded")
     presliding: Distance | list[Distance] = key(
         0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
     )
@@ -205,6 +230,13 @@ class PlantConfig(BaseModel):
     )
     encoder_period: Positive | list[Positive] = key(20e-6, "signal period of the encoder", "m (rad)")
     encoder_latency: Latency | list[Latency] = key(0.0, "by which a sample is older than its time stamp says", "s")
+
+    @field_validator("stage")
+    @classmethod
+    def _known_stage(cls, name: str) -> str:
+        if not known(STAGE_KIND, name):
+            raise ValueError(unknown(STAGE_KIND, name))
+        return name
 
     @model_validator(mode="after")
     def _counted_per_axis(self) -> "PlantConfig":

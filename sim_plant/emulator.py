@@ -18,9 +18,10 @@ from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from sim_plant.config import PlantConfig, PlantError
-from sim_plant.drives.installed import DriveNode, installed_drives, installed_mountings
+from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
-from sim_plant.physics.stage import Stage, Truth, per_axis_array
+from sim_plant.physics.stage import Truth, per_axis_array
+from sim_plant.user_stage import stage_of
 
 Array = NDArray[np.float64]
 FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
@@ -37,11 +38,6 @@ class AllBut:
 
     def __contains__(self, can_id: object) -> bool:
         return can_id not in self._ids
-
-
-def _nothing_more(_sample: Sample) -> list[Frame]:
-    """Layouts that carry the state of a drive beside its position send no further frames."""
-    return []
 
 
 class EmulatedStage:
@@ -81,11 +77,12 @@ class EmulatedStage:
         self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
         self.frame_taps: list[FrameTap] = []
-        nodes = bus.protocol == "cia402" or plant.drive is not None
+        nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
-        self._encode_status = getattr(self._protocol, "encode_status", _nothing_more)
-        self._stage = Stage(
+        self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
+        self._stage = stage_of(
+            plant,
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
@@ -308,13 +305,13 @@ class EmulatedStage:
         positions = self._stage.readings()
         if self._mountings:
             positions = [self._position_at_drive(axis) for axis in range(len(self.drives))]
-        encode = self._protocol.encode_feedback
+        frames_of = self._frames_of
         sequence, forces, enable, reset = command
         answers: list[Frame] = []
         for axis, drive in enumerate(self.drives):
             if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
                 sample = drive.sample(positions[axis], now_ns)
-                answers += self._from_axis(axis, (encode(sample), *self._encode_status(sample)))
+                answers += self._from_axis(axis, frames_of(sample))
                 self.commands += axis == 0
         self._update()
         return answers
@@ -323,14 +320,23 @@ class EmulatedStage:
         answers = self.advance(frame.timestamp_ns)
         self._run_physics()
         heard = frame._replace(timestamp_ns=self.now_ns)
-        obeyed_ns, sampled_ns = self.drives[0].last_command_ns, self._nodes[0].sampled_ns
+        obeyed_ns, sampled_ns = self.drives[0].last_command_ns, [node.sampled_ns for node in self._nodes]
         for node in self._nodes:
             answers += self._from_axis(node.servo.axis, node.on_frame(heard))
         self.commands += self.drives[0].last_command_ns != obeyed_ns
-        if self._nodes[0].sampled_ns != sampled_ns:  # also at a SYNC whose torques were lost
-            self._note_sampling()
+        # Also at a SYNC whose torques were lost
+        sampling = [
+            node.servo.axis for node, before in zip(self._nodes, sampled_ns, strict=True) if node.sampled_ns != before
+        ]
+        if sampling:
+            self._note_sampling_of(sampling)
         self._update()
         return answers
+
+    def _feedback_alone(self, sample: Sample) -> list[Frame]:
+        """Of layouts that carry the state of a drive beside its position."""
+        assert self._protocol is not None
+        return [self._protocol.encode_feedback(sample)]
 
     def _note_sampling(self) -> None:
         self.sampled = self._stage.positions, self._stage.velocities

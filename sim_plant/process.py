@@ -21,7 +21,7 @@ from typing import Any
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from drivers.protocols.base import DriveStatus
-from drivers.runtime import stop_signals
+from drivers.runtime import stop_signals, write_private
 from sim_plant.emulator import EmulatedStage
 
 PRIORITY = 20  # SCHED_FIFO, below every control process: a drive is never late because a desktop redraws
@@ -189,9 +189,9 @@ class Emulator:
     def _write_status(self, *, running: bool) -> None:
         if self._status_path is None:
             return
-        draft = self._status_path.with_suffix(".new")
+        # Without an indent: with one, json builds functions that refer to each other, which are garbage that only the
+        # collector would find, and there is none here.
         try:
-            draft.write_text(json.dumps(self.status(running=running), indent=1), encoding="utf-8")
-            draft.replace(self._status_path)  # a reader sees the old one or the new one, never half of it
+            write_private(self._status_path, json.dumps(self.status(running=running)))
         except OSError as error:  # no room, or its directory is gone: the stage goes on for whoever drives it
             self.status_error = f"{self._status_path}: {error.strerror}"

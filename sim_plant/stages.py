@@ -23,7 +23,8 @@ they hold for a rotary axis too (rad for m). Where the values come from:
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sim_plant.config import ModeConfig, PlantConfig, VibrationConfig
+from drivers import plugins
+from sim_plant.config import STAGES, ModeConfig, PlantConfig, VibrationConfig
 
 VC_C = VibrationConfig(acceleration=2.8e-3, frequency_hz=25.0)  # sqrt(2) 2 pi 25 Hz 12.5 um/s
 Scaled = Callable[[float], list[float]]
@@ -43,7 +44,8 @@ def _common(of_mass: Scaled) -> dict[str, Any]:
     }
 
 
-def _air_bearing(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+def air_bearing(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+    """An air bearing."""
     return _common(of_mass) | {
         "friction_scale": 0.0,
         "modes": [ModeConfig(frequency_hz=300.0, damping=0.02, load=0.2)],
@@ -53,7 +55,8 @@ def _air_bearing(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
     }
 
 
-def _crossed_roller(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+def crossed_roller(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+    """Crossed-roller guides."""
     return _common(of_mass) | {
         "presliding": 10e-6,
         "presliding_damping": 0.2,
@@ -67,8 +70,9 @@ def _crossed_roller(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
     }
 
 
-def _ball_screw(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
-    return _crossed_roller(of_mass, of_friction) | {
+def ball_screw(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+    """A ball screw on crossed-roller guides."""
+    return crossed_roller(of_mass, of_friction) | {
         "presliding": 30e-6,
         "friction_variation": 0.2,
         "friction_period": 5e-3,
@@ -79,7 +83,8 @@ def _ball_screw(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
     }
 
 
-def _flexure(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+def flexure(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+    """A flexure."""
     return _common(of_mass) | {
         "friction_scale": 0.0,
         "cable_stiffness": of_mass(24.7e3),  # (2 pi 25 Hz)^2
@@ -88,23 +93,20 @@ def _flexure(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
     }
 
 
-STAGES: dict[str, Callable[[Scaled, Scaled], dict[str, Any]]] = {
-    "air-bearing": _air_bearing,
-    "crossed-roller": _crossed_roller,
-    "ball-screw": _ball_screw,
-    "flexure": _flexure,
-}
+def ideal(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
+    """Nothing but what is stated."""
+    return {}
 
 
 def staged(plant: PlantConfig) -> PlantConfig:
     """The plant with the values of its kind of stage wherever it states none."""
-    if plant.stage not in STAGES:
+    if plant.stage not in STAGES or plant.stage == "ideal":
         return plant
 
     def scaled(values: Sequence[float]) -> Scaled:
         return lambda factor: [factor * value for value in values]
 
-    values = STAGES[plant.stage](scaled(plant.mass), scaled(plant.coulomb))
+    values = plugins.load(STAGES[plant.stage])(scaled(plant.mass), scaled(plant.coulomb))
     return plant.model_copy(
         update={name: value for name, value in values.items() if name not in plant.model_fields_set}
     )

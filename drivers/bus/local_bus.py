@@ -157,7 +157,7 @@ def to_message(frame: Frame, timestamp: float, channel: Channel | None = None, *
         is_error_frame=bool(can_id & ERROR),
         channel=channel,
         dlc=len(data),
-        data=data,
+        data=b"" if can_id & REMOTE else data,
         is_fd=bool(flags & FD),
         is_rx=is_rx,
         bitrate_switch=bool(flags & BRS),
@@ -174,7 +174,9 @@ def from_message(message: can.Message) -> Frame:
     flags = 0
     if message.is_fd:
         flags = FD | (BRS if message.bitrate_switch else 0) | (ESI if message.error_state_indicator else 0)
-    return Frame(can_id, bytes(message.data), flags)
+    # A remote frame has a length and no data; in Linux' terms it is as long as the answer it asks for.
+    data = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
+    return Frame(can_id, data, flags)
 
 
 def _stamp(control: list[tuple[int, int, bytes]]) -> float:

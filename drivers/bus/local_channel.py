@@ -10,12 +10,14 @@ import errno
 import fcntl
 import mmap
 import os
+import re
 import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from drivers.runtime import make_private, runtime_dir
+from drivers.config import CHANNEL_NAME, CHANNEL_RULE
+from drivers.runtime import make_private, open_private, runtime_dir
 
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; a process that holds the lock for longer has been stopped
 COUNT_BYTES = 8
@@ -26,7 +28,9 @@ _PATH_LIMIT = 107  # sun_path without its terminator, <sys/un.h>
 
 
 def channel_dir(channel: str) -> Path:
-    """The directory of a channel, made when missing."""
+    """The directory of a channel, made when missing. Raises ValueError for a name that no channel has."""
+    if not re.fullmatch(CHANNEL_NAME, channel):
+        raise ValueError(f"channel {channel!a}: {CHANNEL_RULE}")
     directory = runtime_dir() / "bus" / channel
     make_private(directory.parent)
     make_private(directory)
@@ -50,7 +54,7 @@ def packet_socket() -> socket.socket:
 def locked(directory: Path) -> Iterator[int]:
     """Hold the channel's lock; raises TimeoutError when another process keeps it. It ends with its holder."""
     deadline = time.monotonic() + JOIN_TIMEOUT_S
-    fd = os.open(directory / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    fd = open_private(directory / "lock", os.O_RDWR | os.O_CREAT)
     try:
         while True:
             try:

@@ -28,7 +28,7 @@ from drivers.bus.local_medium import LocalMedium
 from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
-from drivers.config import BusConfig
+from drivers.config import KERNEL_INTERFACES, BusConfig
 from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, to_bytes
 from drivers.runtime import RuntimeDirectoryError
 
@@ -321,8 +321,10 @@ def _wall_offset() -> int:
     return wall_ns - after_ns
 
 
-def resolve_interface(bus: BusConfig) -> Literal["socketcan", "local"]:
-    """Which kind of bus `bus` means on this machine: "auto" is SocketCAN where the named CAN interface exists."""
+def resolve_interface(bus: BusConfig) -> str:
+    """Which kind of bus `bus` means on this machine: "auto" is SocketCAN where the named CAN interface exists. Others
+    than socketcan and local are python-can's (any_bus.py).
+    """
     if bus.interface == "auto":
         return "socketcan" if is_can_interface(bus.channel) else "local"
     return bus.interface
@@ -346,6 +348,12 @@ def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = Non
         return SocketCanMedium(bus.channel, fd=fd, transmit_queue=bus.transmit_queue, echo=echo)
 
     kind = resolve_interface(bus)
+    if kind not in KERNEL_INTERFACES:
+        raise PortError(
+            f"bus.interface = '{kind}': the control loop and emulated drives run on SocketCAN or the local bus alone; "
+            "use the adapter's kernel driver (hil doctor knows the commands). hil bus, hil drives and hil bench bus "
+            "take any interface of python-can"
+        )
     try:
         if kind == "socketcan":
             _require_fd(bus.channel, fd)

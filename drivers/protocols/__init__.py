@@ -46,6 +46,10 @@ def host_protocol(
             from drivers.protocols.canopen.host import Cia402Host
 
             return Cia402Host(bus, n_axes, rated_force, period_ns, base_dir)
+        case "moteus":
+            from drivers.protocols.moteus import MoteusHost
+
+            return MoteusHost(bus, n_axes, rated_force, period_ns)
         case name if name.startswith("dbc:"):
             from drivers.protocols.dbc import DbcHost
 
@@ -73,8 +77,12 @@ def device_protocol(
             from drivers.protocols.canopen.listener import Cia402Listener
 
             return Cia402Listener(bus, n_axes, rated_force, base_dir)
+        case "moteus":
+            from drivers.protocols.moteus import MoteusListener
+
+            return MoteusListener(bus, n_axes, rated_force)
         case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc import DbcDevice
+            from drivers.protocols.dbc_device import DbcDevice
 
             return DbcDevice(bus, n_axes, rated_force, base_dir)
     raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")

@@ -103,6 +103,7 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     checksum: bool  # its frames carry one besides CAN's own
+    states: bool  # drives say whether they are enabled or in fault
     causes: bool  # every answer says what is wrong with its drive, not only that something is
     fd: bool
     positions: Sequence[tuple[float, float]]  # by axis, the least and greatest count that a sample can carry
@@ -116,8 +117,10 @@ class HostProtocol(Protocol):
     def problems(self) -> Sequence[str]:
         """Why drives were refused, for people; empty where all is well."""
 
-    def decode(self, frame: Frame) -> Sample | Reject:
-        """Value of one received frame. Never raises, whatever the bytes."""
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
+        """Value of one received frame; several samples where it carries those of several axes. Never raises, whatever
+        the bytes.
+        """
 
     def encode(self, command: Command) -> list[Frame]:
         """Frames of one tick, in sending order; the one that triggers sampling is the last of the cyclic ones."""

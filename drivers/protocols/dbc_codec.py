@@ -20,7 +20,8 @@ from drivers.protocols.base import LayoutError
 from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import short
 
-LARGEST = 2**18  # bytes of a DBC file; cantools takes a second for them
+LARGEST = 2**18  # bytes of a DBC file that is parsed; cantools takes a second for them
+LARGEST_FILE = 2**23  # of one whose bound messages alone are
 # What cantools would work on for minutes: frames, signals and multiplexer ranges beyond any that a CAN bus has.
 _STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
 _SIZES = (
@@ -47,13 +48,29 @@ class Codec(NamedTuple):
 
 
 def load_dbc(path: Path) -> Database:
-    """Read a DBC file of at most LARGEST bytes; messages that nobody binds may be inconsistent. Raises LayoutError."""
+    """Read a whole DBC file of at most LARGEST bytes; single messages may be inconsistent. Raises LayoutError."""
+    return parse_dbc(read_dbc(path), path)
+
+
+def read_dbc(path: Path) -> str:
+    """The text of a DBC file, of at most LARGEST_FILE bytes. Raises LayoutError."""
     try:
-        text = read_bounded(path, LARGEST).decode("cp1252")  # the encoding of DBC files, as in cantools
-        _refuse_sizes(text)
-        database = cantools.database.load_string(text, database_format="dbc", strict=False)
+        data = read_bounded(path, LARGEST_FILE)
     except OSError as error:
         raise LayoutError(f"{path}: {error.strerror or error}") from None
+    except UnsuitableFileError as error:
+        raise LayoutError(f"{path}: not a usable DBC file: {error}") from None
+    # cp1252 is the encoding of DBC files, as in cantools; names and numbers are ASCII whatever its comments are in
+    return data.removeprefix(b"\xef\xbb\xbf").decode("cp1252", errors="replace")
+
+
+def parse_dbc(text: str, path: Path) -> Database:
+    """The database in the text of a DBC file; path: where it is from. Raises LayoutError."""
+    try:
+        if len(text) > LARGEST:
+            raise UnsuitableFileError(f"longer than {LARGEST} bytes")
+        _refuse_sizes(text)
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except UnsuitableFileError as error:
         raise LayoutError(f"{path}: not a usable DBC file: {error}") from None
     except (CantoolsError, UnsupportedDatabaseFormatError, *_OF_DAMAGED_TEXT) as error:
@@ -72,19 +89,27 @@ def _refuse_sizes(text: str) -> None:
 
 
 def compile_codec(message: Message, expected: Sequence[str] | None = None) -> Codec:
-    """Codec of a message without multiplexing.
+    """Codec of all signals of a message that is not multiplexed.
 
     expected: the names the caller's code counts on; LayoutError where the DBC has others or has them in another order.
     """
-    signals = sorted(message.signals, key=lambda signal: _top_bit(signal))
+    codec = compile_signals(message.signals, message.length)
+    if expected is not None and codec.names != tuple(expected):
+        raise LayoutError(f"message {message.name}: signals {', '.join(codec.names)}; expected {', '.join(expected)}")
+    return codec
+
+
+def compile_signals(signals: Sequence[Signal], length: int) -> Codec:
+    """Codec of signals that do not overlap, in a payload of so many bytes."""
+    signals = sorted(signals, key=lambda signal: _top_bit(signal))
     names = tuple(str(signal.name) for signal in signals)
-    if expected is not None and names != tuple(expected):
-        raise LayoutError(f"message {message.name}: signals {', '.join(names)}; expected {', '.join(expected)}")
-    layout = _struct_format(signals, message.length)
+    if not signals:
+        return Codec((), length, lambda data: (), lambda: bytes(length))
+    layout = _struct_format(signals, length)
     if layout is not None:
-        return Codec(names, message.length, layout.unpack, layout.pack)
-    unpack, pack = _compile_bits(signals, message.length)
-    return Codec(names, message.length, unpack, pack)
+        return Codec(names, length, layout.unpack, layout.pack)
+    unpack, pack = _compile_bits(signals, length)
+    return Codec(names, length, unpack, pack)
 
 
 def _is_little(signal: Signal) -> bool:

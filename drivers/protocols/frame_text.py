@@ -33,11 +33,12 @@ def layout_reader(
 ) -> Reader:
     """For the layout of a rig. axes: their names; rated_force: N or N m of each. Raises LayoutError."""
     from drivers.protocols import device_protocol, host_protocol
-    from drivers.protocols.dbc_codec import load_dbc
+    from drivers.protocols.dbc_binding import bound_names
+    from drivers.protocols.dbc_file import load_used
     from drivers.protocols.dbc_layout import PREFIX
 
-    if bus.protocol.startswith(PREFIX):
-        return dbc_reader(load_dbc(base_dir / bus.protocol.removeprefix(PREFIX)))
+    if bus.protocol.startswith(PREFIX) and bus.dbc:
+        return dbc_reader(load_used(base_dir / bus.protocol.removeprefix(PREFIX), bound_names(bus.dbc))[0])
     host = host_protocol(bus, len(axes), rated_force, base_dir, mountings=mountings)
     device: DeviceProtocol | None = None
     with contextlib.suppress(LayoutError):  # torques whose unit only the drive knows

@@ -61,7 +61,7 @@ class MountedHost:
         self._mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
-        self.causes, self.state_ns = layout.causes, layout.state_ns
+        self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
         self.positions: Sequence[tuple[float, float]] = [
             (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))
@@ -73,12 +73,14 @@ class MountedHost:
         """Why drives were refused, for people."""
         return self.layout.problems
 
-    def decode(self, frame: Frame) -> Sample | Reject:
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
         """As the layout's, with the axis' position."""
-        sample = self.layout.decode(frame)
-        if isinstance(sample, Sample):
+        outcome = self.layout.decode(frame)
+        if isinstance(outcome, Reject):
+            return outcome
+        for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
             sample.position = self._mountings[sample.axis].count_at_axis(sample.position)
-        return sample
+        return outcome
 
     def encode(self, command: Command) -> list[Frame]:
         """As the layout's, of what the drives have to make."""

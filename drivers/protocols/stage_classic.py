@@ -44,6 +44,7 @@ class _Layout:
 
     name = "stage_classic"
     checksum = True
+    states = True
     causes = True
     problems: Sequence[str] = ()
     fd = False

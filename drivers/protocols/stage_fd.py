@@ -46,6 +46,7 @@ class _Layout:
 
     name = "stage_fd"
     checksum = True
+    states = True
     causes = True
     problems: Sequence[str] = ()
     fd = True

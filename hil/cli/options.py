@@ -27,6 +27,9 @@ RigFile = Annotated[
         help="rig file (TOML), or the name of a shipped one, such as microscope",
     ),
 ]
+Scheduler = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="of a dask.distributed cluster that does the work, tcp://host:8786")
+]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a key of the rig file: key.path=value")
 ]

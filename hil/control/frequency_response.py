@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.text_file import UnsuitableFileError, read_bounded
+from drivers.toml_file import short
 from hil.control.flexible_plant import FlexiblePlant
 from hil.control.laws.base import Array
 from hil.control.loop_corners import Corner, CornerFinding
@@ -58,9 +59,11 @@ def read_response(path: Path) -> tuple[Array, Complex]:
     """
     try:
         text = read_bounded(path, LARGEST_FILE).decode()
-    except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
+        rows = list(csv.reader(text.splitlines()))
+    except OSError as error:
+        raise RigError([f"{path}: {error.strerror or error}"]) from None
+    except (UnicodeDecodeError, UnsuitableFileError, csv.Error) as error:
         raise RigError([f"{path}: {error}"]) from None
-    rows = list(csv.reader(text.splitlines()))
     if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
         raise RigError([f"{path}: the first line has to be {','.join(COLUMNS)}"])
     values: list[tuple[float, float, float]] = []
@@ -68,7 +71,7 @@ def read_response(path: Path) -> tuple[Array, Complex]:
         try:
             frequency, magnitude, phase = map(float, row)
         except ValueError:
-            raise RigError([f"{path}, line {number}: {','.join(row)!r} is not three numbers"]) from None
+            raise RigError([f"{path}, line {number}: {short(','.join(row))!r} is not three numbers"]) from None
         if not (0.0 < frequency < np.inf and 0.0 < magnitude < np.inf and abs(phase) < np.inf):
             raise RigError([f"{path}, line {number}: frequency and magnitude have to be positive, all three finite"])
         if values and frequency <= values[-1][0]:

@@ -24,15 +24,23 @@ class CommandDesk:
         self.handled: list[tuple[OperatorCommand, bool]] = []
         self._last_sequence = -1
 
-    def handle(self, commands: Sequence[OperatorCommand], now_ns: int, act: Callable[[Event], bool]) -> None:
-        """Give each acceptable command's event to `act`, which says whether it was taken."""
+    def handle(
+        self,
+        commands: Sequence[OperatorCommand],
+        now_ns: int,
+        act: Callable[[Event], bool],
+        load: Callable[[], bool],
+    ) -> None:
+        """Give each acceptable command's event to `act`, a task's loading to `load`, which say whether it was taken."""
         self.handled = []
         for command in commands:
-            accepted = self._accept(command, now_ns, act)
+            accepted = self._accept(command, now_ns, act, load)
             self.refused += not accepted
             self.handled.append((command, accepted))
 
-    def _accept(self, command: OperatorCommand, now_ns: int, act: Callable[[Event], bool]) -> bool:
+    def _accept(
+        self, command: OperatorCommand, now_ns: int, act: Callable[[Event], bool], load: Callable[[], bool]
+    ) -> bool:
         if command.kind == CommandKind.ESTOP:
             return act(Event.ESTOP)  # stale or replayed, an emergency stop is obeyed
         if command.sequence <= self._last_sequence or now_ns > command.expires_ns:
@@ -41,5 +49,7 @@ class CommandDesk:
         if command.kind == CommandKind.HEARTBEAT:
             self.heartbeat_ns = now_ns
             return True
+        if command.kind == CommandKind.LOAD_TASK:
+            return load()
         event = EVENTS.get(command.kind)
         return event is not None and act(event)

@@ -71,6 +71,9 @@ class Inbox:
                     fresh[axis] = True
                 else:
                     self._accept(outcome, sent_sequence)
+            elif isinstance(outcome, tuple):
+                for sample in outcome:
+                    self._accept(sample, sent_sequence)
             else:
                 self._reject(outcome)
         if sent_sequence >= 0:

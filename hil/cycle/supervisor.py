@@ -17,6 +17,7 @@ which asks the state machine and, where the state has changed (or was reset), `_
 What the rest of the cycle needs to know of all this is `state`, `silent`, `sends` and `take_reset`.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 from drivers.bus.counters import BusState
@@ -82,7 +83,12 @@ class Supervisor:
         if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
             self._handle(Event.EXIT, tick)
         if tick.commands:
-            self.commands.handle(tick.commands[:MAX_COMMANDS], tick.now_ns, lambda event: self._operate(event, tick))
+            self.commands.handle(
+                tick.commands[:MAX_COMMANDS],
+                tick.now_ns,
+                lambda event: self._operate(event, tick),
+                lambda: self._load_task(tick),
+            )
         else:
             self.commands.handled = []
         if tick.estop:  # after the operator: no RESET of the same tick undoes it
@@ -118,6 +124,18 @@ class Supervisor:
             return False
         return self._handle(event, tick)
 
+    def _load_task(self, tick: Tick) -> bool:
+        """Another task, while the stage is at rest, if it may begin where each axis stands. A law that learns from the
+        repeats of the rig's own task cannot take another.
+        """
+        task = tick.task
+        if task is None or self.machine.state is not State.READY or self._rig.law.iterative_learning:
+            return False
+        if not self._within(task.start_ranges):
+            return False
+        self._plan, self.start_ranges = task.plan, list(task.start_ranges)
+        return True
+
     def _may_activate(self, tick: Tick) -> bool:
         rig = self._rig
         if not tick.rig_ok or (rig.telemetry.recording_required and not tick.recorder_ok):
@@ -130,8 +148,11 @@ class Supervisor:
 
     def _may_begin_here(self) -> bool:
         """The task keeps every limit from where each axis stands."""
+        return self._within(self.start_ranges)
+
+    def _within(self, ranges: Sequence[tuple[float, float]]) -> bool:
         for axis, position in enumerate(self._axes.measured):
-            low, high = self.start_ranges[axis]
+            low, high = ranges[axis]
             if not low <= position <= high:
                 return False
         return True

@@ -1,14 +1,15 @@
 """What goes into one control cycle and what comes out: the whole of its contact with the world."""
 
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
 
-__all__ = ["BusState", "CommandKind", "CycleResult", "OperatorCommand", "PortCounters", "Tick"]
+__all__ = ["BusState", "CommandKind", "CycleResult", "LoadedTask", "OperatorCommand", "PortCounters", "Tick"]
 
 
 class CommandKind(IntEnum):
@@ -21,6 +22,7 @@ class CommandKind(IntEnum):
     HOME = 5
     SHUTDOWN = 6
     HEARTBEAT = 7
+    LOAD_TASK = 8  # another task, Tick.task, while the stage is at rest
 
 
 class OperatorCommand(NamedTuple):
@@ -33,6 +35,16 @@ class OperatorCommand(NamedTuple):
     expires_ns: int
 
 
+class LoadedTask(NamedTuple):
+    """A task to take the rig's place, ready to begin. plan: from where the stage rests (m by axis) its trajectory, at
+    once. start_ranges: by axis, where it may begin, m. document: its [task] as JSON, for the recording.
+    """
+
+    plan: Callable[[Sequence[float]], Any]
+    start_ranges: Sequence[tuple[float, float]]
+    document: str
+
+
 class Tick:
     """Everything but the frames that a cycle step may depend on.
 
@@ -40,7 +52,7 @@ class Tick:
     now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
     recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
     rig_ok: the rig file is still the one this process was started with. estop: somebody pressed stop since the last
-    tick (hil estop).
+    tick (hil estop). task: what a LOAD_TASK among the commands loads.
     """
 
     __slots__ = (
@@ -54,6 +66,7 @@ class Tick:
         "rig_ok",
         "scheduled_ns",
         "stop",
+        "task",
     )
 
     def __init__(
@@ -69,6 +82,7 @@ class Tick:
         realtime_ok: bool = True,
         rig_ok: bool = True,
         estop: bool = False,
+        task: LoadedTask | None = None,
     ) -> None:
         self.index = index
         self.scheduled_ns = scheduled_ns
@@ -80,6 +94,7 @@ class Tick:
         self.realtime_ok = realtime_ok
         self.rig_ok = rig_ok
         self.estop = estop
+        self.task = task
 
 
 class CycleResult:

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from drivers.runtime import write_private
+from drivers.runtime import read_private, write_private
 
 _MOST = 16  # lines
 _LONGEST = 400  # characters of a line
@@ -35,6 +35,6 @@ class DriveProblems:
 def read_problems(path: Path) -> list[str]:
     """What the control process wrote last; nothing where there is none."""
     try:
-        return path.read_text(encoding="utf-8").splitlines()[:_MOST]
-    except (OSError, UnicodeDecodeError):
+        return read_private(path).decode(errors="replace").splitlines()[:_MOST]
+    except OSError:
         return []

@@ -22,7 +22,7 @@ from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
-from hil.cycle.tick import CommandKind, OperatorCommand, Tick
+from hil.cycle.tick import CommandKind, LoadedTask, OperatorCommand, Tick
 from hil.live.drive_problems import DriveProblems
 from hil.live.mailbox import Mailbox
 from hil.live.miss_ledger import MissLedger
@@ -31,6 +31,7 @@ from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
 from hil.live.stop_line import StopLine
 from hil.live.systemd import Notifier
+from hil.live.task_file import TaskIntake
 from hil.live.timing_record import TimingRecorder
 from hil.live.watched_file import WatchedFile
 from hil.rig.schema import RigConfig
@@ -67,6 +68,7 @@ class Parts(NamedTuple):
     rig_file: WatchedFile
     notifier: Notifier
     problems: DriveProblems
+    task_file: Path
 
 
 class ControlLoop:
@@ -97,13 +99,16 @@ class ControlLoop:
         self._told: tuple[State, tuple[str, ...]] | None = None
         self._silent = self._recall_due = False
         self._next_rebind = 0
+        self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
+        self._intake: TaskIntake | None = None
+        self._task_number = parts.mailbox.task_posted
         self._chores = self._plan_chores(rig.period_ns)
         self._chore_ticks = max(self._chores) + 1
         self._stop_ticks = round((rig.safety.stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
 
     def _plan_chores(self, period_ns: int) -> dict[int, Callable[[], None]]:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
-        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus)
+        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus, self._look_for_task)
         ticks = max(len(chores), round(interval * 1e9 / period_ns))
         return {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
 
@@ -154,6 +159,7 @@ class ControlLoop:
             realtime_ok=self._realtime_ok,
             rig_ok=self._rig_ok,
             estop=estop,
+            task=self._task if commands else None,
         )
         result = self._cycle.step(tick, frames)
         if commands:
@@ -173,6 +179,8 @@ class ControlLoop:
         if chore is not None:
             run_signal_handlers()  # of one that came while a tick ran; those that end a sleep have been
             chore()
+        elif self._intake is not None:
+            self._take_task_in(self._intake)
 
     def _measure(self, began: int, sending: int, ended: int, sent_ns: int) -> None:
         """Time per stage, for the timing file and the next record."""
@@ -217,6 +225,21 @@ class ControlLoop:
         self.parts.notifier.send(*lines)
         self._told = state, problems.told
 
+    def _look_for_task(self) -> None:
+        number = self._mailbox.task_posted
+        if number != self._task_number:
+            self._task_number = number
+            self._intake = TaskIntake(self.parts.task_file, number, self._cycle.rig)
+
+    def _take_task_in(self, intake: TaskIntake) -> None:
+        """A piece of a task's file, while no axis is under torque."""
+        if self._cycle.state in TORQUE_STATES:
+            return
+        intake.work()
+        if intake.done:
+            self._task, self._intake = intake.task, None
+            self._mailbox.answer_task(intake.number, ready=intake.task is not None)
+
     def _look_at_rig(self) -> None:
         self._rig_ok = self.parts.rig_file.unchanged()
 
@@ -249,6 +272,8 @@ class ControlLoop:
     def _after_commands(self) -> None:
         """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
         handled = self._cycle.commands.handled
+        if any(c.kind == CommandKind.LOAD_TASK for c, _ in handled):
+            self._task = None  # whatever became of it
         self.stop = self.stop or any(c.kind == CommandKind.SHUTDOWN and accepted for c, accepted in handled)
 
     def _before_commands(self, commands: tuple[OperatorCommand, ...]) -> None:

@@ -21,6 +21,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from drivers.runtime import open_private
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.live.mapped_file import Closing, lay_out
@@ -36,8 +37,11 @@ RECORDER_TIMEOUT_NS: Final = 1_000_000_000  # the sidecar gives a sign of life 5
 _MAGIC: Final = 0
 _POSTED: Final = 8
 _RECORDER_NS: Final = 9
+_TASK_POSTED: Final = 10  # number of the newest task that was sent (task_file.py)
 _TAKEN: Final = 16
 _DAMAGED: Final = 17
+_TASK_READY: Final = 18  # number of the task that was taken in
+_TASK_REFUSED: Final = 19  # number of one that was none
 
 _COMMAND = struct.Struct("<QIIqI")  # sequence, kind, 0, expires_ns, CRC-32 of what precedes it
 _BODY = _COMMAND.size - 4
@@ -55,7 +59,7 @@ class Mailbox(Closing):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._fd = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)
+            self._fd = open_private(self.path, os.O_RDWR)
         except OSError as error:
             raise MailboxError(f"{self.path}: {error.strerror}") from None
         if os.fstat(self._fd).st_size != SIZE:
@@ -118,7 +122,26 @@ class Mailbox(Closing):
         """The sidecar's recorder gave a sign of life within the last second."""
         return 0 <= now_ns - self._words[_RECORDER_NS] < RECORDER_TIMEOUT_NS
 
+    @property
+    def task_posted(self) -> int:
+        """Number of the newest task whose file was sent; 0: none was."""
+        return self._words[_TASK_POSTED]
+
+    def answer_task(self, number: int, *, ready: bool) -> None:
+        """That task was taken in, or was none."""
+        self._words[_TASK_READY if ready else _TASK_REFUSED] = number
+
     # ---- the senders' end
+
+    def post_task(self, number: int) -> None:
+        """The file of that task is there."""
+        self._words[_TASK_POSTED] = number
+
+    def task_ready(self, number: int) -> bool | None:
+        """Whether that task was taken in; None: not yet known."""
+        if self._words[_TASK_READY] == number:
+            return True
+        return False if self._words[_TASK_REFUSED] == number else None
 
     def post(self, kind: CommandKind, expires_ns: int) -> int:
         """Queue a command; returns its sequence number (1, 2, ...). Raises MailboxError when the box is full."""

@@ -6,6 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from drivers.runtime import create_private
+
 
 def lay_out(path: Path, size: int) -> tuple[int, Path]:
     """An open file of `size` zero bytes, private to this user, beside `path` under a temporary name; and that name.
@@ -14,7 +16,7 @@ def lay_out(path: Path, size: int) -> tuple[int, Path]:
     half-made file, as the finished one is moved there. Raises OSError that names `path`.
     """
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    fd = create_private(temporary)
     try:
         os.posix_fallocate(fd, 0, size)
     except OSError as error:

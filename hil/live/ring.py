@@ -28,6 +28,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.runtime import open_private
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
 from hil.live.file_lock import is_locked, try_lock
 from hil.live.mapped_file import Closing, lay_out
@@ -168,7 +169,7 @@ def _replace(path: Path, temporary: Path) -> None:
     """Move `temporary` to `path`, keeping a killed writer's ring as the black box. Raises RingError if one lives."""
     while True:
         try:
-            old = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            old = open_private(path, os.O_RDWR)
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
                 os.link(temporary, path)
@@ -209,7 +210,7 @@ class RingReader(Closing):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._fd = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)  # asking for the write lock needs it
+            self._fd = open_private(self.path, os.O_RDWR)  # asking for the write lock needs it
         except OSError as error:
             raise RingError(f"{self.path}: {error.strerror}") from None
         try:
@@ -281,12 +282,18 @@ class RingReader(Closing):
 
         fields: of the records, all if none is named; a few cost a thirtieth.
         """
+        batch = self.look(self.next, limit, fields)
+        self.next = batch.first + len(batch.records)
+        return batch
+
+    def look(self, first: int, limit: int = 512, fields: Sequence[str] = ()) -> Batch:
+        """The same from ring index `first` on, whatever was read before; `read` goes on where it was."""
         written = self.written
-        lost = self._skip_overwritten(written)
-        first = self.next
-        count = min(written - first, limit)
+        oldest = max(written - self.slots + 1, 0)
+        lost = max(oldest - first, 0)
+        first += lost
+        count = max(min(written - first, limit), 0)
         records = self._copy(np.arange(first, first + count) % self.slots, fields)
-        self.next = first + count
         # Record i is safe unless the writer may have begun its slot again, once i + slots records are published.
         overtaken = min(max(self.written - self.slots + 1 - first, 0), count)
         return Batch(records[overtaken:], first + overtaken, lost + overtaken)
@@ -298,12 +305,6 @@ class RingReader(Closing):
         for field in fields:
             records[field] = self._slots[field][slots]
         return records
-
-    def _skip_overwritten(self, written: int) -> int:
-        oldest = max(written - self.slots + 1, 0)
-        lost = max(oldest - self.next, 0)
-        self.next += lost
-        return lost
 
     def close(self) -> None:
         """Unmap the file."""

@@ -136,14 +136,15 @@ def control_loop(
         if not held.verdict.ok and not rig.timing.allow_degraded:
             raise RealtimeRefusedError(f"{verdict}. To run all the same: --set timing.allow_degraded=true")
         metadata = describe_run(rig, base_dir, realtime=verdict)
-        ring = RingWriter(files.ring, rig.telemetry.ring_slots, period_ns=rig.period_ns, metadata=metadata)
+        ring = RingWriter(files.ring, rig.ring_slots, period_ns=rig.period_ns, metadata=metadata)
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         problems = DriveProblems(files.problems)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems), stage_clock
+            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, problems, files.task),
+            stage_clock,
         )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.runtime import make_private, runtime_dir
+from drivers.runtime import make_private, open_private, read_private, runtime_dir
 from hil.live.file_lock import try_lock
 
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
@@ -24,12 +24,13 @@ class RuntimePaths(NamedTuple):
     timing: Path  # what hil/live/timing_record.py keeps of the loop
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
     problems: Path  # why drives were refused, a line each (hil/live/drive_problems.py)
+    task: Path  # another task for the control process (hil/live/task_file.py)
 
 
 def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
-    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json", "problems")
+    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json", "problems", "task")
     return RuntimePaths(directory, *(directory / name for name in names))
 
 
@@ -50,7 +51,7 @@ def sole(paths: RuntimePaths, kind: str) -> Iterator[None]:
     process. Raises AlreadyServedError.
     """
     path = paths.directory / f"{kind}.lock"
-    fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    fd = open_private(path, os.O_RDWR | os.O_CREAT)
     try:
         if not try_lock(fd):
             raise AlreadyServedError(f"another {kind} serves this rig already (it holds {path})")
@@ -75,7 +76,8 @@ def known_sidecars(rig: str | None = None) -> list[Known]:
     for path in files:
         if rig in (None, path.parent.name):
             with contextlib.suppress(OSError):  # it ended meanwhile
-                known.append(Known(path.parent.name, path.read_text(encoding="utf-8").strip(), path.parent))
+                endpoint = read_private(path).decode(errors="replace").strip()
+                known.append(Known(path.parent.name, endpoint, path.parent))
     return known
 
 

@@ -9,6 +9,7 @@ import struct
 import time
 from typing import Final
 
+from drivers.runtime import open_private
 from hil.live.file_lock import try_lock
 from hil.live.mapped_file import Closing
 from hil.live.stop_page import (
@@ -89,7 +90,7 @@ class StopLine(Closing):
 def _own(path: str) -> int:
     """A locked descriptor of the file at `path`, made where missing."""
     while True:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        fd = open_private(path, os.O_RDWR | os.O_CREAT)
         if not try_lock(fd):
             pid = struct.unpack("<Q", os.pread(fd, 8, 8 * PID).ljust(8, b"\0"))[0]
             os.close(fd)

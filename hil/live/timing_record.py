@@ -19,6 +19,7 @@ from librt.vecs import vec
 from mypy_extensions import i64
 from numpy.typing import NDArray
 
+from drivers.runtime import read_private
 from hil.live.mapped_file import lay_out
 
 STAGES = ("read", "estimate", "control", "gate", "send")
@@ -219,7 +220,7 @@ class TimingSnapshot:
 
 def read_timing(path: Path) -> TimingSnapshot:
     """Snapshot of a timing file. Raises OSError when it is missing and ValueError when it is no timing file."""
-    content = path.read_bytes()
+    content = read_private(path)
     if len(content) != _LAYOUT.itemsize or content[: len(MAGIC)] != MAGIC:
         raise ValueError(f"{path}: not a timing file of this version")
     data = np.frombuffer(content, _LAYOUT, 1)[0]

@@ -5,6 +5,7 @@ import os
 import stat
 from pathlib import Path
 
+from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import LARGEST
 
 
@@ -27,11 +28,10 @@ class WatchedFile:
         return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
     def _read(self) -> tuple[int, bytes]:
-        """Bytes read and their digest; of no more than a rig file can have, which is refused where it has more."""
+        """Bytes read and their digest; of nothing where a rig file cannot be so long, or it is no file."""
         try:
-            with self.path.open("rb") as file:
-                content = file.read(LARGEST + 1)
-        except OSError:
+            content = read_bounded(self.path, LARGEST)
+        except (OSError, UnsuitableFileError):
             return 0, b""
         return len(content), hashlib.sha256(content).digest()
 

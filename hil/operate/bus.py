@@ -1,29 +1,38 @@
-"""`hil bus`: watch a CAN bus, record it, play a recording back. Files are read and written by python-can itself."""
+"""`hil bus`: watch a CAN bus, record it, play a recording back."""
 
 import contextlib
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import can
 import typer
-from can.io.logger import Logger
-from can.io.player import LogReader
 from rich.console import Console, Group
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from drivers.bus.any_bus import open_bus
 from drivers.bus.local_bus import from_message
-from drivers.bus.port import resolve_interface
+from drivers.bus.port import PortError, resolve_interface
 from drivers.config import BusConfig
+from drivers.frame import REMOTE
+from drivers.protocols.base import LayoutError
+from drivers.protocols.dbc_codec import load_dbc
+from drivers.protocols.frame_text import Reader, dbc_reader, layout_reader
+from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
+from hil.operate.candump_log import TraceError
+from hil.operate.trace_file import read_trace
+from hil.operate.traces import open_writer, suffix_of
 from hil.rig.file import load_rig
+from hil.rig.schema import RigError
 
-FORMATS = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".mf4")  # suffixes that python-can reads and writes
 REFRESH_HZ = 4
 POLL_S = 0.1
 SHORTEST_WINDOW_S = 0.1
@@ -31,10 +40,8 @@ LAST_MESSAGES = 10_000  # taken after the end was asked for; more is a flood
 
 bus = typer.Typer(no_args_is_help=True, help="Watch, record or play back a CAN bus.")
 
-Interface = Literal["auto", "socketcan", "local"]
 RigOption = Annotated[Path | None, typer.Option("--rig", help="take channel, interface and bit rates from a rig file")]
 ChannelOption = Annotated[str, typer.Option("--channel", "-c", help="such as can0")]
-InterfaceOption = Annotated[Interface, typer.Option("--interface", "-i", help="auto: SocketCAN where it exists")]
 SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after this time; otherwise at Ctrl-C")]
 
 
@@ -42,11 +49,18 @@ SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after th
 def view(
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
+    dbc: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="name signals by this DBC file; --rig: by its layout"),
+    ] = None,
     seconds: SecondsOption = None,
 ) -> None:
     """Rate, load, age and last data per identifier, and errors; live in a terminal, once at the end otherwise."""
-    config = _config(channel, interface, rig)
+    config = _config(channel, interface, bitrate, options, rig)
+    reader = _reader(rig, dbc)
     console = Console()
     with _until_stopped(seconds) as stopped, _open(config) as member:
         statistics = BusStatistics(config.bitrate, config.data_bitrate, time.monotonic())
@@ -58,26 +72,31 @@ def view(
                     statistics.add(from_message(message), now)
                 statistics.roll(now)
                 if console.is_terminal and now >= next_refresh:
-                    live.update(_screen(statistics, config, now), refresh=True)
+                    live.update(_screen(statistics, config, now, reader), refresh=True)
                     next_refresh = now + 1.0 / REFRESH_HZ
         now = time.monotonic()
         statistics.roll(now, at_least=SHORTEST_WINDOW_S)
-        console.print(_screen(statistics, config, now))
+        console.print(_screen(statistics, config, now, reader))
 
 
 @bus.command()
 def record(
-    file: Annotated[Path, typer.Argument(help="candump .log, Vector .asc or .blf, ...; .gz compresses where possible")],
+    file: Annotated[Path, typer.Argument(help="candump .log (.log.gz), or Vector .blf")],
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
     seconds: SecondsOption = None,
 ) -> None:
-    """Write everything that goes over the bus to a file; Ctrl-C ends it with a complete file."""
-    _check_format(file)
-    config = _config(channel, interface, rig)
+    """Write everything that goes over the bus to a file; Ctrl-C ends it with a complete file.
+
+    Formats in which something would be lost are refused: others than .log and .blf have no place for FD flags, the
+    lengths of remote frames or the classes of error frames.
+    """
+    config = _config(channel, interface, bitrate, options, rig)
     frames = errors = 0
-    with _until_stopped(seconds) as stopped, _open(config) as member, Logger(file) as writer:
+    with _until_stopped(seconds) as stopped, _open(config) as member, _writer(file) as writer:
         for message in _messages(member, stopped):
             if message is None:
                 continue
@@ -89,29 +108,43 @@ def record(
 
 @bus.command()
 def play(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="a recording in any format of `record`")],
+    file: Annotated[
+        Path, typer.Argument(exists=True, dir_okay=False, help="a recording: .log, .blf, .asc, .csv, .trc, .db")
+    ],
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
+    bitrate: BitrateOption = 1_000_000,
+    options: OptionsOption = None,
     rig: RigOption = None,
+    *,
     speed: Annotated[float, typer.Option(min=0.001, help="2: twice as fast as recorded")] = 1.0,
     real: Annotated[bool, typer.Option("--real", help="also onto a real bus, where it may move a stage")] = False,
 ) -> None:
     """Send a recording's frames at their recorded intervals. Error frames are left out; refused frames are counted."""
-    _check_format(file)
-    config = _config(channel, interface, rig)
-    if resolve_interface(config) == "socketcan" and not real:
+    with _traces():
+        suffix_of(file)
+    config = _config(channel, interface, bitrate, options, rig)
+    kind = resolve_interface(config)
+    if kind != "local" and not real:
         raise typer.BadParameter(
-            f"{config.channel} is a SocketCAN bus: recorded torques would move a stage; see --real"
+            f"{config.channel} is a real bus ({kind}): recorded torques would move a stage; see --real"
         )
     sent = refused = 0
-    with _open(config) as member, LogReader(file) as reader, contextlib.suppress(KeyboardInterrupt):
-        for message in can.MessageSync(_at_speed(reader, speed), gap=0.0):
-            try:
-                member.send(message)
-                sent += 1
-            except can.CanOperationError:
-                refused += 1
+    trouble = ""
+    with _open(config) as member, contextlib.suppress(KeyboardInterrupt):
+        try:
+            for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0):
+                try:
+                    member.send(message)
+                    sent += 1
+                except can.CanOperationError:
+                    refused += 1
+        except TraceError as error:
+            trouble = str(error)
     print(f"{file}: {sent} frames sent to {config.channel}, {refused} refused")
+    if trouble:
+        print(f"hil bus play: {trouble}", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def _messages(member: can.BusABC, stopped: threading.Event) -> Iterator[can.Message | None]:
@@ -132,22 +165,19 @@ def _at_speed(messages: Iterable[can.Message], speed: float) -> Iterator[can.Mes
             yield message
 
 
-def _config(channel: str, interface: Interface, rig: Path | None) -> BusConfig:
+def _config(channel: str, interface: str, bitrate: int, options: list[str] | None, rig: Path | None) -> BusConfig:
     if rig is not None:
         return load_rig(rig).bus
-    try:
-        return BusConfig(channel=channel, interface=interface)
-    except ValueError:
-        raise typer.BadParameter(f"channel {channel!r}: 1 to 15 letters, digits, '_', '.' or '-'") from None
+    return stated_bus(channel, interface, bitrate, options or [])
 
 
 @contextlib.contextmanager
 def _open(config: BusConfig) -> Iterator[can.BusABC]:
-    """Join the bus with CAN FD; exits with a message where it cannot be opened."""
+    """Join the bus with CAN FD where it can; exits with a message where it cannot be opened."""
     try:
-        member = can.Bus(interface=resolve_interface(config), channel=config.channel, fd=True)
-    except (can.CanError, OSError) as error:
-        raise typer.BadParameter(f"bus {config.channel}: {error}") from None
+        member = open_bus(config)
+    except PortError as error:
+        raise typer.BadParameter(str(error)) from None
     with member:
         yield member
 
@@ -170,17 +200,44 @@ def _until_stopped(seconds: float | None) -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _check_format(file: Path) -> None:
-    suffixes = [suffix for suffix in file.suffixes if suffix != ".gz"]
-    if not suffixes or suffixes[-1].lower() not in FORMATS:
-        raise typer.BadParameter(f"{file}: the name must end in one of {', '.join(FORMATS)} (.gz may follow)")
+@contextlib.contextmanager
+def _traces() -> Iterator[None]:
+    """A trace that cannot be read or written ends the command with its reason."""
+    try:
+        yield
+    except TraceError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
-def _screen(statistics: BusStatistics, config: BusConfig, now: float) -> Group:
-    table = Table("id", "kind", "bytes", "frames", "1/s", "age ms", "data", title=f"bus {config.channel}")
+def _writer(file: Path) -> contextlib.AbstractContextManager[Callable[[can.Message], None]]:
+    with _traces():
+        return open_writer(file)
+
+
+def _reader(rig: Path | None, dbc: Path | None) -> Reader | None:
+    """What a frame means, by a DBC file or a rig's layout; None where neither is given."""
+    if dbc is not None:
+        try:
+            return dbc_reader(load_dbc(dbc))
+        except LayoutError as error:
+            raise typer.BadParameter(str(error), param_hint="--dbc") from None
+    if rig is None:
+        return None
+    config = load_rig(rig)
+    rated = [axis.rated_force for axis in config.axes.values()]
+    try:
+        return layout_reader(config.bus, config.axis_names, rated, rig.parent, config.mountings)
+    except ValueError as error:
+        raise RigError([f"{rig}: {error}"]) from None
+
+
+def _screen(statistics: BusStatistics, config: BusConfig, now: float, reader: Reader | None) -> Group:
+    columns = ["id", "kind", "bytes", "frames", "1/s", "age ms", "data", *(["meaning"] if reader else [])]
+    table = Table(*columns, title=f"bus {config.channel}")
     for row in statistics.rows(now):
         frame = row.frame
-        shown = f"{row.age * 1e3:.0f}", frame.data.hex(" ")
+        data = "" if row.can_id & REMOTE else frame.data.hex(" ")
+        shown = [f"{row.age * 1e3:.0f}", data, *([escape(reader(frame))] if reader else [])]
         table.add_row(
             identifier(row.can_id), kind(frame), str(len(frame.data)), str(row.count), f"{row.rate:.0f}", *shown
         )

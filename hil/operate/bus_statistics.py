@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from drivers.bus.error_frames import describe_error
-from drivers.frame import BRS, ERROR, EXTENDED, EXTENDED_MASK, FD, STANDARD_MASK, Frame
+from drivers.frame import BRS, ERROR, EXTENDED, EXTENDED_MASK, FD, REMOTE, STANDARD_MASK, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 
 WINDOW_S = 1.0  # over which rate and load are taken
@@ -84,7 +84,9 @@ def identifier(can_id: int) -> str:
 
 
 def kind(frame: Frame) -> str:
-    """classic, FD, or FD with bit-rate switch."""
+    """classic, remote, FD, or FD with bit-rate switch."""
+    if frame.can_id & REMOTE:
+        return "remote"
     if not frame.flags & FD:
         return "classic"
     return "FD BRS" if frame.flags & BRS else "FD"

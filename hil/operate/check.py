@@ -11,17 +11,20 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
+from drivers.config import KERNEL_INTERFACES
 from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.feasibility import start_notes, task_problems
+from hil.control.learning_check import check_learning
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
-from hil.rig.bus_load import analyse_rig, feedback_notes, microseconds, problems, rig_messages
+from hil.rig.bus_load import analyse_rig, feedback_notes, layout_warnings, microseconds, problems, rig_messages
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
 from hil.rig.schema import RigConfig, RigError
+from sim_plant.user_stage import stage_problems
 
 
 def check_rig(
@@ -42,7 +45,8 @@ def check_rig(
     messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
-    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent)]:
+    warnings = layout_warnings(rig, rig_file.parent)
+    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent), *interface_notes(rig), *warnings]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
@@ -56,23 +60,40 @@ def check_rig(
         infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
         stability = check_stability(rig, lowest_rate=True)
         corners = findings(rig, measured, frd) if stability.stable else []
+        learning = check_learning(rig)
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
     console.print(corner_table(corners))
     for note in corner_notes(corners):
         console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
+    for finding in learning:
+        console.print(finding.note(), soft_wrap=True, markup=False)
     for note in start_notes(rig):
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
+    found += [text for finding in learning if (text := finding.problem())]
+    found += stage_problems(rig.plant, rig.axis_names)
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
+    document["warnings"] = warnings
     document["corners"] = [corner.as_json() for corner in corners]
+    document["learning"] = [finding.as_json() for finding in learning]
     if json_path:
         write_json(document, json_path)
     for line in found:
         print(f"hil: {rig_file}: {line}", file=sys.stderr)
     if found:
         raise typer.Exit(EXIT_CONFIG)
+
+
+def interface_notes(rig: RigConfig) -> list[str]:
+    """What a bus that is none of the kernel's is good for."""
+    if rig.bus.interface in KERNEL_INTERFACES:
+        return []
+    return [
+        f"bus.interface = '{rig.bus.interface}' serves hil bus, hil drives and hil bench bus; hil run and hil emulate "
+        f"refuse it, and run on {' or '.join(KERNEL_INTERFACES[1:])} alone"
+    ]
 
 
 def as_json(analysis: Analysis) -> dict[str, Any]:

@@ -14,12 +14,13 @@ from typing import Annotated
 import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
+from hil.cycle.task_loading import task_document
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import command_directories
 from hil.operate.estop import stop_rig
-from hil.rig.file import load_rig
+from hil.rig.file import load_rig, task_of_file
 from hil.rig.schema import RigConfig
-from hil.telemetry.command_client import CommandClient, NoGatewayError, local_client, remote_client
+from hil.telemetry.command_client import CommandClient, NoGatewayError, Verdict, local_client, remote_client
 from hil.telemetry.credentials import Credentials, CredentialsError
 
 
@@ -33,17 +34,29 @@ class Action(StrEnum):
     HOME = "home"
     SHUTDOWN = "shutdown"
     HEARTBEAT = "heartbeat"
+    LOAD_TASK = "load-task"
 
 
 def command(
     rig: Annotated[Path, typer.Argument(help="rig file", show_default=False)],
     action: Annotated[Action, typer.Argument(help="what to ask for", show_default=False)],
+    file: Annotated[
+        Path | None, typer.Argument(help="load-task: CSV or NPZ with a path, or TOML with a table [task]")
+    ] = None,
+    *,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="load-task: a key of [task], task.repeat=true"),
+    ] = None,
     connect: Annotated[str | None, typer.Option(help="host:port of a sidecar elsewhere [this machine's]")] = None,
     credentials: Annotated[Path | None, typer.Option(help="directory with an operator's, for --connect")] = None,
     hold: Annotated[bool, typer.Option(help="keep sending the operator's heartbeat until Ctrl-C, then stop")] = False,
 ) -> None:
     """Exit status 0: the control process took it; 1: refused, with the reason; 69: nobody to ask."""
     config = load_rig(rig)
+    if (action is Action.LOAD_TASK) != (file is not None):
+        raise typer.BadParameter("load-task, and nothing else, takes a file", param_hint="FILE")
+    task = task_of_file(config, file, overrides or ()) if file else None
     if connect and credentials is None:
         raise typer.BadParameter("commands from elsewhere need --credentials", param_hint="--connect")
     if action is Action.ESTOP and not connect:
@@ -51,7 +64,10 @@ def command(
     try:
         client = remote_client(connect, Credentials(credentials)) if connect and credentials else at_hand(config.name)
         with client:
-            accepted = _hold(client, action, config) if hold else _ask(client, action)
+            if task:
+                accepted = _say(client, action, client.load_task(task_document(task)))
+            else:
+                accepted = _hold(client, action, config) if hold else _ask(client, action)
     except (NoGatewayError, CredentialsError) as error:
         print(f"hil command: {error}", file=sys.stderr)
         print(
@@ -74,7 +90,10 @@ def at_hand(rig: str) -> CommandClient:
 
 
 def _ask(client: CommandClient, action: Action) -> bool:
-    verdict = client.command(CommandKind[action.name])
+    return _say(client, action, client.command(CommandKind[action.name]))
+
+
+def _say(client: CommandClient, action: Action, verdict: Verdict) -> bool:
     print(f"{action}: {'accepted' if verdict.accepted else verdict.reason}; state {verdict.state}", flush=True)
     if verdict.accepted and (silent := client.silent()):  # why it may not lead where it was meant to
         print(f"hil command: {silent}", file=sys.stderr)

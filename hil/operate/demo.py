@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 
 from drivers.protocols.base import DriveStatus
-from drivers.runtime import make_private, runtime_dir
+from drivers.runtime import make_private, read_private, runtime_dir
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import print_plant_notes, write_json
 from hil.cli.processes import Family
@@ -27,7 +27,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, local_client
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
@@ -162,7 +162,7 @@ class Demo:
         """Where the sidecar listens, as soon as it does."""
         place = self.scene.paths.endpoint
         self._await_file(place, "the sidecar did not listen")
-        endpoint = place.read_text(encoding="utf-8")
+        endpoint = read_private(place).decode()
         self.console.print(f"watch it from a second terminal: hil monitor {self.scene.rig.name} (it is at {endpoint})")
         return endpoint
 
@@ -263,7 +263,7 @@ class Demo:
         if self.control.exit_status == 0:
             return
         try:
-            state = json.loads(self.scene.paths.emulator.read_text(encoding="utf-8"))
+            state = json.loads(read_private(self.scene.paths.emulator))
         except (OSError, ValueError):
             self.troubles.append("the emulator left no word of its drives")
             return

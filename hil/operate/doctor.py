@@ -15,10 +15,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.runtime import RuntimeDirectoryError, runtime_dir
+from drivers.runtime import RuntimeDirectoryError, read_private, runtime_dir
 from hil.cli.processes import worker_pool
 from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
+from hil.operate.adapters import NET, USB, Plugged, adapter_of, make_interface, plugged, set_up
 from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
 
@@ -84,8 +85,11 @@ def examine() -> list[Finding]:
 # CAN ------------------------------------------------------------------------------------------------------------------
 
 
-def can_findings(net: Path = Path("/sys/class/net")) -> list[Finding]:
-    """SocketCAN in the kernel, and the interfaces there are. net: where the kernel lists its interfaces."""
+def can_findings(net: Path = NET, usb: Path = USB) -> list[Finding]:
+    """SocketCAN in the kernel, the interfaces there are, and adapters without one. net, usb: where the kernel lists its
+    interfaces and USB devices.
+    """
+    adapters = [_adapter_finding(found) for found in plugged(usb) if not found.interfaces]
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
@@ -96,13 +100,21 @@ def can_findings(net: Path = Path("/sys/class/net")) -> list[Finding]:
                 f"no SocketCAN ({error.strerror}); emulated stages run on the local bus",
                 "for a real bus: modprobe can_raw (Debian's kernels have it), and in a service unit AF_CAN must be in "
                 "RestrictAddressFamilies",
-            )
+            ),
+            *adapters,
         ]
     interfaces = can_interfaces(net)
     if not interfaces:
         advice = "plug in an adapter, or: ip link add vcan0 type vcan && ip link set vcan0 up"
-        return [Finding("CAN", "note", "SocketCAN, but no interface", advice)]
-    return [_interface_finding(name, net) for name in interfaces]
+        return [Finding("CAN", "note", "SocketCAN, but no interface", advice), *adapters]
+    return [*(_interface_finding(name, net) for name in interfaces), *adapters]
+
+
+def _adapter_finding(found: Plugged) -> Finding:
+    """One that is plugged in and has no interface yet."""
+    name, note = found.adapter.name, found.adapter.note
+    said = f"{found.product or name}, no interface" + (f"; {note}" if note else "")
+    return Finding(f"adapter {name}", "note", said, make_interface(found))
 
 
 def can_interfaces(net: Path) -> list[str]:
@@ -114,16 +126,17 @@ def can_interfaces(net: Path) -> list[str]:
 
 
 def _interface_finding(name: str, net: Path) -> Finding:
+    adapter = adapter_of(name, net)
+    served = f", {adapter.name} (driver {adapter.driver})" if adapter else ""
     up = int(_read(net / name / "flags") or "0", 0) & 1
     if not up:
-        advice = f"ip link set {name} up type can bitrate 1000000 dbitrate 5000000 fd on (vcan: only `up`)"
-        return Finding(f"CAN {name}", "warn", "down", advice)
+        return Finding(f"CAN {name}", "warn", f"down{served}", set_up(name, adapter))
     queue, mtu = _read(net / name / "tx_queue_len"), _read(net / name / "mtu")
     kind = "CAN FD" if mtu == "72" else "classic CAN only: stage_fd needs `fd on`"
     level = "ok" if mtu == "72" else "note"
-    return Finding(
-        f"CAN {name}", level, f"up, {kind}, transmit queue {queue}", "" if level == "ok" else f"mtu is {mtu}"
-    )
+    note = f"; {adapter.note}" if adapter and adapter.note else ""
+    advice = "" if level == "ok" else f"mtu is {mtu}"
+    return Finding(f"CAN {name}", level, f"up, {kind}, transmit queue {queue}{served}{note}", advice)
 
 
 # Real time ------------------------------------------------------------------------------------------------------------
@@ -240,7 +253,7 @@ def access_finding(rig: str, directory: Path) -> Finding:
     """Of one rig's sidecar."""
     topic = f"access to {rig}"
     try:
-        access = json.loads((directory / "access.json").read_text(encoding="utf-8"))
+        access = json.loads(read_private(directory / "access.json"))
         watch, commands = [str(endpoint) for endpoint in access["watch"]], str(access["commands"])
         owner = directory.stat().st_uid
     except (OSError, ValueError, KeyError, TypeError) as error:

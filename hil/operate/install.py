@@ -13,7 +13,8 @@ from typing import Annotated
 import tomlkit
 import typer
 
-from drivers.config import BusConfig
+from drivers.config import KERNEL_INTERFACES, BusConfig
+from hil.rig.brought import named_files
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import shipped
@@ -168,23 +169,25 @@ def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
     if channel is not None:
         document.setdefault("bus", tomlkit.table())["channel"] = channel
     try:
-        return tomlkit.dumps(document), build_rig(document.unwrap())
+        return tomlkit.dumps(document), build_rig(document.unwrap(), folder=source.parent)
     except RigError as error:
         raise RigError([f"{source}: {line}" for line in error.problems]) from None
 
 
-def _dbc_file(rig: RigConfig, source: Path) -> Files:
-    """The DBC file that a rig with `protocol = "dbc:FILE"` needs beside it, by its name there; else nothing.
+def _files_beside(rig: RigConfig, source: Path) -> Files:
+    """The files that a rig needs beside it, by their names there: of its DBC layout, its law, its task.
 
     Raises InstallError for a path out of the rig file's folder: the installed one would not find it again.
     """
-    kind, _, name = rig.bus.protocol.partition(":")
-    if kind != "dbc" or Path(name).is_absolute():  # an absolute path is the same file wherever the rig file lies
-        return {}
-    if ".." in Path(name).parts:
-        raise InstallError(f"bus.protocol = '{rig.bus.protocol}': must lie beside {source}, or be an absolute path")
-    # DBC files come in any 8-bit encoding: keep the bytes
-    return {name: (source.parent / name).read_text(encoding="utf-8", errors="surrogateescape")}
+    files: Files = {}
+    for key, name in named_files(rig).items():
+        if Path(name).is_absolute():  # the same file wherever the rig file lies
+            continue
+        if ".." in Path(name).parts:
+            raise InstallError(f"{key} = '{name}': must lie beside {source}, or be an absolute path")
+        # DBC files come in any 8-bit encoding: keep the bytes
+        files[name] = (source.parent / name).read_text(encoding="utf-8", errors="surrogateescape")
+    return files
 
 
 def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> None:
@@ -242,9 +245,14 @@ def install_rig(
     emulator: also start the emulated stage; None: on vcan channels only. Raises RigError, InstallError, OSError.
     """
     text, rig = _rig_text(source, channel)
+    if rig.bus.interface not in KERNEL_INTERFACES:
+        raise InstallError(
+            f"bus.interface = '{rig.bus.interface}': the control process runs on the kernel's CAN interfaces alone; "
+            "`hil doctor` has the commands for the adapter's own driver"
+        )
     emulated = rig.bus.channel.startswith("vcan") if emulator is None else emulator
     fd = _needs_fd(rig, source.parent)
-    belongings = {f"{rig.name}.toml": text, **_dbc_file(rig, source)}
+    belongings = {f"{rig.name}.toml": text, **_files_beside(rig, source)}
     packaged = (root / _PACKAGED_TARGET).exists()
     manifest = _read_manifest(root)
     _remove(root, [path for path in manifest if f"@{rig.name}.service" in path], manifest)

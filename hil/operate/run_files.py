@@ -2,7 +2,6 @@
 
 import csv
 import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.text_file import UnsuitableFileError, open_untrusted
 from hil.rig.file import build_rig
+from hil.rig.npz_file import read_arrays
 from hil.rig.schema import RigConfig
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 Columns = Mapping[str, NDArray[Any]]
 _RIG = "rig_json"
 _TRUE = "true_position"
+_LARGEST = 2**32  # bytes: a day of four axes at 1 kHz, compressed
+_FREELY = 2**26  # bytes that the columns may take whatever the size of the file: ten minutes that compress to nothing
 
 
 def write_csv(path: Path, table: Columns) -> None:
@@ -42,13 +45,13 @@ def write_npz(path: Path, rig: RigConfig, columns: Columns, true: NDArray[np.flo
 def read_npz(path: Path) -> tuple[RigConfig, dict[str, NDArray[Any]], NDArray[np.float64] | None]:
     """The rig, the columns, and the true position where it was known. Raises RecordingError, RigError."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            columns = {name: archive[name] for name in archive.files}
+        with open_untrusted(path, _LARGEST) as file:
+            columns = read_arrays(file, _FREELY)
         document = json.loads(columns.pop(_RIG).tobytes())
         ticks = len(columns["scheduled_ns"])
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (UnsuitableFileError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path}: not a run that hil has exported: {error}") from None
     if any(values.ndim not in (1, 2) or len(values) != ticks for values in columns.values()):
         raise RecordingError(f"{path}: not a run that hil has exported: columns of other lengths")

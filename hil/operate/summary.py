@@ -19,7 +19,9 @@ from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import Recording, RecordingError
+from hil.telemetry.recording import Recorded, Recording, RecordingError
+from hil.telemetry.tick_codec import columns as tick_columns
+from hil.telemetry.tick_schema import TickSchema
 from hil.virtual.figures_of_merit import axis_statistics
 
 _FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
@@ -68,6 +70,8 @@ def load_run(path: Path) -> RunData:
         pass
     status = None
     batches: list[dict[str, NDArray[Any]]] = []
+    ticks: list[Recorded] = []
+    delays: list[int] = []
     last, lost = pb.Counters(), 0
     try:
         for item in recording:
@@ -76,17 +80,30 @@ def load_run(path: Path) -> RunData:
                 batches.append(codec.columns(message))
                 last = message.counters
                 lost += message.lost
+            elif item.topic == "tick":
+                ticks.append(item)
+            elif item.topic == "cycle":
+                cycle = pb.Cycle.FromString(item.data)
+                last = cycle.counters
+                lost += cycle.lost
+                delays.extend(cycle.run_delay_ns)
             elif item.topic == "status":
                 status = pb.Status.FromString(item.data)
-        columns = _joined(batches, len(rig.axes))
-    except (DecodeError, ValueError) as error:
+        columns = _joined(batches) if batches else _of_ticks(ticks, recording.metadata)
+        columns.setdefault("run_delay_ns", np.resize(np.array(delays, np.int64), len(columns["index"])))
+    except (DecodeError, ValueError, OverflowError, KeyError, TypeError) as error:
         raise RecordingError(f"{path}: its telemetry makes no sense: {error}") from None
     return RunData(rig, recording.metadata, columns, last, status, lost, recording.truncated)
 
 
-def _joined(batches: list[dict[str, NDArray[Any]]], n_axes: int) -> dict[str, NDArray[Any]]:
-    if not batches:
-        batches = [codec.columns(pb.Telemetry(axes=n_axes))]
+def _of_ticks(ticks: list[Recorded], metadata: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """Columns of Tick messages: values as a viewer shows them, rounded to the schema's steps."""
+    schema, offset_ns = TickSchema(metadata["rig"]), int(metadata.get("wall_offset_ns", 0))
+    messages = (schema.message.FromString(item.data) for item in ticks)
+    return tick_columns(messages, (item.time_ns - offset_ns for item in ticks), schema)
+
+
+def _joined(batches: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 

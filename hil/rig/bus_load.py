@@ -6,6 +6,7 @@ from pathlib import Path
 from drivers.bus_load.schedulability import Analysis, analyse
 from drivers.protocols import host_protocol
 from drivers.protocols.base import HostProtocol, Message
+from drivers.protocols.mounting import MountedHost
 from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
 
 
@@ -36,6 +37,12 @@ def feedback_notes(rig: RigConfig, base_dir: Path) -> list[str]:
         f"it acts; the stability below counts {rig.period_ns * 1e-6:g} ms. The rest, {more_ms:.1f} ms, costs "
         f"{0.36 * more_ms:.2f} degrees of phase per Hz of the loop's crossover"
     ]
+
+
+def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
+    """What is wrong with the rig's DBC file beside what is used of it, for people."""
+    layout = rig_layout(rig, base_dir)
+    return list(getattr(layout.layout if isinstance(layout, MountedHost) else layout, "warnings", ()))
 
 
 def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:

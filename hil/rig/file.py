@@ -11,10 +11,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
+from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.reference import nearest
-from hil.rig.schema import RigConfig, RigError
-from hil.rig.task_file import TaskFileError, read_task_file
+from hil.rig.schema import RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
 _LONGEST = 400  # characters of one problem's text
@@ -47,6 +47,7 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
     if path == ["law", "name"]:
         law = document.setdefault("law", {})
         if isinstance(law, dict) and law.get("name") != value:
+            law.pop("learnt", None)
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
     table = document
     for part in path[:-1]:
@@ -68,41 +69,21 @@ def _exchange_encoder(document: dict[str, Any], resolution: Any) -> None:
         axis["encoder_resolution"] = resolution[index] if own else resolution
 
 
-def law_file(name: Any) -> str:
-    """The file of a law named ./file.py:Class; empty for other names."""
-    file = name.rpartition(":")[0] if isinstance(name, str) else ""
-    return file if file.endswith(".py") else ""
-
-
-def _read_law_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
-    """Put the text of the law's file into law.source, so that it is part of the rig. A document that has it already (a
-    recording's, or work sent to another process) keeps it, unless another law was chosen.
-    """
-    law = document.get("law")
-    if not isinstance(law, dict):
+def _check_learnt(rig: RigConfig) -> None:
+    """What was learnt on another rig, task, law or gains would be played as a disturbance of its own."""
+    law = rig.law
+    if not law.learnt:
         return
-    file = law_file(law.get("name"))
-    if not file:
-        law.pop("source", None)
-    elif chosen or not law.get("source"):
-        path = folder / file
-        try:
-            law["source"] = path.read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            text = getattr(error, "strerror", None) or "no UTF-8 text"
-            raise RigError([f"law.name = {shown(law['name'])}: {path}: {text}"]) from None
-
-
-def _read_task_file(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
-    """Put the samples of the task's file into task.samples and the axes it names into task.axes, as a law's file."""
-    task = document.get("task")
-    if not isinstance(task, dict) or not isinstance(task.get("file", ""), str) or not task.get("file"):
-        return
-    if chosen or not task.get("samples"):
-        try:
-            task["axes"], task["samples"] = read_task_file(folder / task["file"])
-        except TaskFileError as error:
-            raise RigError([f"task.file: {line}" for line in str(error).splitlines()]) from None
+    if not law.iterative_learning:
+        raise RigError([f"law.learnt = {shown(law.learnt)}: only with law.iterative_learning = true"])
+    own = learning_hash(rig)
+    if law.learnt_on != own:
+        raise RigError(
+            [
+                f"law.learnt = {shown(law.learnt)}: learnt on another rig (hash {short(law.learnt_on[:12])}, this "
+                f"one's is {own[:12]}): run this one without it, then `hil learnt` on that run"
+            ]
+        )
 
 
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
@@ -115,11 +96,12 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
         _apply_override(document, path, value)
     try:
         lines = modernise(document)
-        _read_law_file(document, folder, chosen=["law", "name"] in paths)
-        _read_task_file(document, folder, chosen=["task", "file"] in paths)
-        return RigConfig.model_validate(document), lines
-    except FormerKeyError as error:
-        raise RigError([str(error)]) from None
+        bring(document, folder, paths)
+        rig = RigConfig.model_validate(document)
+        _check_learnt(rig)
+        return rig, lines
+    except (FormerKeyError, BroughtError) as error:
+        raise RigError(str(error).splitlines()) from None
     except ValidationError as error:
         raise RigError(first_problems(error.errors(include_url=False), _describe)) from None
 
@@ -154,9 +136,38 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     return rig
 
 
+def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> TaskConfig:
+    """Another task for a rig: of a TOML file the table [task], of a CSV or NPZ file the path. overrides: key=value, of
+    [task] alone. Raises RigError naming file, key or row and column.
+    """
+    if path.suffix.lower() == ".toml":
+        try:
+            table = read_toml(path).get("task")
+        except OSError as error:
+            raise RigError([f"{path}: {error.strerror or error}"]) from None
+        except TomlError as error:
+            raise RigError([f"{path}: {error}"]) from None
+        if table is None:
+            raise RigError([f"{path}: there is no table [task]"])
+    else:
+        table = {"kind": "path", "file": path.name}
+    if strange := [text for text in overrides if not text.strip().startswith("task.")]:
+        raise RigError([f"--set {shown(strange[0])}: only keys of [task] can be chosen here"])
+    try:
+        return build_rig({**rig.model_dump(mode="json"), "task": table}, overrides, folder=path.parent).task
+    except RigError as error:
+        raise RigError([f"{path}: {line}" for line in error.problems]) from None
+
+
 def rig_hash(rig: RigConfig) -> str:
     """SHA-256 of the validated rig in canonical JSON; two files that mean the same rig have the same hash."""
     return document_hash(rig.model_dump(mode="json"))
+
+
+def learning_hash(rig: RigConfig) -> str:
+    """The same of the rig as if it had learnt nothing yet."""
+    law = rig.law.model_copy(update={"learnt": "", "learnt_on": "", "learnt_state": []})
+    return rig_hash(rig.model_copy(update={"law": law}))
 
 
 def document_hash(rig: dict[str, Any]) -> str:

@@ -35,7 +35,8 @@ def modernise(document: dict[str, Any]) -> list[str]:
     """Move former keys of a parsed rig document, in place. Returns a line for each.
 
     plant.watchdog_s and plant.brake are drives.watchdog_s and drives.brake. axes.NAME.safe, which nothing acted on,
-    gives way to either brake, and is drives.brake where the document has neither. Raises FormerKeyError.
+    gives way to either brake, and is drives.brake where the document has neither. telemetry.ring_slots goes. Raises
+    FormerKeyError.
     """
     plant, axes = document.get("plant"), document.get("axes")
     drives = document.get("drives", {})
@@ -54,6 +55,9 @@ def modernise(document: dict[str, Any]) -> list[str]:
         lines.append(_line(", ".join(f"axes.{name}.safe" for name in safe), "brake", brake))
     if lines:
         document["drives"] = drives
+    telemetry = document.get("telemetry")
+    if isinstance(telemetry, dict) and telemetry.pop("ring_slots", None) is not None:
+        lines.append("telemetry.ring_slots: the ring holds telemetry.blackbox_s seconds of ticks; remove ring_slots")
     return lines
 
 

@@ -26,7 +26,7 @@ def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[
     return {
         "rig": rig.model_dump(mode="json"),
         "rig_hash": rig_hash(rig),
-        "files": _referenced_files(rig, base_dir),
+        "files": referenced_files(rig, base_dir),
         "realtime": realtime,
         "wall_offset_ns": time.time_ns() - time.monotonic_ns(),
         "version": importlib.metadata.version("hil"),
@@ -37,7 +37,7 @@ def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[
     }
 
 
-def _referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
+def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
     """Texts of the files the rig file names, by the name it uses (today: the DBC file of a `dbc:` protocol)."""
     kind, _, name = rig.bus.protocol.partition(":")
     return {name: (base_dir / name).read_text(encoding="utf-8", errors="surrogateescape")} if kind == "dbc" else {}
@@ -57,6 +57,18 @@ def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Ite
         except (AttributeError, KeyError, TypeError, ValueError, OSError):
             raise RigError(["the recording's description of the files its rig names is damaged"]) from None
         yield build_rig(document, overrides), base_dir
+
+
+@contextmanager
+def unpacked_rig(document: str, files: dict[str, str], folder: Path) -> Iterator[tuple[RigConfig, Path]]:
+    """A rig (JSON) that came from elsewhere, and a directory with the files it refers to: `folder`, where it needs
+    none. Raises RigError.
+    """
+    if not files:
+        yield build_rig(json.loads(document)), folder
+        return
+    with rig_of_run({"rig": json.loads(document), "files": files}) as found:
+        yield found
 
 
 def control_path() -> str:

@@ -5,11 +5,13 @@ friction, a first move that asks for a fifth of the force. It is a place to begi
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from hil.rig.tables import MAX_AXES
 
-LAYOUTS = ("stage_fd", "stage_classic", "cia402", "dbc")
+LAYOUTS = ("stage_fd", "stage_classic", "cia402", "moteus", "dbc")
+MOTEUS_COUNTS = 100_000  # per turn of a controller's output shaft
 GRAVITY = 9.81  # m/s^2
 MOVE_SHARE, FORCE_SHARE, SPEED_SHARE = 0.1, 0.2, 0.5  # the first move: of the travel, the rated force, the speed limit
 JERK_FREE_SPEED, JERK_FREE_ACCELERATION = 1.875, 5.7735  # peaks of a minimum-jerk move over d / T and d / T^2
@@ -62,7 +64,7 @@ def rig_text(sketch: Sketch) -> str:
 name = "{sketch.name}"
 rate_hz = {sketch.rate_hz:g}
 """,
-        *(_axis_text(axis) for axis in sketch.axes),
+        *(_axis_text(axis, _gear(axis) if sketch.layout == "moteus" else "") for axis in sketch.axes),
         f"""\
 # What the drives do by themselves, by their data sheet. Their watchdog must be switched on.
 [drives]
@@ -90,6 +92,9 @@ protocol = "{protocol}"
     ]
     if sketch.layout == "dbc":
         parts.append(_binding_text(sketch.axes))
+    if sketch.layout == "moteus":
+        nodes = _list([*range(1, len(sketch.axes) + 1)])
+        parts.append(f"[bus.moteus]\nnodes = {nodes}  # id.id of each\nwatchdog_s = {sketch.watchdog_s:g}\n")
     parts.append("""\
 # There is no [plant]: `hil sim` and `hil demo` emulate a stage that is exactly as the nominal model says. To see what
 # another one does: hil sim ... --set plant.mass_scale=1.2 --set plant.friction_scale=1.5
@@ -97,7 +102,13 @@ protocol = "{protocol}"
     return "\n".join(parts)
 
 
-def _axis_text(axis: AxisSketch) -> str:
+def _gear(axis: AxisSketch) -> str:
+    """What a moteus makes of its torque, by the travel of a turn."""
+    turn = MOTEUS_COUNTS * axis.encoder
+    return f"\ngear = {_rounded(2.0 * math.pi / turn)!r}  # 2 pi over the {turn:g} of a turn of the output shaft"
+
+
+def _axis_text(axis: AxisSketch, gear: str) -> str:
     length, force = ("rad", "N m") if axis.rotary else ("m", "N")
     mass = "kg m^2" if axis.rotary else "kg"
     end = _rounded(axis.travel / 2)
@@ -106,7 +117,7 @@ def _axis_text(axis: AxisSketch) -> str:
 [axes.{axis.name}]
 kind = "{"rotary" if axis.rotary else "linear"}"
 encoder_resolution = {axis.encoder!r}  # {length} per count
-rated_force = {axis.force!r}  # {force}
+rated_force = {axis.force!r}  # {force}{gear}
 
 [axes.{axis.name}.limits]  # {length}, {length}/s, {force}, {force}/s, {length}
 position = [{-end!r}, {end!r}]
@@ -136,7 +147,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _list(values: list[float]) -> str:
+def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(repr(value) for value in values)}]"
 
 

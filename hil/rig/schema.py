@@ -5,12 +5,13 @@ sim_plant/config.py (the emulated stage). What is checked here is what concerns 
 [plant] does not state is taken from [axes] (hil/rig/plant.py), so that a whole rig always has a whole plant.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BaseModel, Field, model_validator
 
-from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, WireConfig, key
+from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, MoteusConfig, WireConfig, key
 from drivers.protocols.mounting import Mounting
 from drivers.toml_file import short
 from hil.rig.plant import completed
@@ -51,6 +52,9 @@ class RigError(Exception):
         super().__init__("\n".join(self.problems))
 
 
+LEAST_RING_SLOTS = 256
+
+
 class RigConfig(BaseModel):
     """A rig file: one stage, its drives, its bus, and how it is controlled."""
 
@@ -80,6 +84,11 @@ class RigConfig(BaseModel):
         return round(1e9 / self.rate_hz)
 
     @property
+    def ring_slots(self) -> int:
+        """Ticks that the ring holds: telemetry.blackbox_s of them, and as many as a sidecar may be late."""
+        return max(LEAST_RING_SLOTS, math.ceil(self.telemetry.blackbox_s * self.rate_hz))
+
+    @property
     def mountings(self) -> list[Mounting]:
         """The drives on their axes, in bus order."""
         return [axis.mounting for axis in self.axes.values()]
@@ -91,7 +100,13 @@ class RigConfig(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> "RigConfig":
-        problems = [*_length_problems(self), *_task_problems(self), *_watchdog_problems(self), *_wrap_problems(self)]
+        problems = [
+            *_length_problems(self),
+            *_task_problems(self),
+            *_watchdog_problems(self),
+            *_wrap_problems(self),
+            *_period_problems(self),
+        ]
         if problems:
             raise ValueError("; ".join(problems))
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
@@ -138,9 +153,9 @@ def _task_problems(rig: RigConfig) -> list[str]:
 def _path_problems(rig: RigConfig) -> list[str]:
     """The first point of a path or of waypoints that is beyond an axis' travel, or too fast to get to."""
     task = rig.task
-    if task.kind not in ("path", "waypoints", "spline", "raster"):
+    timed = task.timed
+    if not timed and task.kind not in ("waypoints", "spline", "raster"):
         return []
-    timed = task.kind == "path"
     table, rows = ("task.samples", task.samples) if timed else ("task.waypoints", task.waypoints)
     if task.kind == "raster":
         opposite = [begin + length for begin, length in zip(task.corner, task.size, strict=True)]
@@ -176,9 +191,35 @@ def _wrap_problems(rig: RigConfig) -> list[str]:
     ]
 
 
+def _period_problems(rig: RigConfig) -> list[str]:
+    """Drives that tell their position, or their state, too seldom for this rate."""
+    binding, period_s = rig.bus.dbc, rig.period_ns * 1e-9
+    if binding is None:
+        return []
+    problems = []
+    if binding.feedback_period_s > 1.001 * period_s:
+        problems.append(
+            f"bus.dbc.feedback_period_s = {binding.feedback_period_s:g}: a position has to come in every tick; "
+            f"rate_hz = {rig.rate_hz:g} has to be {1 / binding.feedback_period_s:g} or less"
+        )
+    longest_s = rig.safety.disable_timeout_ticks * period_s
+    apart = {item.message for item in binding.status} - {item.message for item in binding.position}
+    if apart and binding.state_period_s >= longest_s:
+        problems.append(
+            f"bus.dbc.state_period_s = {binding.state_period_s:g}: a drive that is disabled has to say so within the "
+            f"{longest_s:g} s of safety.disable_timeout_ticks = {rig.safety.disable_timeout_ticks}"
+        )
+    return problems
+
+
 def _watchdog_problems(rig: RigConfig) -> list[str]:
-    """Every drive would trip between any two commands, and no run could ever become ACTIVE."""
+    """Every drive would trip between any two commands, and no run could ever become ACTIVE; or another watchdog than
+    the one that drives are told.
+    """
     watchdog_s, period_s = rig.drives.watchdog_s, rig.period_ns * 1e-9
+    told = rig.bus.moteus or MoteusConfig()
+    if rig.bus.protocol == "moteus" and told.watchdog_s != watchdog_s:
+        return [f"bus.moteus.watchdog_s = {told.watchdog_s:g}: the drives are told another than drives.watchdog_s says"]
     if watchdog_s > period_s:
         return []
     return [

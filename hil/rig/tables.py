@@ -10,8 +10,10 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
+from drivers.plugins import known, unknown
 from drivers.protocols.mounting import Mounting
 from hil.rig.task_file import MOST_ROWS, sample_problems
+from hil.rig.task_kinds import KIND, TASKS, is_users
 from sim_plant.config import NonNegative, Positive, Resolution
 
 MAX_AXES: Final = 4
@@ -127,6 +129,11 @@ class LawConfig(BaseModel):
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
+    learnt: str = key(
+        "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
+    )
+    learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
+    learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded")
     source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
 
     def effective_gains(self) -> dict[str, Any]:
@@ -174,9 +181,13 @@ class TaskConfig(BaseModel):
     """[task]: what the stage is to do once ACTIVE."""
 
     model_config = STRICT
-    kind: Literal[
-        "hold", "circle", "point_to_point", "lissajous", "injection", "path", "waypoints", "spline", "raster", "spiral"
-    ] = key("hold", "the kind of motion")
+    kind: str = key(
+        "hold",
+        f"the kind of motion: {', '.join(TASKS)}; or a task of your own: its registered name, package.module:Class, or "
+        "./file.py:Class beside the rig file",
+    )
+    parameters: dict[str, Any] = key({}, "of a task of your own: what its class takes")
+    source: str = key("", "text of such a task's file; filled in when the rig is loaded")
     axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)
@@ -191,7 +202,9 @@ class TaskConfig(BaseModel):
     )
     file: str = key("", "path: CSV or NPZ beside the rig file, with time_s and a column for each axis that moves")
     samples: list[list[float]] = key(
-        [], "path: rows of time and positions in the order of `axes`; read from `file`", "s, then m (rad)"
+        [],
+        "path: rows of time and positions in the order of `axes`; read from `file`, or made by a task of your own",
+        "s, then m (rad)",
     )
     waypoints: list[list[float]] = key([], "waypoints, spline: positions in the order of `axes`", "m (rad)")
     speed: Positive = key(0.1, "waypoints, spline, raster: greatest speed of an axis", "m/s (rad/s)")
@@ -213,17 +226,24 @@ class TaskConfig(BaseModel):
 
     @model_validator(mode="after")
     def _complete(self) -> "TaskConfig":
+        if not self.samples and not known(KIND, self.kind):  # with them, a recording of a package that is not here
+            raise ValueError(unknown(KIND, self.kind))
         if self.kind == "injection" and self.injection is None:
             raise ValueError("kind = 'injection' needs a table [task.injection]")
         if self.kind == "point_to_point" and self.target and len(self.target) != len(self.axes):
             raise ValueError(f"target has {len(self.target)} values for {len(self.axes)} axes")
-        if self.kind == "path" and (problems := sample_problems(self.axes, self.samples)):
+        if self.timed and (problems := sample_problems(self.axes, self.samples)):
             raise ValueError(f"samples: {problems[0]}")
         if self.kind in ("waypoints", "spline"):
             self._check_waypoints()
         if self.kind == "raster":
             self._check_raster()
         return self
+
+    @property
+    def timed(self) -> bool:
+        """Whether it goes through `samples`: of a file, or of a program of users."""
+        return self.kind == "path" or is_users(self.kind)
 
     def _check_raster(self) -> None:
         for name, values in (("corner", self.corner), ("size", self.size)):
@@ -266,10 +286,15 @@ class TelemetryConfig(BaseModel):
     model_config = STRICT
     listen: list[str] = key(["tcp/127.0.0.1:7447"], "Zenoh endpoints the sidecar listens on")
     publish_hz: float = key(50.0, "batches of telemetry a second", "Hz", gt=0, le=1000)
-    ring_slots: int = key(
-        4096, "ticks the ring between the control process and the sidecar holds", "ticks", ge=256, le=65536
+    blackbox_s: float = key(
+        60.0, "time the ring holds, which is the black box; a tick takes 4 KiB of memory", "s", ge=1, le=600
     )
     record: bool = key(True, "record every run")
+    record_part_size: int = key(500_000_000, "a file that is larger is followed by another", "B", ge=100_000, le=2**40)
+    record_part_s: float = key(3600.0, "a file that is older is followed by another", "s", ge=1, le=604800)
+    record_quota: int = key(
+        20_000_000_000, "most that recordings take; the oldest go, those of faults stay", "B", ge=1_000_000, le=2**50
+    )
     recording_required: bool = key(False, "without a working recorder a new ACTIVE is refused")
     # The last: in what follows in this class the name would hide the function.
     key: Annotated[str, Field(pattern=r"^[a-z0-9_-]+(/[a-z0-9_-]+)*$")] = key("hil", "prefix of all Zenoh keys")

@@ -12,9 +12,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from drivers.text_file import UnsuitableFileError, read_bounded
+from drivers.toml_file import short
+
 TIME = "time_s"
 MOST_ROWS = 20_000
-LARGEST = 2**24  # bytes
+MOST_COLUMNS = 64
+LARGEST = 2**23  # bytes, of the file and of what an NPZ file unfolds to
 Rows = list[list[float]]
 
 
@@ -25,12 +29,11 @@ class TaskFileError(ValueError):
 def read_task_file(path: Path) -> tuple[list[str], Rows]:
     """The axes a file names, and its rows: time, then positions in their order. Raises TaskFileError."""
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
+        data = read_bounded(path, LARGEST)
     except OSError as error:
         raise TaskFileError(f"{path}: {error.strerror or error}") from None
-    if len(data) > LARGEST:
-        raise TaskFileError(f"{path}: longer than {LARGEST} bytes")
+    except UnsuitableFileError as error:
+        raise TaskFileError(f"{path}: {error}") from None
     axes, rows = (_from_npz if path.suffix.lower() == ".npz" else _from_csv)(path, data)
     problems = sample_problems(axes, rows)
     if problems:
@@ -90,15 +93,17 @@ def _numbers(path: Path, number: int, header: Sequence[str], line: Sequence[str]
 def _from_npz(path: Path, data: bytes) -> tuple[list[str], Rows]:
     import numpy as np
 
+    from hil.rig.npz_file import read_arrays
+
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name], dtype=np.float64) for name in archive.files}
-    except Exception as error:  # of many kinds, for bytes of any kind
-        raise TaskFileError(f"{path}: no NPZ file of numbers: {error}") from None
+        archive = read_arrays(io.BytesIO(data), LARGEST)
+        arrays = {name: np.asarray(array, dtype=np.float64) for name, array in archive.items()}
+    except (ValueError, TypeError, OverflowError) as error:
+        raise TaskFileError(f"{path}: no NPZ file of numbers: {short(str(error))}") from None
     axes = _columns(path, list(arrays))
     for name, array in arrays.items():
         if array.shape != arrays[TIME].shape or array.ndim != 1:
-            raise TaskFileError(f"{path}: {name} has the shape {array.shape}, {TIME} {arrays[TIME].shape}")
+            raise TaskFileError(f"{path}: {short(name)} has the shape {array.shape}, {TIME} {arrays[TIME].shape}")
     if arrays[TIME].size > MOST_ROWS:
         raise TaskFileError(f"{path}: more than {MOST_ROWS} rows")
     found: Any = np.stack([arrays[name] for name in (TIME, *axes)], axis=1).tolist()
@@ -106,8 +111,10 @@ def _from_npz(path: Path, data: bytes) -> tuple[list[str], Rows]:
 
 
 def _columns(path: Path, header: Sequence[str]) -> list[str]:
+    if len(header) > MOST_COLUMNS:
+        raise TaskFileError(f"{path}: {len(header)} columns: at most {MOST_COLUMNS}")
     if TIME not in header:
-        raise TaskFileError(f"{path}: no column {TIME}; there are {', '.join(header) or 'none'}")
+        raise TaskFileError(f"{path}: no column {TIME}; there are {short(', '.join(header)) or 'none'}")
     if len(set(header)) != len(header):
-        raise TaskFileError(f"{path}: a column twice: {', '.join(header)}")
+        raise TaskFileError(f"{path}: a column twice: {short(', '.join(header))}")
     return [name for name in header if name != TIME]

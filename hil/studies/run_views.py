@@ -15,7 +15,7 @@ from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.output import drawable, metres, writable, write_json
 from hil.rig.difference import rig_differences
 from hil.runs import EXPORTS, Run, load_run
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 
 RunFile = Annotated[
     Path,

@@ -17,10 +17,9 @@ from hil.telemetry.recorder import Recorder, write_batch
 def save_ring(reader: RingReader, path: Path) -> int:
     """Write all a ring still holds to a recording; returns the number of ticks. Raises OSError when it does not fit."""
     recorder = Recorder(path, reader.metadata)
-    n_axes = len(reader.metadata["rig"]["axes"])
     saved = 0
     while len((batch := reader.read()).records):
-        write_batch(recorder, batch.records, n_axes, first=batch.first, lost=batch.lost)
+        write_batch(recorder, batch.records, first=batch.first, lost=batch.lost)
         saved += len(batch.records)
     recorder.close()
     if recorder.errors:

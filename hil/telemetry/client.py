@@ -1,23 +1,28 @@
-"""A client of a sidecar: the newest status. Commands are not given over Zenoh: hil/telemetry/command_client.py."""
+"""A client of a sidecar: the newest status, every tick. Commands go another way: hil/telemetry/command_client.py."""
 
 import contextlib
+import json
 import socket
 import time
 from typing import Any
 
 import zenoh
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 from zenoh.handlers import RingChannel
 
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry import tick_codec
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.session import client_config
+from hil.telemetry.tick_schema import TickSchema
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _POLL_S = 0.01
-_KEPT = 200  # batches for a reader that is late
+_KEPT = 4096  # ticks for a reader that is late
+_ANSWER_S = 2.0
 _NOBODY = "no sidecar answers at {}: is `hil sidecar RIG` (or `hil demo RIG`) running?"
 
 
@@ -68,7 +73,9 @@ class RigClient(Closing):
         self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
-        self._batches: Any = None
+        self._schema: TickSchema | None = None
+        self._period_ns = 0
+        self._ticks: Any = None
 
     def _connect(self) -> bool:
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
@@ -97,19 +104,34 @@ class RigClient(Closing):
             time.sleep(_POLL_S)
         raise NoSidecarError(_NOBODY.format(self.endpoint))
 
-    def wait_telemetry(self, timeout_s: float) -> pb.Telemetry:
-        """The next batch of ticks since this was first called, the oldest of at most _KEPT. Raises NoSidecarError."""
+    def wait_ticks(self, timeout_s: float) -> dict[str, NDArray[Any]]:
+        """The ticks since the last call as columns (tick_codec.columns), the newest _KEPT of them; since the first one
+        where there was none. scheduled_ns and now_ns count from the control process's slot 0. Raises NoSidecarError.
+        """
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
-            if self._connect() and self._batches is None and self._session is not None:
-                self._batches = self._session.declare_subscriber(f"{self._key}/telemetry", RingChannel(_KEPT))
-            sample = self._batches.try_recv() if self._batches is not None else None
-            if sample is None:
-                time.sleep(_POLL_S)
-                continue
-            with contextlib.suppress(DecodeError):  # as in `status`
-                return pb.Telemetry.FromString(sample.payload.to_bytes())
+            if (schema := self._ask_schema()) and (messages := self._new_ticks(schema)):
+                due_ns = [message.tick * self._period_ns for message in messages]
+                return tick_codec.columns(messages, due_ns, schema)
+            time.sleep(_POLL_S)
         raise NoSidecarError(_NOBODY.format(self.endpoint))
+
+    def _ask_schema(self) -> TickSchema | None:
+        """What the rig's ticks look like; the first time, who publishes them is asked."""
+        if self._schema is None and self._connect() and self._session is not None:
+            for reply in self._session.get(f"{self._key}/rig", timeout=_ANSWER_S):
+                if reply.ok is not None:
+                    rig = json.loads(reply.ok.payload.to_bytes())["rig"]
+                    self._schema, self._period_ns = TickSchema(rig), round(1e9 / rig["rate_hz"])
+                    self._ticks = self._session.declare_subscriber(f"{self._key}/tick", RingChannel(_KEPT))
+        return self._schema
+
+    def _new_ticks(self, schema: TickSchema) -> list[Any]:
+        messages = []
+        while (sample := self._ticks.try_recv()) is not None:
+            with contextlib.suppress(DecodeError):  # as in `status`
+                messages.append(schema.message.FromString(sample.payload.to_bytes()))
+        return messages
 
     def close(self) -> None:
         """Leave."""

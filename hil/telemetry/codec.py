@@ -1,4 +1,4 @@
-"""Ring records to protobuf messages and back, whole batches at a time (numpy does the per-tick work)."""
+"""Recordings of the earlier layout (Telemetry, Traffic), and what it shares with today's (cycle_codec.py)."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
-from hil.cycle.record import FRAME, MOTION_FIELDS
+from hil.cycle.record import FRAME, MAX_RECEIVED, MAX_SENT, MOTION_FIELDS, RECORD
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters, Tick
+from hil.rig.schema import MAX_AXES
 from hil.telemetry import telemetry_pb2 as pb
 
 Records = NDArray[np.void]
@@ -26,7 +27,9 @@ _COUNTERS = (
     "law_floors",
 )
 STOP, RECORDER_OK, REALTIME_OK, RIG_OK, ESTOP = 1, 2, 4, 8, 32  # bits of record flags
-_N_PORT = len(PortCounters._fields)
+LONGEST_BATCH = 4096  # ticks in a message, several times what a sidecar drains in a round
+_STAGES = RECORD.fields["cpu_ns"][0].shape[0]  # type: ignore[index]
+N_PORT = len(PortCounters._fields)
 _DATA_BYTES = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 
 
@@ -85,12 +88,23 @@ def _frames(slots: NDArray[np.void], counts: NDArray[np.uint16]) -> pb.Frames:
 
 
 def columns(message: pb.Telemetry) -> dict[str, NDArray[Any]]:
-    """Telemetry as arrays: (ticks,) or (ticks, axes), by field name."""
+    """Telemetry as arrays: (ticks,) or (ticks, axes), by field name. Raises ValueError for one that cannot be."""
+    ticks, axes = len(message.index), message.axes
+    _refuse_too_many("ticks in a message", ticks, LONGEST_BATCH)
+    _refuse_too_many("axes", axes, MAX_AXES)
+    for names, most in ((PER_TICK, ticks), (PER_AXIS, ticks * axes), (("cpu_ns",), ticks * _STAGES)):
+        for name in names:
+            _refuse_too_many(f"values of {name}", len(getattr(message, name)), most)
     result = {name: np.array(getattr(message, name)) for name in PER_TICK}
     for name in PER_AXIS:
         result[name] = np.array(getattr(message, name)).reshape(-1, message.axes)
-    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, 5)
+    result["cpu_ns"] = np.array(message.cpu_ns).reshape(-1, _STAGES)
     return result
+
+
+def _refuse_too_many(what: str, number: int, most: int) -> None:
+    if number > most:
+        raise ValueError(f"{number} {what}: at most {most}")
 
 
 class RecordedTick(NamedTuple):
@@ -103,17 +117,20 @@ class RecordedTick(NamedTuple):
 
 
 def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
-    """The steps in a traffic message, in order."""
+    """The steps in a traffic message, in order. Raises ValueError for more than any recorder puts into one."""
+    _refuse_too_many("ticks in a message", len(message.index), LONGEST_BATCH)
+    _refuse_too_many("frames received in a tick", max(message.received_count, default=0), MAX_RECEIVED)
+    _refuse_too_many("frames sent in a tick", max(message.sent_count, default=0), MAX_SENT)
     received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
     for place in range(len(message.index)):
-        *counts, bus_state = message.port[place * _N_PORT : (place + 1) * _N_PORT]
+        *counts, bus_state = message.port[place * N_PORT : (place + 1) * N_PORT]
         flags = message.flags[place]
         tick = Tick(
             index=message.index[place],
             scheduled_ns=message.scheduled_ns[place],
             now_ns=message.now_ns[place],
             port=PortCounters._make((*counts, BusState(bus_state))),
-            commands=tuple(_command(next(commands)) for _ in range(message.command_count[place])),
+            commands=tuple(taken_command(next(commands)) for _ in range(message.command_count[place])),
             stop=bool(flags & STOP),
             recorder_ok=bool(flags & RECORDER_OK),
             realtime_ok=bool(flags & REALTIME_OK),
@@ -125,7 +142,8 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
         yield RecordedTick(message.first + place, tick, inputs, outputs)
 
 
-def _command(command: pb.Command) -> OperatorCommand:
+def taken_command(command: pb.Command) -> OperatorCommand:
+    """An operator's command as it was recorded."""
     return OperatorCommand(CommandKind(command.kind), command.sequence, command.expires_ns)
 
 

@@ -8,6 +8,7 @@ import contextlib
 import os
 import socket
 import time
+import zlib
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -18,14 +19,17 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
 from hil.live.ring import RingError, RingReader
+from hil.rig.file import build_rig
+from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.command_wire import LIMIT, REPLY, REQUEST, WireError, frame, opened, peer, seal, unframe
+from hil.telemetry.command_wire import LIMIT, PART, REPLY, REQUEST, WireError, frame, opened, peer, seal, unframe
 from hil.telemetry.credentials import SIDECAR, Credentials, identity
 from hil.telemetry.window import silent_axes
 
 COMMAND_LIFE_NS = 300_000_000
 _RETRY_S = 0.01
 REPLY_S = 0.9  # the gateway waits half a second for the control process
+TASK_S = 25.0  # longer than it takes to plan one (task_loader.PATIENCE_NS)
 _M = TypeVar("_M", pb.Challenge, pb.CommandReply)
 
 
@@ -54,22 +58,43 @@ class CommandClient(Closing):
         self._challenge = self._parse(pb.Challenge, self._receive())
         self._challenged_ns = time.monotonic_ns()
 
-    def command(self, kind: CommandKind) -> Verdict:
-        """Ask, and wait for the verdict. Raises NoGatewayError."""
+    def load_task(self, document: str) -> Verdict:
+        """Ask for another task, a [task] as JSON, and wait until it is loaded or refused. Raises NoGatewayError."""
+        data = zlib.compress(document.encode())
+        parts = [data[at : at + PART] for at in range(0, len(data), PART)]
+        for part in parts[:-1]:
+            verdict = self.command(CommandKind.LOAD_TASK, part, more=True)
+            if not verdict.accepted:
+                return verdict
+        return self.command(CommandKind.LOAD_TASK, parts[-1], patience_s=TASK_S)
+
+    def command(
+        self, kind: CommandKind, task: bytes = b"", *, more: bool = False, patience_s: float = REPLY_S
+    ) -> Verdict:
+        """Ask, and wait for the verdict. task: a part of one, of a LOAD_TASK. Raises NoGatewayError."""
         self._sequence += 1
         now_ns = self._challenge.now_ns + time.monotonic_ns() - self._challenged_ns  # on the rig's clock
-        request = pb.CommandRequest(kind=kind, sequence=self._sequence, expires_ns=now_ns + COMMAND_LIFE_NS)
+        request = pb.CommandRequest(
+            kind=kind, sequence=self._sequence, expires_ns=now_ns + COMMAND_LIFE_NS, task=task, more=more
+        )
         nonce = self._challenge.nonce
         try:
             self._socket.sendall(frame(seal(request.SerializeToString(), REQUEST, nonce, self._secret)))
         except OSError as error:
             raise NoGatewayError(f"the gateway closed the connection: {error}") from None
-        body = self._open(self._receive(), nonce)
+        body = self._open(self._receive(patience_s), nonce)
         reply = self._parse(pb.CommandReply, body)
         if reply.sequence != self._sequence and reply.accepted:
             raise NoGatewayError("the reply belongs to another request")
         self._challenge, self._challenged_ns = reply.challenge, time.monotonic_ns()
         return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
+
+    def rig(self) -> RigConfig:
+        """The rig that the control process runs; from elsewhere it is not known. Raises NoGatewayError, RigError."""
+        if self._ring is not None:
+            with contextlib.suppress(RingError), RingReader(self._ring) as reader:
+                return build_rig(dict(reader.metadata["rig"]))
+        raise NoGatewayError("no control process whose rig could be read")
 
     def silent(self) -> str:
         """Axes that have not answered for long, by the newest tick's record, in words; from elsewhere nothing."""
@@ -104,8 +129,9 @@ class CommandClient(Closing):
                 return Verdict(accepted, "" if accepted else reply.reason or "refused", state)
         raise NoGatewayError("the gateway names a tick whose record does not hold the command")
 
-    def _receive(self) -> bytes:
-        until = time.monotonic() + REPLY_S
+    def _receive(self, patience_s: float = REPLY_S) -> bytes:
+        until = time.monotonic() + patience_s
+        self._socket.settimeout(patience_s)
         try:
             while (message := unframe(self._buffer)) is None:
                 received = self._socket.recv(LIMIT)
@@ -115,7 +141,7 @@ class CommandClient(Closing):
                     raise TimeoutError
                 self._buffer += received
         except TimeoutError:
-            raise NoGatewayError(f"the gateway has not answered within {REPLY_S:g} s: the sidecar hangs") from None
+            raise NoGatewayError(f"the gateway has not answered within {patience_s:g} s: the sidecar hangs") from None
         except (OSError, WireError) as error:
             raise NoGatewayError(f"the gateway refused the connection: {error}") from None
         return message

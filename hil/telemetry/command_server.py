@@ -53,6 +53,7 @@ class Connection:
         self.closed_because = ""  # where it never got as far as to ask
         self.heard_ns = now_ns
         self.last_sequence = 0
+        self.upload = b""  # the parts of a task so far
         self.waiting = False  # for the reply to its request
         self.spoke = False
         self._secret = secret

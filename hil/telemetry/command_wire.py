@@ -13,7 +13,8 @@ import struct
 
 from hil.telemetry import telemetry_pb2 as pb
 
-LIMIT = 1024  # bytes of a message; whoever announces more is cut off
+LIMIT = 2**15  # bytes of a message; whoever announces more is cut off
+PART = LIMIT - 1024  # of a task that does not fit one
 NONCE_BYTES = 16
 REQUEST, REPLY = b"hil request", b"hil reply"
 _LENGTH = struct.Struct(">H")

@@ -25,6 +25,7 @@ from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP, REALTIME_OK, RECORDER_OK, RIG_OK
 from hil.telemetry.command_server import Asked
+from hil.telemetry.task_loader import MOST_BYTES, Prepared, TaskLoader
 from hil.telemetry.window import silent_axes
 
 VERDICT_TIMEOUT_NS = 500_000_000
@@ -35,6 +36,7 @@ _MOST_PROBLEMS, _LONGEST_PROBLEM = 3, 160  # in a reply: it has to fit a message
 class _Pending(NamedTuple):
     asked: Asked
     until_ns: int
+    task: Prepared = Prepared("")  # of a LOAD_TASK
 
 
 class Gateway:
@@ -42,7 +44,7 @@ class Gateway:
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
     counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
-    words (hil/live/drive_problems.py).
+    words (hil/live/drive_problems.py). task: where the file of another task goes.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Gateway:
         stop: Path,
         record: Callable[[pb.CommandEntry], None],
         problems: Callable[[], Sequence[str]] = tuple,
+        task: Path = Path("task"),
     ) -> None:
         self._rig = rig
         self._doubt = ""  # about reasons told from `rig`
@@ -59,6 +62,7 @@ class Gateway:
         self._record = record
         self._pending: dict[int, _Pending] = {}  # by mailbox sequence
         self._stops: list[_Pending] = []  # presses of the stop page
+        self._loader = TaskLoader(task)
         self.refused = 0
 
     def follow(self, metadata: dict[str, Any]) -> None:
@@ -88,13 +92,42 @@ class Gateway:
         asked.connection.last_sequence = request.sequence
         return ""
 
-    def take(self, asked: Asked, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
-        """Judge one request; hand it on, or answer it at once."""
+    def take(self, asked: Asked, mailbox: Mailbox | None, now_ns: int, state: str, last: np.void | None = None) -> None:
+        """Judge one request; hand it on, or answer it at once. last: the newest tick, where it is the present."""
         reason = self.judge(asked, now_ns)
-        if not reason:
+        if not reason and asked.request.kind == CommandKind.LOAD_TASK:
+            reason = self._collect(asked)
+            if not reason and asked.request.more:
+                asked.connection.answer(pb.CommandReply(accepted=True, now_ns=now_ns, sequence=asked.request.sequence))
+                return
+            reason = reason or self._loader.take(asked, self._rig, mailbox, last, now_ns)
+        elif not reason:
             pending = _Pending(asked, now_ns + VERDICT_TIMEOUT_NS)
             press = asked.request.kind == CommandKind.ESTOP
             reason = self._press(pending) if press else self._post(pending, mailbox)
+        if reason:
+            self._answer(asked, pb.CommandReply(reason=reason, now_ns=now_ns, state=state))
+
+    @staticmethod
+    def _collect(asked: Asked) -> str:
+        """Put a part of a task behind the others."""
+        connection = asked.connection
+        connection.upload += asked.request.task
+        if len(connection.upload) <= MOST_BYTES:
+            return ""
+        connection.upload = b""
+        return f"the task is longer than {MOST_BYTES} bytes, compressed"
+
+    def advance(self, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
+        """Go on with a task that is being loaded."""
+        ended = self._loader.advance(mailbox, now_ns)
+        if ended is None:
+            return
+        asked, prepared = ended
+        reason = prepared.reason
+        if not reason:
+            expires_ns = now_ns + round(self._rig.safety.command_expiry_s * 1e9)
+            reason = self._post(_Pending(asked, now_ns + VERDICT_TIMEOUT_NS, prepared), mailbox, expires_ns)
         if reason:
             self._answer(asked, pb.CommandReply(reason=reason, now_ns=now_ns, state=state))
 
@@ -107,12 +140,12 @@ class Gateway:
         self._stops.append(pending)
         return ""
 
-    def _post(self, pending: _Pending, mailbox: Mailbox | None) -> str:
+    def _post(self, pending: _Pending, mailbox: Mailbox | None, expires_ns: int | None = None) -> str:
         if mailbox is None:
             return _NOBODY
         request = pending.asked.request
         try:
-            sequence = mailbox.post(CommandKind(request.kind), request.expires_ns)
+            sequence = mailbox.post(CommandKind(request.kind), expires_ns or request.expires_ns)
         except MailboxError as error:
             return str(error)
         self._pending[sequence] = pending
@@ -134,7 +167,9 @@ class Gateway:
                     reason = "" if accepted else self._explain(kind, expires_ns, record)
                     reply = _reply(record, first + int(place), now_ns, reason)
                     reply.posted = int(command["sequence"])
-                    self._answer(pending.asked, reply)
+                    if accepted and pending.task.rig is not None:
+                        self._rig = pending.task.rig
+                    self._answer(pending.asked, reply, pending.task.document)
 
     def _explain(self, kind: CommandKind, expires_ns: int, record: np.void) -> str:
         """Why it was refused, and what stands against the drives, which is most often why."""
@@ -167,14 +202,16 @@ class Gateway:
                 reason += " yet: stop stays pressed"
             self._answer(pending.asked, pb.CommandReply(reason=reason, now_ns=now_ns, state=state))
 
-    def _answer(self, asked: Asked, reply: pb.CommandReply) -> None:
+    def _answer(self, asked: Asked, reply: pb.CommandReply, task: str = "") -> None:
         reply.sequence = asked.request.sequence
-        self._note(asked.who, asked.request.kind, reply)
+        self._note(asked.who, asked.request.kind, reply, task)
         asked.connection.answer(reply)
 
-    def _note(self, who: str, kind: int, reply: pb.CommandReply) -> None:
+    def _note(self, who: str, kind: int, reply: pb.CommandReply, task: str = "") -> None:
         self.refused += not reply.accepted
         entry = pb.CommandEntry(who=who, kind=kind, when_ns=reply.now_ns, accepted=reply.accepted)
+        if task:  # what replay needs of it
+            entry.posted, entry.task = reply.posted, task.encode()
         entry.reason, entry.state = reply.reason, reply.state
         self._record(entry)
 
@@ -208,6 +245,8 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
             reasons = _infeasible(rig, record)
         missing_heartbeat = "no operator heartbeat" if rig.safety.heartbeat_s else "the task cannot begin here"
         return "refused: " + (" and ".join(reasons) or missing_heartbeat)
+    if kind is CommandKind.LOAD_TASK and state is State.READY:
+        return "refused: the task cannot begin where the axes stand"
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
         return f"refused in {state.name}: the cause of the fault is still there{also}"
     return f"{kind.name} is not possible in state {state.name}{also}"

@@ -1,6 +1,6 @@
 """The sidecar's side of Zenoh: what is published under which key."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
 import zenoh
@@ -12,6 +12,10 @@ from hil.telemetry.session import server_config
 
 _QUERIES_WAITING = 64
 QUERIES_A_ROUND = 8
+_ANSWERED = {
+    "rig": zenoh.Encoding.APPLICATION_JSON,
+    "schema": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("google.protobuf.FileDescriptorSet"),
+}
 
 
 class ListenError(Exception):
@@ -30,12 +34,15 @@ class Publisher(Closing):
             self._publishers = {
                 topic: self._session.declare_publisher(
                     f"{self.key}/{topic}",
-                    encoding=zenoh.Encoding.APPLICATION_PROTOBUF,
+                    encoding=zenoh.Encoding.APPLICATION_PROTOBUF.with_schema(f"hil.telemetry.{kind}"),
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic in ("telemetry", "status")
+                for topic, kind in (("tick", "Tick"), ("status", "Status"))
             }
-            self.rig_queries = self._session.declare_queryable(f"{self.key}/rig", RingChannel(_QUERIES_WAITING))
+            self.queries = {
+                name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))
+                for name in _ANSWERED
+            }
             self._alive = self._session.liveliness().declare_token(f"{self.key}/alive")
             self._stack = stack.pop_all()
 
@@ -48,15 +55,16 @@ class Publisher(Closing):
             return False
         return True
 
-    def answer_rig_queries(self, description: Callable[[], bytes]) -> None:
-        """Reply to everybody who asked which rig this is. description: called for each, as hardly anybody asks."""
-        for _ in range(QUERIES_A_ROUND):
-            query = self.rig_queries.try_recv()
-            if query is None:
-                return
-            with query:
-                self.answered += 1
-                query.reply(f"{self.key}/rig", description(), encoding=zenoh.Encoding.APPLICATION_JSON)
+    def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
+        """Reply to everybody who asked for "rig" or "schema". answers: called for each, as hardly anybody asks."""
+        for name, waiting in self.queries.items():
+            for _ in range(QUERIES_A_ROUND):
+                query = waiting.try_recv()
+                if query is None:
+                    break
+                with query:
+                    self.answered += 1
+                    query.reply(f"{self.key}/{name}", answers[name](), encoding=_ANSWERED[name])
 
     def close(self) -> None:
         """Undeclare everything and leave."""

@@ -1,123 +1,187 @@
-"""MCAP recordings: self-describing, compressed in small chunks, readable to the last whole chunk when cut short.
+"""MCAP recordings: self-describing, for any viewer, readable to the last half second when cut short.
 
-Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Channels: `telemetry`
-and `traffic` (every tick, in batches), `status` (10 Hz), `commands` (every
-request, refused ones included).
+Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Topics: `tick` (every
+tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to the byte, for replay: cycle_codec.py),
+`status` (10 Hz), `commands` (every request, refused ones included). recording.py reads them.
 """
 
+import contextlib
 import json
-import struct
+import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
-import zstandard
 from google.protobuf.message import Message
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
 from hil.cycle.record import RECORD
-from hil.cycle.tick import CycleResult, Tick
-from hil.rig.file import document_hash
+from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, Tick
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
-from hil.telemetry import codec
+from hil.telemetry import cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.recording import RUN_ATTACHMENT, RecordingError
+from hil.telemetry.tick_codec import TickEncoder
+from hil.telemetry.tick_schema import TICK, TickSchema
 
-CHANNELS: dict[str, type[Message]] = {
-    "telemetry": pb.Telemetry,
-    "traffic": pb.Traffic,
-    "status": pb.Status,
-    "commands": pb.CommandEntry,
-}
-CHUNK_SIZE = 64 * 1024  # about a tenth of a second at 1 kHz: what a power cut can cost
-_LOCKSTEP_BATCH = 50  # ticks
-RUN_ATTACHMENT = "run.json"
+MESSAGES: dict[str, type[Message]] = {"cycle": pb.Cycle, "status": pb.Status, "commands": pb.CommandEntry}
+CHUNK_SIZE = 1024 * 1024  # at most; a chunk is written twice a second
+BATCH = 500  # ticks of a Cycle message at most: larger ones compress no better
+FLUSH_NS = 500_000_000  # what a killed process or a power cut can cost
+MODE = 0o640
 _SUMMARY_KEYS = ("rig_hash", "version", "python", "numpy", "platform", "realtime")
-
-_RECORD_LIMIT = 256 * 2**20
-# What a file that ends anywhere, or has any bit wrong, can cause: a length may be beyond all bounds.
-_DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
-
-
-class RecordingError(Exception):
-    """The file is no recording of a control process."""
 
 
 class Recorder:
-    """Writes one recording. No method raises for want of space or a broken disk: `errors` counts, `ok` turns False."""
+    """Writes one recording, a new file. No method raises for want of space or a broken disk: `errors` counts, `ok`
+    turns False, `problem` says why. encoder: of the rig's ticks.
+    """
 
     def __init__(self, path: Path, metadata: dict[str, Any]) -> None:
         self.path = path
         self.errors = 0
         self.ok = False
+        self.problem = ""
+        self.encoder = TickEncoder(TickSchema(metadata["rig"]))
         self._offset_ns = int(metadata.get("wall_offset_ns", 0))
         self._channels: dict[str, int] = {}
-        self._sequence = dict.fromkeys(CHANNELS, 0)
+        self._held: list[np.ndarray] = []  # ticks that are not in a Cycle message yet
+        self._first = self._lost = 0  # of those held: ring index of the first, ticks missing before it
+        self.size = 0  # bytes that are on the disk, all whole chunks
+        self._next = 0  # ring index after the last tick taken
+        self.durable = 0  # ring index after the last tick that is there
+        self._flush_due_ns: int | None = None
         self._file: IO[bytes] | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("wb")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            self._fd = os.open(path, flags, MODE)
+            self._file = os.fdopen(self._fd, "wb", closefd=False)
             self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
             self._begin(metadata)
             self.ok = True
-        except OSError:
-            self._fail()
+        except OSError as error:
+            self._fail(error)
 
     def _begin(self, metadata: dict[str, Any]) -> None:
-        assert self._file is not None
         self._writer.start(profile="hil", library=f"hil {metadata.get('version', '')}")
         now = time.time_ns()
         self._writer.add_attachment(now, now, RUN_ATTACHMENT, "application/json", json.dumps(metadata).encode())
         self._writer.add_metadata("hil", {key: str(metadata.get(key, "")) for key in _SUMMARY_KEYS})
-        for topic, kind in CHANNELS.items():
+        schema = self.encoder.schema
+        number = self._writer.register_schema(TICK, "protobuf", schema.files.SerializeToString())
+        self._channels["tick"] = self._writer.register_channel("tick", "protobuf", number, schema.metadata)
+        for topic, kind in MESSAGES.items():
             descriptors = build_file_descriptor_set(kind).SerializeToString()
-            schema = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._file.flush()
+            number = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", number)
+        self._to_disk()
+
+    def ticks(self, records: cycle_codec.Records, messages: Sequence[bytes], *, first: int, lost: int) -> None:
+        """Append ticks, at least one. messages: their Tick messages. first: ring index. lost: missing before them."""
+        if not self.ok:
+            return
+        if self._held and first != self._next:
+            self._end_batch()
+        if not self._held:
+            self._first, self._lost = first, lost
+        try:
+            for due_ns, data in zip(records["scheduled_ns"].tolist(), messages, strict=True):
+                at = due_ns + self._offset_ns
+                self._writer.add_message(self._channels["tick"], at, data, at)
+        except OSError as error:
+            self._fail(error)
+            return
+        self._held.append(records.copy())
+        self._next = first + len(records)
+        self.flush(int(records["now_ns"][-1]), at_once=sum(map(len, self._held)) >= BATCH)
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
         """Append a serialised message. time_ns: monotonic."""
-        if not self.ok or self._file is None:
+        if not self.ok:
             return
         at = time_ns + self._offset_ns
         try:
-            self._writer.add_message(self._channels[topic], at, data, at, self._sequence[topic])
-            self._file.flush()
-        except OSError:
-            self._fail()
-        self._sequence[topic] += 1
+            self._writer.add_message(self._channels[topic], at, data, at)
+        except OSError as error:
+            self._fail(error)
+        self.flush(time_ns)
 
-    def _fail(self) -> None:
-        """Give up this recording; what is on the disk stays readable."""
+    def flush(self, now_ns: int, *, at_once: bool = False) -> None:
+        """Put what is held on the disk where it is due. now_ns: monotonic."""
+        if self._flush_due_ns is None:
+            self._flush_due_ns = now_ns + FLUSH_NS
+        if not self.ok or (now_ns < self._flush_due_ns and not at_once):
+            return
+        self._flush_due_ns = now_ns + FLUSH_NS
+        self._end_batch()
+        try:
+            self._to_disk()
+        except OSError as error:
+            self._fail(error)
+
+    def _end_batch(self) -> None:
+        if not self._held or not self.ok:
+            return
+        records = np.concatenate(self._held)
+        self._held.clear()
+        axes = len(self.encoder.schema.axes)
+        at = int(records["now_ns"][-1]) + self._offset_ns
+        try:
+            for start in range(0, len(records), BATCH):
+                part = records[start : start + BATCH]
+                lost, self._lost = self._lost, 0
+                message = cycle_codec.encode(part, axes, first=self._first + start, lost=lost)
+                self._writer.add_message(self._channels["cycle"], at, message.SerializeToString(), at)
+        except OSError as error:
+            self._fail(error)
+
+    def _to_disk(self) -> None:
+        """End the chunk. The library ends one by its size only, and has no other name for it."""
+        self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]
+        if self._file is not None:
+            self._file.flush()
+            self.size = self._file.tell()
+            if not self._held:
+                self.durable = self._next
+
+    def _fail(self, error: OSError) -> None:
+        """Give up this recording: what is whole stays on the disk; a chunk that was cut off goes, and a file without
+        ticks."""
         self.errors += 1
         self.ok = False
-        self._abandon()
-
-    def _abandon(self) -> None:
-        if self._file is not None:
-            try:
-                self._file.close()
-            except OSError:
-                self.errors += 1  # what was buffered did not fit either
-            self._file = None
+        self.problem = error.strerror or str(error)
+        if self._file is None:  # it could not be made
+            return
+        with contextlib.suppress(OSError):  # what was buffered does not fit either
+            self._file.close()
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._fd, self.size)
+            if not self.durable:
+                self.path.unlink()
+        os.close(self._fd)
+        self._file = None
 
     def close(self) -> None:
-        """Write index and summary."""
-        if self._file is not None and self.ok:
-            try:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-            except OSError:
-                self.errors += 1
+        """Write what is held, index and summary; idempotent."""
+        self._end_batch()
+        if self._file is None or not self.ok:
+            return
+        try:
+            self._to_disk()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+        except OSError as error:
+            self._fail(error)
+            return
+        os.close(self._fd)
+        self._file = None
         self.ok = False
-        self._abandon()
 
 
 class LockstepRecorder:
@@ -129,21 +193,28 @@ class LockstepRecorder:
     def __init__(self, path: Path, rig: RigConfig, rig_file: Path) -> None:
         metadata = {**describe_run(rig, rig_file.parent, realtime="lockstep"), "wall_offset_ns": 0}
         self._recorder = Recorder(path, metadata)
-        self._n_axes = len(rig.axes)
-        self._records = np.zeros(_LOCKSTEP_BATCH, RECORD)
+        self._records = np.zeros(BATCH, RECORD)
         self._held = 0
         self._first = 0
         self._check()
 
-    def observe(self, _tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
+    def observe(self, tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
         """Take one tick in."""
+        if tick.task:
+            self._note_task(tick, tick.task)
         self._records[self._held] = result.record
         self._held += 1
-        if self._held == _LOCKSTEP_BATCH:
+        if self._held == BATCH:
             self._flush()
 
+    def _note_task(self, tick: Tick, task: LoadedTask) -> None:
+        kind = CommandKind.LOAD_TASK
+        posted = next(command.sequence for command in tick.commands if command.kind == kind)
+        entry = pb.CommandEntry(kind=kind, when_ns=tick.now_ns, posted=posted, task=task.document.encode())
+        self._recorder.write("commands", tick.now_ns, entry.SerializeToString())
+
     def _flush(self) -> None:
-        write_batch(self._recorder, self._records[: self._held], self._n_axes, first=self._first, lost=0)
+        write_batch(self._recorder, self._records[: self._held], first=self._first, lost=0)
         self._first += self._held
         self._held = 0
 
@@ -156,76 +227,9 @@ class LockstepRecorder:
 
     def _check(self) -> None:
         if self._recorder.errors:
-            raise RecordingError(f"{self._recorder.path}: cannot be written")
+            raise RecordingError(f"{self._recorder.path}: cannot be written: {self._recorder.problem}")
 
 
-def write_batch(recorder: Recorder, records: codec.Records, n_axes: int, *, first: int, lost: int) -> None:
-    """Append ticks (at least one) to a recording, on both channels."""
-    at = int(records["now_ns"][-1])
-    recorder.write("telemetry", at, codec.telemetry(records, n_axes, first=first, lost=lost).SerializeToString())
-    recorder.write("traffic", at, codec.traffic(records, first=first).SerializeToString())
-
-
-class Recorded(NamedTuple):
-    """A message of a recording. time_ns: wall clock."""
-
-    topic: str
-    time_ns: int
-    data: bytes
-
-
-class Recording:
-    """Reads a recording from front to end, cut short or damaged or not.
-
-    path: the file. metadata: what `run.json` holds. truncated: set once iteration has met the end of a file that was
-    cut short, or a chunk whose checksum does not hold. Raises RecordingError when the file is none.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.truncated = False
-        self.metadata = self._metadata()
-
-    def _metadata(self) -> dict[str, Any]:
-        for item in self._items():
-            if isinstance(item, Attachment) and item.name == RUN_ATTACHMENT:
-                return self._described(item.data)
-            if isinstance(item, McapMessage):
-                break
-        raise RecordingError(f"{self.path}: not a recording of a control process")
-
-    def _described(self, data: bytes) -> dict[str, Any]:
-        try:
-            metadata = json.loads(data)
-            known = isinstance(metadata["rig"], dict) and {"rig_hash", "version"} <= metadata.keys()
-        except (ValueError, KeyError, TypeError):  # TypeError: it is no object
-            known = False
-        if not known:
-            raise RecordingError(f"{self.path}: its description ({RUN_ATTACHMENT}) is damaged")
-        found = document_hash(metadata["rig"])
-        if found != metadata["rig_hash"]:  # a cycle of another rig would be blamed for its other torques
-            raise RecordingError(
-                f"{self.path}: its rig does not have the hash that was recorded with it ({found}, not "
-                f"{metadata['rig_hash']}): the recording is damaged, or was edited"
-            )
-        return dict(metadata)
-
-    def _items(self) -> Iterator[Any]:
-        try:
-            with self.path.open("rb") as file:
-                yield from StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT).records
-        except OSError as error:
-            raise RecordingError(f"{self.path}: {error.strerror}") from None
-        except _DAMAGED:
-            self.truncated = True
-
-    def __iter__(self) -> Iterator[Recorded]:
-        topics: dict[int, str] = {}
-        for item in self._items():
-            if isinstance(item, Channel):
-                topics[item.id] = item.topic
-            elif isinstance(item, McapMessage):
-                if item.channel_id not in topics:  # where its channel stood is damaged
-                    self.truncated = True
-                    return
-                yield Recorded(topics[item.channel_id], item.log_time, item.data)
+def write_batch(recorder: Recorder, records: cycle_codec.Records, *, first: int, lost: int) -> None:
+    """Append ticks (at least one) to a recording."""
+    recorder.ticks(records, list(recorder.encoder.encode(records, first)), first=first, lost=lost)

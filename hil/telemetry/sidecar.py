@@ -4,7 +4,7 @@ Drains the ring; publishes on Zenoh; records; hands authorised commands on. It m
 process, and outlives any number of them: each gets a recording of its own.
 """
 
-import itertools
+import faulthandler
 import json
 import signal
 import socket
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
@@ -27,16 +28,20 @@ from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.blackbox import run_directory, save_black_boxes
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
+from hil.telemetry.fault_snapshots import FaultSnapshots
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
-from hil.telemetry.recorder import Recorder
+from hil.telemetry.run_recorder import Limits, RunRecorder, Store
+from hil.telemetry.sidecar_progress import Progress, ProgressFile
+from hil.telemetry.tick_codec import TickEncoder
+from hil.telemetry.tick_schema import TickSchema
 from hil.telemetry.window import Window
 
+PROGRESS = "progress"  # file in the rig's runtime directory
 STATUS_NS = 100_000_000
 DRAINED = 512  # ticks a round
 NOTED = 32  # entries on commands a round
@@ -45,27 +50,49 @@ SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process
 
 
 class Attached:
-    """One control process's ring and mailbox, followed from its first tick that is still there to its end."""
+    """One control process's ring and mailbox, followed from where an earlier sidecar came to, or from its first tick
+    that is still there, to its end. recorder: None: nothing is recorded.
+    """
 
-    def __init__(self, reader: RingReader, mailbox: Mailbox | None, recorder: Recorder | None) -> None:
+    def __init__(
+        self, reader: RingReader, mailbox: Mailbox | None, progress: Progress, recorder: RunRecorder | None
+    ) -> None:
         self.reader = reader
         self.mailbox = mailbox
-        self.recorder = recorder
+        self.progress = progress
         self.metadata = reader.metadata
+        reader.next = progress.published
+        self.recorder = recorder
+        self.snapshots = FaultSnapshots(self.recorder.folder, reader, progress.published) if self.recorder else None
+        if self.recorder:
+            self.recorder.keep_up(progress.recorded, time.monotonic_ns())  # there is a file before the first tick
         rig = self.metadata["rig"]
         self.axes = list(rig["axes"])
         self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
         self.law = str(rig["law"]["name"])
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
-        self.batches = self.sent = self.dropped = 0
-        self.lost = 0  # since the last batch
+        self.encoder = TickEncoder(TickSchema(rig))
+        self.dropped = progress.published - progress.sent  # what a killed sidecar cannot be known to have sent, too
         self.caught_up = False  # the window is the present: the last round read the ring to its end
         self.over = False  # the control process is gone, and all it left is safe
 
-    def close(self) -> None:
-        """Finish the recording and let go of the files."""
+    def record(self, now_ns: int) -> None:
+        """One round of what else is to be recorded than the ticks that were just read."""
         if self.recorder:
-            self.recorder.close()
+            self.recorder.keep_up(self.reader.next, now_ns)
+        if self.snapshots:
+            self.snapshots.work(now_ns)
+
+    def end_recording(self, now_ns: int) -> None:
+        """Record all there is; idempotent."""
+        if self.snapshots:
+            self.snapshots.close(now_ns)
+        if self.recorder:
+            self.recorder.close(self.reader.next, now_ns)
+
+    def close(self) -> None:
+        """Finish the recording and let go of the files: first what reads the ring, then the ring."""
+        self.end_recording(time.monotonic_ns())
         if self.mailbox:
             self.mailbox.close()
         self.reader.close()
@@ -75,16 +102,17 @@ class Sidecar:
     """The loop's body. rig: for keys; what is published about a run, and why it refuses, comes from its ring."""
 
     def __init__(
-        self, rig: RigConfig, paths: RuntimePaths, publisher: Publisher, commands: CommandServer, out: Path | None
+        self, rig: RigConfig, paths: RuntimePaths, publisher: Publisher, commands: CommandServer, store: Store | None
     ) -> None:
         self.rig = rig
         self._paths = paths
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems))
+        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.problems), paths.task)
         self._noted = 0  # entries of this round
-        self._out = out
+        self._store = store
+        self._progress = ProgressFile(paths.directory / PROGRESS)
         self._status_due_ns = 0
         self._seen_run = -1
         self.attached: Attached | None = None
@@ -96,6 +124,8 @@ class Sidecar:
         alive = self.control_alive
         if not self._drain(now_ns) and not alive:
             self._conclude(now_ns)
+        if self.attached and not self.attached.over:
+            self.attached.record(now_ns)
         self._serve(now_ns, alive)
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_NS
@@ -110,25 +140,25 @@ class Sidecar:
             reader = RingReader(self._paths.ring)
         except RingError:
             return
-        if reader.run_id == self._seen_run or not reader.writer_alive:
+        progress = self._progress.read(reader.run_id)
+        # A control process that ended while no sidecar ran may have left ticks that no recording has.
+        done = min(progress.published, progress.recorded) if self._store else progress.published
+        unfinished = progress.published > 0 and done < reader.written
+        if reader.run_id == self._seen_run or not (reader.writer_alive or unfinished):
             reader.close()
             return
         self._leave()
         self._seen_run = reader.run_id
         self._gateway.follow(reader.metadata)
-        self.attached = Attached(reader, self._open_mailbox(), self._new_recorder(reader))
+        limits, save = Limits.of(self.rig.telemetry), self._progress.write
+        recorder = RunRecorder(self._store, reader, limits, progress, save) if self._store else None
+        self.attached = Attached(reader, self._open_mailbox(), progress, recorder)
 
     def _open_mailbox(self) -> Mailbox | None:
         try:
             return Mailbox(self._paths.mailbox)
         except MailboxError:
             return None
-
-    def _new_recorder(self, reader: RingReader) -> Recorder | None:
-        if self._out is None:
-            return None
-        names = (self._out / f"run{f'-{number}' if number > 1 else ''}.mcap" for number in itertools.count(1))
-        return Recorder(next(path for path in names if not path.is_file()), reader.metadata)  # nobody's earlier one
 
     def _leave(self) -> None:
         if self.attached:
@@ -139,6 +169,7 @@ class Sidecar:
             self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
             self.publish_status(time.monotonic_ns())
             self.attached.close()
+            self._progress.write(self.attached.progress)
             self.attached = None
 
     def _conclude(self, now_ns: int) -> None:
@@ -148,8 +179,8 @@ class Sidecar:
             return
         run.over = True
         self.publish_status(now_ns)
-        if run.recorder and run.recorder.ok:
-            run.recorder.close()
+        run.end_recording(now_ns)
+        if run.progress.recorded == run.reader.written:
             run.reader.mark_saved()
 
     def _drain(self, now_ns: int) -> bool:
@@ -161,7 +192,6 @@ class Sidecar:
             run.mailbox.beat_recorder(now_ns)
         written = run.reader.written
         batch = run.reader.read(DRAINED)
-        run.lost += batch.lost
         run.dropped += batch.lost
         records = batch.records
         # Not "fewer than asked for": of a full ring, the writer overtakes some of the first while they are copied.
@@ -169,18 +199,16 @@ class Sidecar:
         run.caught_up = run.reader.next >= written
         if not len(records):
             return False
-        message = codec.telemetry(records, len(run.axes), batch=run.batches, first=batch.first, lost=run.lost)
-        data = message.SerializeToString()
-        run.lost = 0
-        run.batches += 1
-        if self._publisher.put("telemetry", data):
-            run.sent += len(records)
-        else:
-            run.dropped += len(records)
-        if run.recorder:
-            at = int(records["now_ns"][-1])
-            run.recorder.write("telemetry", at, data)
-            run.recorder.write("traffic", at, codec.traffic(records, first=batch.first).SerializeToString())
+        run.progress.published = run.reader.next
+        self._progress.write(run.progress)  # before they are published: who takes over after a kill sends none again
+        messages = list(run.encoder.encode(records, batch.first))
+        sent = sum(self._publisher.put("tick", data) for data in messages)
+        run.progress.sent += sent
+        self._progress.write(run.progress)
+        run.dropped += len(messages) - sent
+        if run.recorder and run.snapshots:
+            run.recorder.take(records, messages, batch.first)
+            run.snapshots.watch(records, batch.first)
         run.window.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
@@ -195,10 +223,13 @@ class Sidecar:
         for connection in ended:
             if connection.closed_because:
                 self._gateway.note_rejected(connection.who, connection.closed_because, now_ns)
+        mailbox = run.mailbox if run and alive else None
+        last = run.window.last if run and run.caught_up else None
         for request in asked:
-            self._gateway.take(request, run.mailbox if run and alive else None, now_ns, state)
+            self._gateway.take(request, mailbox, now_ns, state, last)
+        self._gateway.advance(mailbox, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        self._publisher.answer_rig_queries(self._description)
+        self._publisher.answer_queries({"rig": self._description, "schema": self._schema})
 
     def _note_command(self, entry: pb.CommandEntry) -> None:
         """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
@@ -217,6 +248,14 @@ class Sidecar:
         run = self.attached
         return json.dumps(run.metadata if run else {"rig": self.rig.model_dump(mode="json")}).encode()
 
+    def _schema(self) -> bytes:
+        """The FileDescriptorSet of all that is published: enough to decode it without this package."""
+        run = self.attached
+        schema = run.encoder.schema if run else TickSchema(self.rig.model_dump(mode="json"))
+        files = build_file_descriptor_set(pb.Status)
+        files.MergeFrom(schema.files)
+        return bytes(files.SerializeToString())
+
     def publish_status(self, now_ns: int) -> None:
         """Ten times a second, and once more at every end."""
         status = pb.Status(rig=self.rig.name, now_ns=now_ns)
@@ -233,13 +272,13 @@ class Sidecar:
             if run.reader.writer_alive:
                 status.drive_problems.extend(read_problems(self._paths.problems))
             status.produced = run.reader.written
-            status.sent, status.dropped = run.sent, run.dropped
+            status.sent, status.dropped = run.progress.sent, run.dropped
             if run.caught_up:
                 run.window.fill(status)
             if run.recorder:
                 status.recording = run.recorder.ok
                 status.recorder_errors = run.recorder.errors
-                status.recording_path = str(run.recorder.path)
+                status.recording_path = run.recorder.path
         data = status.SerializeToString()
         self._publisher.put("status", data)
         if self.attached and self.attached.recorder:
@@ -254,6 +293,7 @@ class Sidecar:
     def close(self) -> None:
         """Drain to the end, finish the recording."""
         self._leave()
+        self._progress.close()
 
 
 class _StopFlag:
@@ -288,7 +328,9 @@ class Outside(NamedTuple):
     credentials: Credentials | None = None
 
 
-def serve(rig: RigConfig, out: Path | None, listen: list[str], outside: Outside, *, or_free_port: bool = False) -> None:
+def serve(
+    rig: RigConfig, store: Store | None, listen: list[str], outside: Outside, *, or_free_port: bool = False
+) -> None:
     """Run until told to stop by a signal. Raises ListenError, CredentialsError, OSError."""
     stop = _StopFlag()
     paths = runtime_paths(rig.name)
@@ -300,7 +342,7 @@ def serve(rig: RigConfig, out: Path | None, listen: list[str], outside: Outside,
     ):
         write_private(paths.endpoint, publisher.listen[0])
         write_private(paths.access, json.dumps({"watch": publisher.listen, "commands": outside.commands}))
-        sidecar = Sidecar(rig, paths, publisher, commands, out)
+        sidecar = Sidecar(rig, paths, publisher, commands, store)
         print(f"sidecar of {rig.name}: listening on {', '.join(publisher.listen)}", flush=True)
         try:
             while not stop.set:
@@ -339,6 +381,7 @@ def sidecar(
     commands_from: Annotated[str, typer.Option(help="host:port where other machines' operators may command")] = "",
 ) -> None:
     """Publish, record and take commands for a control process. Ends on SIGTERM, SIGINT or SIGHUP."""
+    faulthandler.enable()  # a crash in native code tells the journal where
     config = load_rig(rig, set_ or ())
     paths = runtime_paths(config.name)
     if commands_from and credentials is None:
@@ -350,7 +393,8 @@ def sidecar(
             for saved in save_black_boxes(paths, directory or out):
                 print(f"a control process was killed earlier; its last ticks are in {saved}", flush=True)
             endpoints = [listen] if listen else list(config.telemetry.listen)
-            serve(config, directory, endpoints, outside, or_free_port=or_free_port)
+            store = Store(directory, out or directory.parent, out is not None) if directory else None
+            serve(config, store, endpoints, outside, or_free_port=or_free_port)
     except (ListenError, AlreadyServedError, CredentialsError) as error:
         print(f"hil sidecar: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None

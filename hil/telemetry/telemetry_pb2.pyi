@@ -6,64 +6,6 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class Telemetry(_message.Message):
-    __slots__ = ("batch", "first", "lost", "axes", "index", "scheduled_ns", "now_ns", "state", "fault", "faults_active", "task_ns", "position", "position_estimate", "velocity_estimate", "disturbance_estimate", "innovation", "setpoint_position", "setpoint_velocity", "following_error", "force_requested", "force", "stamp_ns", "age_ticks", "drive_status", "cpu_ns", "run_delay_ns", "counters")
-    BATCH_FIELD_NUMBER: _ClassVar[int]
-    FIRST_FIELD_NUMBER: _ClassVar[int]
-    LOST_FIELD_NUMBER: _ClassVar[int]
-    AXES_FIELD_NUMBER: _ClassVar[int]
-    INDEX_FIELD_NUMBER: _ClassVar[int]
-    SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
-    NOW_NS_FIELD_NUMBER: _ClassVar[int]
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    FAULT_FIELD_NUMBER: _ClassVar[int]
-    FAULTS_ACTIVE_FIELD_NUMBER: _ClassVar[int]
-    TASK_NS_FIELD_NUMBER: _ClassVar[int]
-    POSITION_FIELD_NUMBER: _ClassVar[int]
-    POSITION_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
-    VELOCITY_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
-    DISTURBANCE_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
-    INNOVATION_FIELD_NUMBER: _ClassVar[int]
-    SETPOINT_POSITION_FIELD_NUMBER: _ClassVar[int]
-    SETPOINT_VELOCITY_FIELD_NUMBER: _ClassVar[int]
-    FOLLOWING_ERROR_FIELD_NUMBER: _ClassVar[int]
-    FORCE_REQUESTED_FIELD_NUMBER: _ClassVar[int]
-    FORCE_FIELD_NUMBER: _ClassVar[int]
-    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
-    AGE_TICKS_FIELD_NUMBER: _ClassVar[int]
-    DRIVE_STATUS_FIELD_NUMBER: _ClassVar[int]
-    CPU_NS_FIELD_NUMBER: _ClassVar[int]
-    RUN_DELAY_NS_FIELD_NUMBER: _ClassVar[int]
-    COUNTERS_FIELD_NUMBER: _ClassVar[int]
-    batch: int
-    first: int
-    lost: int
-    axes: int
-    index: _containers.RepeatedScalarFieldContainer[int]
-    scheduled_ns: _containers.RepeatedScalarFieldContainer[int]
-    now_ns: _containers.RepeatedScalarFieldContainer[int]
-    state: _containers.RepeatedScalarFieldContainer[int]
-    fault: _containers.RepeatedScalarFieldContainer[int]
-    faults_active: _containers.RepeatedScalarFieldContainer[int]
-    task_ns: _containers.RepeatedScalarFieldContainer[int]
-    position: _containers.RepeatedScalarFieldContainer[float]
-    position_estimate: _containers.RepeatedScalarFieldContainer[float]
-    velocity_estimate: _containers.RepeatedScalarFieldContainer[float]
-    disturbance_estimate: _containers.RepeatedScalarFieldContainer[float]
-    innovation: _containers.RepeatedScalarFieldContainer[float]
-    setpoint_position: _containers.RepeatedScalarFieldContainer[float]
-    setpoint_velocity: _containers.RepeatedScalarFieldContainer[float]
-    following_error: _containers.RepeatedScalarFieldContainer[float]
-    force_requested: _containers.RepeatedScalarFieldContainer[float]
-    force: _containers.RepeatedScalarFieldContainer[float]
-    stamp_ns: _containers.RepeatedScalarFieldContainer[int]
-    age_ticks: _containers.RepeatedScalarFieldContainer[int]
-    drive_status: _containers.RepeatedScalarFieldContainer[int]
-    cpu_ns: _containers.RepeatedScalarFieldContainer[int]
-    run_delay_ns: _containers.RepeatedScalarFieldContainer[int]
-    counters: Counters
-    def __init__(self, batch: _Optional[int] = ..., first: _Optional[int] = ..., lost: _Optional[int] = ..., axes: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., state: _Optional[_Iterable[int]] = ..., fault: _Optional[_Iterable[int]] = ..., faults_active: _Optional[_Iterable[int]] = ..., task_ns: _Optional[_Iterable[int]] = ..., position: _Optional[_Iterable[float]] = ..., position_estimate: _Optional[_Iterable[float]] = ..., velocity_estimate: _Optional[_Iterable[float]] = ..., disturbance_estimate: _Optional[_Iterable[float]] = ..., innovation: _Optional[_Iterable[float]] = ..., setpoint_position: _Optional[_Iterable[float]] = ..., setpoint_velocity: _Optional[_Iterable[float]] = ..., following_error: _Optional[_Iterable[float]] = ..., force_requested: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., stamp_ns: _Optional[_Iterable[int]] = ..., age_ticks: _Optional[_Iterable[int]] = ..., drive_status: _Optional[_Iterable[int]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ...) -> None: ...
-
 class Counters(_message.Message):
     __slots__ = ("received", "sent", "refused", "overflow", "discarded", "bus_errors", "samples_lost", "missed_own", "missed_host", "longest_streak", "illegal_events", "commands_refused", "law_floors", "saturations", "rejects", "bus_state")
     RECEIVED_FIELD_NUMBER: _ClassVar[int]
@@ -100,19 +42,65 @@ class Counters(_message.Message):
     bus_state: int
     def __init__(self, received: _Optional[int] = ..., sent: _Optional[int] = ..., refused: _Optional[int] = ..., overflow: _Optional[int] = ..., discarded: _Optional[int] = ..., bus_errors: _Optional[int] = ..., samples_lost: _Optional[int] = ..., missed_own: _Optional[int] = ..., missed_host: _Optional[int] = ..., longest_streak: _Optional[int] = ..., illegal_events: _Optional[int] = ..., commands_refused: _Optional[int] = ..., law_floors: _Optional[int] = ..., saturations: _Optional[_Iterable[int]] = ..., rejects: _Optional[_Iterable[int]] = ..., bus_state: _Optional[int] = ...) -> None: ...
 
-class Frames(_message.Message):
-    __slots__ = ("timestamp_ns", "can_id", "flags", "length", "data")
-    TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
+class Cycle(_message.Message):
+    __slots__ = ("first", "lost", "index", "scheduled_ns", "lateness_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands", "cpu_ns", "run_delay_ns", "counters")
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    LOST_FIELD_NUMBER: _ClassVar[int]
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
+    LATENESS_NS_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    PORT_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_COUNT_FIELD_NUMBER: _ClassVar[int]
+    SENT_COUNT_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_COUNT_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    SENT_FIELD_NUMBER: _ClassVar[int]
+    COMMANDS_FIELD_NUMBER: _ClassVar[int]
+    CPU_NS_FIELD_NUMBER: _ClassVar[int]
+    RUN_DELAY_NS_FIELD_NUMBER: _ClassVar[int]
+    COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    first: int
+    lost: int
+    index: _containers.RepeatedScalarFieldContainer[int]
+    scheduled_ns: _containers.RepeatedScalarFieldContainer[int]
+    lateness_ns: _containers.RepeatedScalarFieldContainer[int]
+    flags: _containers.RepeatedScalarFieldContainer[int]
+    port: _containers.RepeatedScalarFieldContainer[int]
+    received_count: _containers.RepeatedScalarFieldContainer[int]
+    sent_count: _containers.RepeatedScalarFieldContainer[int]
+    command_count: _containers.RepeatedScalarFieldContainer[int]
+    received: FrameColumns
+    sent: FrameColumns
+    commands: _containers.RepeatedCompositeFieldContainer[Command]
+    cpu_ns: _containers.RepeatedScalarFieldContainer[int]
+    run_delay_ns: _containers.RepeatedScalarFieldContainer[int]
+    counters: Counters
+    def __init__(self, first: _Optional[int] = ..., lost: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., lateness_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[FrameColumns, _Mapping]] = ..., sent: _Optional[_Union[FrameColumns, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ...) -> None: ...
+
+class Stream(_message.Message):
+    __slots__ = ("can_id", "flags", "length", "crc32")
     CAN_ID_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
     LENGTH_FIELD_NUMBER: _ClassVar[int]
+    CRC32_FIELD_NUMBER: _ClassVar[int]
+    can_id: int
+    flags: int
+    length: int
+    crc32: bool
+    def __init__(self, can_id: _Optional[int] = ..., flags: _Optional[int] = ..., length: _Optional[int] = ..., crc32: _Optional[bool] = ...) -> None: ...
+
+class FrameColumns(_message.Message):
+    __slots__ = ("timestamp_ns", "streams", "stream", "data")
+    TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    STREAMS_FIELD_NUMBER: _ClassVar[int]
+    STREAM_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
     timestamp_ns: _containers.RepeatedScalarFieldContainer[int]
-    can_id: _containers.RepeatedScalarFieldContainer[int]
-    flags: _containers.RepeatedScalarFieldContainer[int]
-    length: _containers.RepeatedScalarFieldContainer[int]
+    streams: _containers.RepeatedCompositeFieldContainer[Stream]
+    stream: _containers.RepeatedScalarFieldContainer[int]
     data: bytes
-    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., can_id: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., length: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping]]] = ..., stream: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class Command(_message.Message):
     __slots__ = ("kind", "sequence", "expires_ns", "accepted")
@@ -125,34 +113,6 @@ class Command(_message.Message):
     expires_ns: int
     accepted: bool
     def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., accepted: _Optional[bool] = ...) -> None: ...
-
-class Traffic(_message.Message):
-    __slots__ = ("first", "index", "scheduled_ns", "now_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands")
-    FIRST_FIELD_NUMBER: _ClassVar[int]
-    INDEX_FIELD_NUMBER: _ClassVar[int]
-    SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
-    NOW_NS_FIELD_NUMBER: _ClassVar[int]
-    FLAGS_FIELD_NUMBER: _ClassVar[int]
-    PORT_FIELD_NUMBER: _ClassVar[int]
-    RECEIVED_COUNT_FIELD_NUMBER: _ClassVar[int]
-    SENT_COUNT_FIELD_NUMBER: _ClassVar[int]
-    COMMAND_COUNT_FIELD_NUMBER: _ClassVar[int]
-    RECEIVED_FIELD_NUMBER: _ClassVar[int]
-    SENT_FIELD_NUMBER: _ClassVar[int]
-    COMMANDS_FIELD_NUMBER: _ClassVar[int]
-    first: int
-    index: _containers.RepeatedScalarFieldContainer[int]
-    scheduled_ns: _containers.RepeatedScalarFieldContainer[int]
-    now_ns: _containers.RepeatedScalarFieldContainer[int]
-    flags: _containers.RepeatedScalarFieldContainer[int]
-    port: _containers.RepeatedScalarFieldContainer[int]
-    received_count: _containers.RepeatedScalarFieldContainer[int]
-    sent_count: _containers.RepeatedScalarFieldContainer[int]
-    command_count: _containers.RepeatedScalarFieldContainer[int]
-    received: Frames
-    sent: Frames
-    commands: _containers.RepeatedCompositeFieldContainer[Command]
-    def __init__(self, first: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[Frames, _Mapping]] = ..., sent: _Optional[_Union[Frames, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path", "drive_problems", "answer_age")
@@ -243,14 +203,18 @@ class Authenticated(_message.Message):
     def __init__(self, body: _Optional[bytes] = ..., mac: _Optional[bytes] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
-    __slots__ = ("kind", "sequence", "expires_ns")
+    __slots__ = ("kind", "sequence", "expires_ns", "task", "more")
     KIND_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPIRES_NS_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
     kind: int
     sequence: int
     expires_ns: int
-    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ...) -> None: ...
+    task: bytes
+    more: bool
+    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., task: _Optional[bytes] = ..., more: _Optional[bool] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("accepted", "reason", "now_ns", "state", "sequence", "posted", "tick", "challenge")
@@ -273,17 +237,121 @@ class CommandReply(_message.Message):
     def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ..., sequence: _Optional[int] = ..., posted: _Optional[int] = ..., tick: _Optional[int] = ..., challenge: _Optional[_Union[Challenge, _Mapping]] = ...) -> None: ...
 
 class CommandEntry(_message.Message):
-    __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state")
+    __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state", "posted", "task")
     WHO_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     WHEN_NS_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    POSTED_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
     who: str
     kind: int
     when_ns: int
     accepted: bool
     reason: str
     state: str
-    def __init__(self, who: _Optional[str] = ..., kind: _Optional[int] = ..., when_ns: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., state: _Optional[str] = ...) -> None: ...
+    posted: int
+    task: bytes
+    def __init__(self, who: _Optional[str] = ..., kind: _Optional[int] = ..., when_ns: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., state: _Optional[str] = ..., posted: _Optional[int] = ..., task: _Optional[bytes] = ...) -> None: ...
+
+class Telemetry(_message.Message):
+    __slots__ = ("batch", "first", "lost", "axes", "index", "scheduled_ns", "now_ns", "state", "fault", "faults_active", "task_ns", "position", "position_estimate", "velocity_estimate", "disturbance_estimate", "innovation", "setpoint_position", "setpoint_velocity", "following_error", "force_requested", "force", "stamp_ns", "age_ticks", "drive_status", "cpu_ns", "run_delay_ns", "counters")
+    BATCH_FIELD_NUMBER: _ClassVar[int]
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    LOST_FIELD_NUMBER: _ClassVar[int]
+    AXES_FIELD_NUMBER: _ClassVar[int]
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    FAULTS_ACTIVE_FIELD_NUMBER: _ClassVar[int]
+    TASK_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    POSITION_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
+    DISTURBANCE_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
+    INNOVATION_FIELD_NUMBER: _ClassVar[int]
+    SETPOINT_POSITION_FIELD_NUMBER: _ClassVar[int]
+    SETPOINT_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWING_ERROR_FIELD_NUMBER: _ClassVar[int]
+    FORCE_REQUESTED_FIELD_NUMBER: _ClassVar[int]
+    FORCE_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    AGE_TICKS_FIELD_NUMBER: _ClassVar[int]
+    DRIVE_STATUS_FIELD_NUMBER: _ClassVar[int]
+    CPU_NS_FIELD_NUMBER: _ClassVar[int]
+    RUN_DELAY_NS_FIELD_NUMBER: _ClassVar[int]
+    COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    batch: int
+    first: int
+    lost: int
+    axes: int
+    index: _containers.RepeatedScalarFieldContainer[int]
+    scheduled_ns: _containers.RepeatedScalarFieldContainer[int]
+    now_ns: _containers.RepeatedScalarFieldContainer[int]
+    state: _containers.RepeatedScalarFieldContainer[int]
+    fault: _containers.RepeatedScalarFieldContainer[int]
+    faults_active: _containers.RepeatedScalarFieldContainer[int]
+    task_ns: _containers.RepeatedScalarFieldContainer[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    position_estimate: _containers.RepeatedScalarFieldContainer[float]
+    velocity_estimate: _containers.RepeatedScalarFieldContainer[float]
+    disturbance_estimate: _containers.RepeatedScalarFieldContainer[float]
+    innovation: _containers.RepeatedScalarFieldContainer[float]
+    setpoint_position: _containers.RepeatedScalarFieldContainer[float]
+    setpoint_velocity: _containers.RepeatedScalarFieldContainer[float]
+    following_error: _containers.RepeatedScalarFieldContainer[float]
+    force_requested: _containers.RepeatedScalarFieldContainer[float]
+    force: _containers.RepeatedScalarFieldContainer[float]
+    stamp_ns: _containers.RepeatedScalarFieldContainer[int]
+    age_ticks: _containers.RepeatedScalarFieldContainer[int]
+    drive_status: _containers.RepeatedScalarFieldContainer[int]
+    cpu_ns: _containers.RepeatedScalarFieldContainer[int]
+    run_delay_ns: _containers.RepeatedScalarFieldContainer[int]
+    counters: Counters
+    def __init__(self, batch: _Optional[int] = ..., first: _Optional[int] = ..., lost: _Optional[int] = ..., axes: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., state: _Optional[_Iterable[int]] = ..., fault: _Optional[_Iterable[int]] = ..., faults_active: _Optional[_Iterable[int]] = ..., task_ns: _Optional[_Iterable[int]] = ..., position: _Optional[_Iterable[float]] = ..., position_estimate: _Optional[_Iterable[float]] = ..., velocity_estimate: _Optional[_Iterable[float]] = ..., disturbance_estimate: _Optional[_Iterable[float]] = ..., innovation: _Optional[_Iterable[float]] = ..., setpoint_position: _Optional[_Iterable[float]] = ..., setpoint_velocity: _Optional[_Iterable[float]] = ..., following_error: _Optional[_Iterable[float]] = ..., force_requested: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., stamp_ns: _Optional[_Iterable[int]] = ..., age_ticks: _Optional[_Iterable[int]] = ..., drive_status: _Optional[_Iterable[int]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ...) -> None: ...
+
+class Traffic(_message.Message):
+    __slots__ = ("first", "index", "scheduled_ns", "now_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands")
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    SCHEDULED_NS_FIELD_NUMBER: _ClassVar[int]
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    PORT_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_COUNT_FIELD_NUMBER: _ClassVar[int]
+    SENT_COUNT_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_COUNT_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    SENT_FIELD_NUMBER: _ClassVar[int]
+    COMMANDS_FIELD_NUMBER: _ClassVar[int]
+    first: int
+    index: _containers.RepeatedScalarFieldContainer[int]
+    scheduled_ns: _containers.RepeatedScalarFieldContainer[int]
+    now_ns: _containers.RepeatedScalarFieldContainer[int]
+    flags: _containers.RepeatedScalarFieldContainer[int]
+    port: _containers.RepeatedScalarFieldContainer[int]
+    received_count: _containers.RepeatedScalarFieldContainer[int]
+    sent_count: _containers.RepeatedScalarFieldContainer[int]
+    command_count: _containers.RepeatedScalarFieldContainer[int]
+    received: Frames
+    sent: Frames
+    commands: _containers.RepeatedCompositeFieldContainer[Command]
+    def __init__(self, first: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., now_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[Frames, _Mapping]] = ..., sent: _Optional[_Union[Frames, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ...) -> None: ...
+
+class Frames(_message.Message):
+    __slots__ = ("timestamp_ns", "can_id", "flags", "length", "data")
+    TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    CAN_ID_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    timestamp_ns: _containers.RepeatedScalarFieldContainer[int]
+    can_id: _containers.RepeatedScalarFieldContainer[int]
+    flags: _containers.RepeatedScalarFieldContainer[int]
+    length: _containers.RepeatedScalarFieldContainer[int]
+    data: bytes
+    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., can_id: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., length: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...

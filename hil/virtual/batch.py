@@ -20,15 +20,20 @@ from hil.control.trajectories import Trajectory, make_trajectory, task_repeat
 from hil.cycle.gate import ForceLimits
 from hil.cycle.limits import force_limits
 from hil.rig.schema import RigConfig
-from sim_plant.physics.stage import Stage, Truth
+from sim_plant.physics.stage import Truth
+from sim_plant.user_stage import stage_of
 
 FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
 
 
-def rig_law(rig: RigConfig) -> Law:
-    """The law the rig file names, with its gains."""
+def rig_law(rig: RigConfig, trajectory: Trajectory | None = None) -> Law:
+    """The law the rig file names, with its gains. trajectory: instead of the rig's task."""
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
-    repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if rig.law.iterative_learning else None
+    repeat = None
+    if rig.law.iterative_learning and trajectory is None:
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
+    elif rig.law.iterative_learning and trajectory is not None and trajectory.repeat_ns is not None:
+        repeat = trajectory.repeat_ns, trajectory.repeat_from_ns
     return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit, repeat)
 
 
@@ -68,11 +73,11 @@ class BatchRun:
         self._filter = MotionFilter(list(gains), self._model.mass)
         self._bounds = Bounds(force_limits(rig))
         axes = rig.axes.values()
-        self._law = rig_law(rig)
+        self._law = rig_law(rig, trajectory)
         self._nominal_resolution = np.array([axis.encoder_resolution for axis in axes])
         self._resolution = per_axis(rig.plant.encoder_resolution, n)
         initial = per_axis(rig.plant.initial_position, n)
-        self._stage = Stage(truth, np.zeros(shape) + initial)
+        self._stage = stage_of(rig.plant, truth, np.zeros(shape) + initial)
         self._origin = np.rint(initial / self._resolution) * self._nominal_resolution
         # What all plants have in common, on floats as in the cycle.
         self._shared = [axis_inputs() for _ in range(n)]

@@ -82,7 +82,8 @@ def sim(
 def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
     if path is None:
         return None
-    from hil.telemetry.recorder import LockstepRecorder, RecordingError
+    from hil.telemetry.recorder import LockstepRecorder
+    from hil.telemetry.recording import RecordingError
 
     try:
         return LockstepRecorder(path, config, rig)
@@ -131,7 +132,7 @@ def replay(
 ) -> None:
     """Exit status 0: every byte is the same; 1: some differ, or nothing was compared."""
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
-    from hil.telemetry.recorder import RecordingError
+    from hil.telemetry.recording import RecordingError
     from hil.virtual.replay import replay_run
 
     try:

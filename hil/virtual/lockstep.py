@@ -17,8 +17,9 @@ from drivers.wire.faults import Random, WireFault
 from drivers.wire.wire import Wire
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
-from hil.cycle.tick import CommandKind, CycleResult, OperatorCommand, Tick
-from hil.rig.schema import RigConfig
+from hil.cycle.task_loading import loaded_task, rig_with_task, task_document
+from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, OperatorCommand, Tick
+from hil.rig.schema import RigConfig, TaskConfig
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.injector import Injector
 from sim_plant.scenario.language import Scenario
@@ -84,6 +85,7 @@ class LockstepRun:
         self.stop = False
         self.estop = False  # the stop line is pressed: for one tick
         self._true = self.stage.sampled  # of the samples the latest tick worked on
+        self._task: LoadedTask | None = None  # to be loaded in the next tick
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
     def _to_drives(self, frame: Frame) -> None:
@@ -92,6 +94,10 @@ class LockstepRun:
         answers = self.stage.on_frame(frame)
         for answer in answers:
             self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+
+    def load_task(self, task: TaskConfig) -> None:
+        """Ask for another task in the next tick; it is taken in READY. Raises RigError, ValueError as plan_task."""
+        self._task = loaded_task(rig_with_task(self.rig, task_document(task)))
 
     def skip(self, slots: int) -> None:
         """Let `slots` periods pass without a tick: the control process was held up."""
@@ -124,8 +130,10 @@ class LockstepRun:
             self._commands(now),
             stop=self.stop,
             estop=self.estop,
+            task=self._task,
             **self.grants,
         )
+        self._task = None
         self.estop = False
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
@@ -160,7 +168,8 @@ class LockstepRun:
 
     def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
         commands = []
-        for kind in self._operator(self, self.index):
+        load = (CommandKind.LOAD_TASK,) if self._task else ()
+        for kind in (*self._operator(self, self.index), *load):
             self._command_sequence += 1
             commands.append(OperatorCommand(kind, self._command_sequence, now + _COMMAND_LIFE_NS))
         return tuple(commands)

@@ -1,7 +1,7 @@
 """Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,15 +9,22 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.frame import Frame
-from hil.cycle.record import MAX_RECEIVED
+from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
+from hil.cycle.task_loading import loaded_task, rig_with_task
+from hil.cycle.tick import CommandKind, LoadedTask, Tick
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig, RigError
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import Recording, RecordingError
+from hil.telemetry.recording import Recording, RecordingError
 
+_EXACT = [*MOTION_FIELDS, "stamp_ns"]
 _LARGEST = 2**60  # ns: 36 years of a monotonic clock
+_TRAFFIC: dict[str, Callable[[bytes], Iterator[codec.RecordedTick]]] = {
+    "cycle": lambda data: cycle_codec.recorded_ticks(pb.Cycle.FromString(data)),
+    "traffic": lambda data: codec.recorded_ticks(pb.Traffic.FromString(data)),  # of the earlier layout
+}
 
 
 @dataclasses.dataclass
@@ -38,7 +45,8 @@ class Replayed:
     other_force: dict[str, dict[str, float]] | None = None  # per axis: RMS and largest difference, N
 
 
-def _new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+def new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
+    """Raises RigError where this rig cannot have one."""
     try:
         return ControlCycle(rig, base_dir)
     except (ValueError, OSError) as error:  # another law, or overrides, that this rig cannot have
@@ -50,7 +58,7 @@ class _Comparison:
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self._names = rig.axis_names
-        self._cycle = _new_cycle(rig, base_dir)
+        self._cycle = new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
         self._largest = np.zeros(len(self._names))
         self._ticks = 0
@@ -81,17 +89,60 @@ def _check(step: codec.RecordedTick) -> None:
         raise ValueError(f"the times or counters of tick {tick.index}")
 
 
-def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
-    """Every recorded tick, in order. Raises RecordingError for a message that no control process can have caused."""
+def loaded_tasks(recording: Recording) -> dict[int, str]:
+    """The tasks that were loaded on the way, by the number of the command that did."""
+    found = {}
     for item in recording:
-        if item.topic == "traffic":
+        if item.topic == "commands":
             try:
-                ticks = list(codec.recorded_ticks(pb.Traffic.FromString(item.data)))
+                entry = pb.CommandEntry.FromString(item.data)
+            except DecodeError as error:
+                raise RecordingError(f"{recording.path}: a command makes no sense: {error}") from None
+            if entry.kind == CommandKind.LOAD_TASK and entry.task:
+                found[entry.posted] = entry.task.decode(errors="replace")
+    return found
+
+
+class Tasks:
+    """What a recording's LOAD_TASK commands load, planned anew for a rig."""
+
+    def __init__(self, recording: Recording, rig: RigConfig) -> None:
+        self._recording, self._rig = recording, rig
+        self._documents: dict[int, str] | None = None
+
+    def of(self, tick: Tick) -> LoadedTask | None:
+        """That of a tick's command, if it has one. Raises RecordingError."""
+        for command in tick.commands:
+            if command.kind == CommandKind.LOAD_TASK:
+                if self._documents is None:
+                    self._documents = loaded_tasks(self._recording)
+                return self._planned(self._documents.get(command.sequence, ""), tick.index)
+        return None
+
+    def _planned(self, document: str, index: int) -> LoadedTask:
+        if not document:
+            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads is not in it")
+        try:
+            return loaded_task(rig_with_task(self._rig, document))
+        except (RigError, ValueError) as error:
+            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads: {error}") from None
+
+
+def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
+    """Every recorded tick once, in order: a sidecar that was killed may have left ticks whose recording its successor
+    did not know of. Raises RecordingError for a message that no control process can have caused.
+    """
+    following = 0  # ring index
+    for item in recording:
+        if item.topic in _TRAFFIC:
+            try:
+                ticks = list(_TRAFFIC[item.topic](item.data))
                 for step in ticks:
                     _check(step)
             except (DecodeError, ValueError, IndexError, RuntimeError) as error:
                 raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
-            yield from ticks
+            yield from (step for step in ticks if step.ring >= following)
+            following = max([following, *(step.ring + 1 for step in ticks[-1:])])
 
 
 def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:
@@ -106,12 +157,13 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle = _new_cycle(rig, base_dir)
+        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
         other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
         for step in steps(recording):
             if step.ring != report.ticks:
                 report.gap_at = report.ticks
                 break
+            step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
             report.ticks += 1
             report.frames += len(step.sent)
@@ -125,3 +177,22 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
             report.other_law, report.other_force = other.law, other.result()
     report.truncated = recording.truncated
     return report
+
+
+def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
+    """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record.
+
+    None where the cycle did not come to the same frames: another version, or ticks that are missing. Raises
+    RecordingError, RigError.
+    """
+    recording = Recording(path)
+    kept: list[bytes] = []
+    with rig_of_run(recording.metadata) as (rig, base_dir):
+        cycle = new_cycle(rig, base_dir)
+        for step in steps(recording):
+            result = cycle.step(step.tick, step.received)
+            if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
+                return None
+            kept.append(np.asarray(result.record[_EXACT]).tobytes())
+    records = np.frombuffer(b"".join(kept), RECORD[_EXACT])
+    return {name: records[name][:, : len(rig.axes)].copy() for name in _EXACT}

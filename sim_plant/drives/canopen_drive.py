@@ -30,6 +30,11 @@ _MODE = key_of(cia301.MODE)
 _ERROR_REGISTER = key_of(0x1001)
 _ERROR_CODE = key_of(0x603F)
 _QUICK_STOP_OPTION = key_of(0x605A)
+_CONNECTION_OPTION = key_of(0x6007)  # what to do without the host: nothing, fault, disable voltage, quick stop
+_POLARITY = key_of(0x607E)
+_SERVO_DRIVE = 0x00020192  # 1000h: type 2 of profile 402
+_MODES_OF_TARGETS = {_TORQUE: 0x208, key_of(0x607A): 0x081, key_of(0x60FF): 0x104}  # 6502h: TQ, CST; PP, CSP; PV, CSV
+_POSITION_TURNED, _TORQUE_TURNED = 0x80, 0x20  # 607Eh; torque's bit is the makers'
 _LAST_TRANSIT_OPTION = 4  # 605Ah: up to it the drive leaves QUICK STOP ACTIVE by itself
 
 
@@ -58,12 +63,19 @@ class Cia402Drive(CanopenNode):
         self.state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._limited = False
-        self._fresh_torque = False
+        self._fresh_target = False
         self._enabling_ns = NEVER_NS  # when the power stage will be on
         self._own = eds == cia301.EDS
+        self._describe()
         self._install()
         self._bind_dictionary()
         self._boot()
+
+    def _describe(self) -> None:
+        """What many files leave to the drive: that it is a servo drive, and in which modes its targets make sense."""
+        self.dictionary.fill_in(key_of(0x1000), _SERVO_DRIVE)
+        modes = sum(bits for target, bits in _MODES_OF_TARGETS.items() if target in self.dictionary.entries)
+        self.dictionary.fill_in(key_of(0x6502), modes)
 
     def _install(self) -> None:
         """A bought drive has been told its motor's rated torque by whoever installed it."""
@@ -87,8 +99,8 @@ class Cia402Drive(CanopenNode):
             self._fail(self._diagnosis())
 
     def _apply(self) -> None:
-        if self._fresh_torque:
-            self._fresh_torque = False
+        if self._fresh_target:
+            self._fresh_target = False
             self._command_servo(self._target_force(), feed=True)
 
     def _close(self) -> None:
@@ -97,12 +109,21 @@ class Cia402Drive(CanopenNode):
             self.state = DriveState.SWITCH_ON_DISABLED
         self._command_servo(0.0)
         self.servo.deadline_ns = NEVER_NS
-        self._fresh_torque = False
+        self._fresh_target = False
         self._enabling_ns = NEVER_NS
         self.dictionary.values[_TORQUE] = 0
 
     def _on_master_lost(self) -> None:
-        self._fail(Emergency.HEARTBEAT)
+        """By 6007h. The project's own drive goes to FAULT, whose reason its host can read."""
+        option = 1 if self._own else self.dictionary.number(_CONNECTION_OPTION, 1)
+        if option == 1 or self.state is DriveState.FAULT:
+            self._fail(Emergency.HEARTBEAT)
+            return
+        self._emergency.raise_error(Emergency.HEARTBEAT, GENERIC | COMMUNICATION)
+        if option == 2:
+            self.switch_off()
+        elif option == 3 and self.state is DriveState.OPERATION_ENABLED:
+            self._take_controlword(cia301.QUICK_STOP)
 
     def _restore(self) -> None:
         self.dictionary.restore(0x2000, 0xFFFF)
@@ -124,7 +145,7 @@ class Cia402Drive(CanopenNode):
     def _bind_dictionary(self) -> None:
         dictionary = self.dictionary
         dictionary.getters |= {
-            key_of(0x2010): lambda: self.servo.watchdog_ns // 1000,
+            key_of(0x2010): lambda: min(self.servo.watchdog_ns // 1000, 0xFFFFFFFF),
             key_of(cia301.POSITION): self._count,
             key_of(cia301.STATUSWORD): self._statusword,
             key_of(cia301.MODE_DISPLAY): lambda: dictionary.number(_MODE),
@@ -139,6 +160,8 @@ class Cia402Drive(CanopenNode):
 
     def _count(self) -> int:
         count = self.servo.sample(self._position(), self.now_ns).position
+        if self.dictionary.number(_POLARITY) & _POSITION_TURNED:
+            count = -count
         return (count + (1 << 31)) % (1 << 32) - (1 << 31)
 
     def _statusword(self) -> int:
@@ -146,14 +169,21 @@ class Cia402Drive(CanopenNode):
         word: int = self.state.value[1] | cia301.REMOTE
         if self.state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED):
             word |= cia301.VOLTAGE_ENABLED
-        if self.state is DriveState.OPERATION_ENABLED:
-            word |= cia301.FOLLOWS_COMMAND
+        word |= self._mode_bits()
         if self._limited or status & _LIMITED:
             word |= cia301.LIMIT_ACTIVE
         if self._own:
             word |= cia301.HOMED if status & _HOMED else 0
             word |= cia301.BRAKE if status & _BRAKE else 0
         return word | self._quirks.status_bits
+
+    def _mode_bits(self) -> int:
+        """Bits of the statusword whose meaning goes with the mode."""
+        return cia301.FOLLOWS_COMMAND if self.state is DriveState.OPERATION_ENABLED else 0
+
+    def _demands_torque(self) -> bool:
+        """In the present mode 6071h is what it follows."""
+        return self.dictionary.number(_MODE) == cia301.TORQUE_MODE
 
     def _torque_actual(self) -> int:
         raw = round(self.servo.force * 1e6 / self._rated_torque())
@@ -164,13 +194,14 @@ class Cia402Drive(CanopenNode):
         return self.dictionary.number(_TORQUE_RATED, round(self.servo.rated_force * 1000)) or 1
 
     def _target_force(self) -> float:
-        """6071h in N, held within 6072h; zero in any mode but cyclic synchronous torque, and while halted."""
+        """6071h in N, held within 6072h; zero in any mode that demands no torque, and while halted."""
         number = self.dictionary.number
         raw, limit = number(_TORQUE), number(_TORQUE_MAX, 0xFFFF)
         self._limited = abs(raw) > limit
-        if number(_MODE) != cia301.TORQUE_MODE or self._controlword & cia301.HALT:
+        if not self._demands_torque() or self._controlword & cia301.HALT:
             return 0.0
-        return float(max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
+        sign = -1 if number(_POLARITY) & _TORQUE_TURNED else 1
+        return float(sign * max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
 
     def _command_servo(self, force: float, *, feed: bool = False, reset: bool = False) -> None:
         """Hand a force to the servo. Only SYNC with a new target torque feeds its watchdog."""
@@ -240,7 +271,7 @@ class Cia402Drive(CanopenNode):
         """By RPDO or SDO: applied at the next SYNC, as all targets of a synchronous mode."""
         if self.nmt is not NmtState.OPERATIONAL:
             raise SdoAbort(Abort.DEVICE_STATE)
-        self._fresh_torque = True
+        self._fresh_target = True
 
     def _take_rated(self, value: int) -> None:
         if self.state is DriveState.OPERATION_ENABLED:

@@ -54,7 +54,7 @@ class CanopenNode:
         self._received: dict[Pdo, bytes] = {}
         self._quirks = quirks
         self.dictionary = dictionary = ObjectDictionary(node_id, eds, quirks)
-        self._sdo = SdoServer(dictionary)
+        self._sdo = SdoServer(dictionary, quirks)
         self._emergency = EmergencyProducer(dictionary)
         dictionary.setters |= {
             _PRODUCER_HEARTBEAT: self._schedule_heartbeat,
@@ -216,14 +216,12 @@ class CanopenNode:
     def _on_sdo(self, data: bytes) -> None:
         if len(data) != 8 or self.nmt is NmtState.STOPPED:
             return
-        answer = self._sdo.on_request(data)
-        if answer is None:
-            return
-        frame = Frame(cia301.SDO_RESPONSE_ID + self.node_id, answer)
-        if self._quirks.answer_delay_ns:
-            self._delayed.append((self.now_ns + self._quirks.answer_delay_ns, frame))
-        else:
-            self._out.append(frame)
+        for answer in self._sdo.on_request(data):
+            frame = Frame(cia301.SDO_RESPONSE_ID + self.node_id, answer)
+            if self._quirks.answer_delay_ns:
+                self._delayed.append((self.now_ns + self._quirks.answer_delay_ns, frame))
+            else:
+                self._out.append(frame)
 
     def _on_rpdo(self, pdo: Pdo, data: bytes) -> None:
         if self.nmt is not NmtState.OPERATIONAL:

@@ -1,4 +1,4 @@
-"""A drive that sends in its own time, in front of a `ServoDrive`: what ODrive and VESC share."""
+"""A drive with a protocol of its own in front of a `ServoDrive`: what ODrive, VESC and moteus share."""
 
 from collections.abc import Callable
 
@@ -14,8 +14,8 @@ Periodic = tuple[int, Callable[[], Frame]]  # (period in ns, what is sent)
 class CyclicNode:
     """One drive. A kind of drive says what it does with a frame (`receive`) and in time (`live`).
 
-    now_ns: time reached. sampled_ns: when it last sampled its encoder for a frame (the first of `periodic`).
-    next_ns: when it has something to send.
+    periodic: what it sends in its own time; nothing where it answers only. now_ns: time reached. sampled_ns: when it
+    last sampled its encoder for a frame (the first of `periodic`). next_ns: when it has something to send.
     """
 
     def __init__(self, node_id: int, servo: ServoDrive, start_ns: int, *periodic: Periodic) -> None:
@@ -26,7 +26,7 @@ class CyclicNode:
         first_ns = start_ns + _PHASE_NS * (servo.axis + 1)
         self._periodic = [[first_ns, period_ns] for period_ns, _ in periodic]
         self._make = [make for _, make in periodic]
-        self.next_ns = first_ns
+        self.next_ns = first_ns if periodic else NEVER_NS
 
     def on_frame(self, frame: Frame) -> list[Frame]:
         """What it sends at the reception of a frame; whatever fell due before comes first. Never raises."""

@@ -6,14 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from drivers.config import BusConfig, ObjectValue
+from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols.mounting import Mounting
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.servo import ServoDrive
 
 Position = Callable[[], float]
-_GENERAL_ERROR = 0x08000000  # SDO abort code
+SPOKEN = {"cia402": "cia402", "moteus": "moteus"}  # the layout of drives that speak none that a DBC file describes
 
 
 class DriveNode(Protocol):
@@ -56,12 +56,14 @@ def installed_drives(
     """One node an axis. positions: of the axes as their drives see them, m. Raises ValueError for an EDS that cannot be
     read, or drives that do not speak the rig's layout.
     """
-    cia402 = bus.protocol == "cia402"
-    kind = config.kind if config else "cia402"
-    if cia402 != (kind == "cia402"):
+    layout = "dbc" if bus.protocol.startswith("dbc:") else bus.protocol
+    kind = config.kind if config else layout
+    if layout != SPOKEN.get(kind, "dbc"):
         raise ValueError(f"plant.drive.kind = {kind!r}: such drives do not speak bus.protocol = {bus.protocol!r}")
-    if cia402:
+    if kind == "cia402":
         return _cia402(bus, config, base_dir, servos, positions, start_ns)
+    if kind == "moteus":
+        return _moteus(bus, config, servos, positions, start_ns)
     assert config is not None
     nodes = config.nodes or list(range(len(servos)))
     return [
@@ -90,6 +92,29 @@ def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: 
     return Vesc(node, servo, turns, start_ns, motor=motor, feedback_ns=feedback_ns, status_ns=state_ns)
 
 
+def _moteus(
+    bus: BusConfig,
+    config: EmulatedDriveConfig | None,
+    servos: Sequence[ServoDrive],
+    positions: Sequence[Position],
+    start_ns: int,
+) -> Sequence[DriveNode]:
+    from drivers.protocols.moteus import COUNTS_PER_TURN, moteus_nodes
+    from sim_plant.drives.moteus import Moteus
+
+    if config is None:  # as the rig has them
+        nodes = moteus_nodes(bus, len(servos))
+        turn = [servo.resolution * COUNTS_PER_TURN for servo in servos]
+    else:
+        nodes = config.nodes or list(range(1, len(servos) + 1))
+        turn = [abs(travel) for travel in config.turn]
+    delay_ns = round(config.enable_delay_s * 1e9) if config else 0
+    return [
+        Moteus(node, servo, partial(_turns, servo, position, travel), start_ns, enable_delay_ns=delay_ns)
+        for node, servo, position, travel in zip(nodes, servos, positions, turn, strict=True)
+    ]
+
+
 def _cia402(
     bus: BusConfig,
     config: EmulatedDriveConfig | None,
@@ -101,23 +126,9 @@ def _cia402(
     from drivers.protocols.canopen.cia301 import EDS
     from drivers.protocols.canopen.host import node_ids
     from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
-    from sim_plant.drives.object_dictionary import key_of
-    from sim_plant.drives.quirks import NO_QUIRKS, Quirks
+    from sim_plant.drives.quirks import stated_quirks
 
-    quirks = NO_QUIRKS
-    if config is not None:
-
-        def keys(places: Sequence[str]) -> list[int]:
-            return [key_of(*ObjectValue(object=place, value=0).place) for place in places]
-
-        quirks = Quirks(
-            frozenset(keys(config.missing)),
-            dict.fromkeys(keys(config.aborts), _GENERAL_ERROR),
-            round(config.answer_delay_s * 1e9),
-            round(config.enable_delay_s * 1e9),
-            config.status_bits,
-            config.dummy_mapping,
-        )
+    quirks = stated_quirks(config)
     files = [base_dir / name for name in bus.cia402.eds] if bus.cia402 else [EDS]
     files = files * len(servos) if len(files) == 1 else files
     nodes = node_ids(bus, len(servos))

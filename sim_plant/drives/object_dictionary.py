@@ -25,7 +25,7 @@ class SdoAbort(Exception):
 
 
 class Entry(NamedTuple):
-    """One variable of the EDS. layout: None for a string."""
+    """One variable of the EDS. layout: None for a string. stated: the file gives it a value."""
 
     layout: Struct | None
     readable: bool
@@ -34,6 +34,7 @@ class Entry(NamedTuple):
     low: int | None
     high: int | None
     default: Any
+    stated: bool = True
 
 
 def key_of(index: int, subindex: int = 0) -> int:
@@ -51,7 +52,9 @@ def _entry(variable: Any) -> Entry:
     low, high = variable.min, variable.max
     if low is not None and high is not None and low > high:
         low = high = None  # makers write the limits of unsigned objects as if they were signed
-    return Entry(layout, variable.readable, variable.writable, variable.pdo_mappable, low, high, default)
+    return Entry(
+        layout, variable.readable, variable.writable, variable.pdo_mappable, low, high, default, stated is not None
+    )
 
 
 @lru_cache(maxsize=256)
@@ -96,6 +99,13 @@ class ObjectDictionary:
         for key, entry in self.entries.items():
             if first <= key >> 8 <= last:
                 self.values[key] = entry.default
+
+    def fill_in(self, key: int, value: int) -> None:
+        """Give an object that the drive has a value, where its file states none."""
+        entry = self.entries.get(key)
+        if entry is not None and not entry.stated:
+            self.entries[key] = entry._replace(default=value)
+            self.values[key] = value
 
     def entry(self, index: int, subindex: int) -> Entry:
         """Declaration of an object; SdoAbort where there is none."""

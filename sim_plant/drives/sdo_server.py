@@ -1,16 +1,20 @@
-"""SDO server of CiA 301, 7.2.4: expedited and segmented transfers both ways, with abort codes. No block transfer."""
+"""SDO server of CiA 301, 7.2.4: expedited, segmented and block transfers both ways, with abort codes."""
 
 from drivers.protocols.canopen.cia301 import SDO, Abort
 from sim_plant.drives.object_dictionary import MAX_STRING, ObjectDictionary, SdoAbort
+from sim_plant.drives.quirks import NO_QUIRKS, Quirks
+from sim_plant.drives.sdo_block import BlockDownload, BlockUpload
 
 _EMPTY = bytes(4)
+_ABORT = 0x80
 
 
 class SdoServer:
     """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer."""
 
-    def __init__(self, dictionary: ObjectDictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary, quirks: Quirks = NO_QUIRKS) -> None:
         self._dictionary = dictionary
+        self._answers = quirks.answers
         self._index = 0
         self._subindex = 0
         self.reset()
@@ -20,29 +24,65 @@ class SdoServer:
         self._download: bytearray | None = None
         self._announced: int | None = None
         self._upload: bytes | None = None
+        self._block: BlockDownload | BlockUpload | None = None
         self._toggle = 0
 
-    def on_request(self, request: bytes) -> bytes | None:
-        """The 8-byte answer to an 8-byte request; None where it needs none. Never raises."""
-        command, index, subindex, data = SDO.unpack(request)
-        specifier = command >> 5
+    def on_request(self, request: bytes) -> list[bytes]:
+        """The 8-byte answers to an 8-byte request. Never raises."""
         try:
-            if specifier == 1:
-                return self._start_download(command, index, subindex, data)
-            if specifier == 0:
-                return self._continue_download(command, request[1:])
-            if specifier == 2:
-                return self._start_upload(index, subindex)
-            if specifier == 3:
-                return self._continue_upload(command)
-            if specifier == 4:
-                self.reset()
-                return None
-            self._index, self._subindex = index, subindex
-            raise SdoAbort(Abort.COMMAND)
+            if self._block is not None and request[0] != _ABORT:
+                return self._continue_block(request)
+            return self._start_or_continue(request)
         except SdoAbort as refusal:
             self.reset()
-            return SDO.pack(0x80, self._index, self._subindex, int(refusal.code).to_bytes(4, "little"))
+            return [SDO.pack(_ABORT, self._index, self._subindex, int(refusal.code).to_bytes(4, "little"))]
+
+    def _start_or_continue(self, request: bytes) -> list[bytes]:
+        command, index, subindex, data = SDO.unpack(request)
+        match command >> 5:
+            case 0:
+                return [self._continue_download(command, request[1:])]
+            case 1:
+                return [self._start_download(command, index, subindex, data)]
+            case 2:
+                return [self._start_upload(index, subindex)]
+            case 3:
+                return [self._continue_upload(command)]
+            case 4:
+                self.reset()
+                return []
+            case 5 if not command & 0x03:
+                return [self._start_block_upload(command, index, subindex, data)]
+            case 6 if not command & 0x01:
+                return [self._start_block_download(command, index, subindex, data)]
+        self._index, self._subindex = index, subindex
+        raise SdoAbort(Abort.COMMAND)
+
+    def _continue_block(self, request: bytes) -> list[bytes]:
+        block = self._block
+        assert block is not None
+        answers = block.on_request(request)
+        if block.done:
+            if isinstance(block, BlockDownload):
+                self._dictionary.write(self._index, self._subindex, block.data)
+            self.reset()
+        return answers
+
+    def _start_block_upload(self, command: int, index: int, subindex: int, data: bytes) -> bytes:
+        """Where the client bears it (its threshold, byte 5), short values go the plain way."""
+        self._open(index, subindex)
+        value = self._dictionary.read(index, subindex)
+        if len(value) <= data[1]:
+            return self._start_upload(index, subindex)
+        self._block = BlockUpload(command, index, subindex, value, data[0])
+        return self._block.first
+
+    def _start_block_download(self, command: int, index: int, subindex: int, data: bytes) -> bytes:
+        self._open(index, subindex)
+        if not self._dictionary.entry(index, subindex).writable:
+            raise SdoAbort(Abort.READ_ONLY)
+        self._block = BlockDownload(command, index, subindex, int.from_bytes(data, "little"))
+        return self._block.first
 
     def _open(self, index: int, subindex: int) -> None:
         self.reset()
@@ -81,8 +121,9 @@ class SdoServer:
     def _start_upload(self, index: int, subindex: int) -> bytes:
         self._open(index, subindex)
         data = self._dictionary.read(index, subindex)
-        if 1 <= len(data) <= 4:
-            return SDO.pack(0x43 | (4 - len(data)) << 2, index, subindex, data)
+        if 1 <= len(data) <= 4 and self._answers != "segmented":
+            command = 0x42 if self._answers == "unsized" else 0x43 | (4 - len(data)) << 2
+            return SDO.pack(command, index, subindex, data)
         self._upload = data
         return SDO.pack(0x41, index, subindex, len(data).to_bytes(4, "little"))
 

@@ -2,8 +2,9 @@
 
 Source: the firmware's documentation of its CAN protocol (github.com/vedderb/bldc). Rules:
 - An identifier has 29 bits: command * 256 + VESC ID. Numbers are big-endian, signed.
-- CAN_PACKET_SET_CURRENT (1): mA of the motor, clipped to its limit, at once. There is no enable: the first current
-  begins it, and the application timeout ends it. Nothing latches: the next command begins again.
+- CAN_PACKET_SET_CURRENT (1): mA of the motor, clipped to its limit, at once. There is no enable: a current other than
+  zero switches the power stage on, zero and the application timeout release the motor (the least current counts as set
+  to nothing). Nothing latches: the next command begins again.
 - SET_CURRENT_BRAKE, SET_DUTY, SET_RPM and SET_POS are loops of its own, which are not emulated: no torque.
 - It sends STATUS_4 (16: PID position, degrees times 50, of one turn) in its own time, and less often STATUS (9: ERPM,
   current, duty cycle) and STATUS_5 (27: tachometer, six to an electrical revolution).
@@ -72,7 +73,7 @@ class Vesc(CyclicNode):
         (value,) = _CURRENT.unpack_from(frame.data)
         limit = self.servo.rated_force
         torque = value * 1e-3 * self._motor.torque_constant if command == SET_CURRENT else 0.0
-        self.servo.on_command(max(-limit, min(limit, torque)), True, False, 0, self.now_ns)
+        self.servo.on_command(max(-limit, min(limit, torque)), torque != 0.0, False, 0, self.now_ns)
         return []
 
     def _send(self, command: int, data: bytes) -> Frame:

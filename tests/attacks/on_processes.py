@@ -20,12 +20,12 @@ from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
 from hil.live.runtime_paths import runtime_paths_in
-from hil.telemetry import codec
+from hil.telemetry import cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError
 from hil.telemetry.credentials import Credentials
-from hil.telemetry.recorder import Recording
+from hil.telemetry.recording import Recording
 from hil.telemetry.window import silent_axes
 from tests.attacks.registry import attack
 from tests.attacks.target import NAME, PATIENCE_S, Target
@@ -114,8 +114,8 @@ def newest_recording(target: Target) -> Path:
 
 def ticks_of(recording: Recording) -> list[int]:
     """Ring indices of the ticks in a recording."""
-    traffic = (pb.Traffic.FromString(item.data) for item in recording if item.topic == "traffic")
-    return [tick.ring for message in traffic for tick in codec.recorded_ticks(message)]
+    cycles = (pb.Cycle.FromString(item.data) for item in recording if item.topic == "cycle")
+    return [tick.ring for message in cycles for tick in cycle_codec.recorded_ticks(message)]
 
 
 def whole(target: Target) -> str:

@@ -85,7 +85,7 @@ def spoofed_status(target: Target) -> Iterator[str]:
 
 @attack("spoofed telemetry", "nobody hears it")
 def spoofed_telemetry(target: Target) -> Iterator[str]:
-    yield from heard(target, f"hil/{NAME}/telemetry", pb.Telemetry(batch=1).SerializeToString())
+    yield from heard(target, f"hil/{NAME}/tick", pb.Status(rig=NAME).SerializeToString())
 
 
 @attack("spoofed status with ESC and HTML in every string", "nobody hears it")

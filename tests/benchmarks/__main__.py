@@ -18,6 +18,7 @@ BENCHES = BENCHES_AT_A_RIG | {
         "tick": "CPU per tick by stage, system calls and allocations, against a C program doing the same work",
         "misses": "Slots that a long run loses, against a C program that touches as much memory",
         "peers": "The same tick with python-can + cantools, with canopen, with moteus",
+        "endurance": "Memory, descriptors, files and lateness of every process over a long live run",
         "io": "Receiving and sending through the bus layer alone",
         "lockstep": "How much faster than real time a whole rig runs in lockstep",
         "batch": "Plants times ticks per second of the batch engine",

@@ -56,6 +56,13 @@ def test_observer_is_scipys_kalman_filter_of_the_two_mass_model(frequency: float
     assert [ours.e + ours.x, ours.v + ours.n, ours.d] == pytest.approx([gain[0], gain[1], gain[-1]], rel=1e-6)
 
 
+def test_the_tool_is_behind_the_encoder_by_what_its_spring_gives() -> None:
+    """The tool's mass under an acceleration a bends the spring by a / w^2, w the tool's on a held motor."""
+    omega = 2.0 * np.pi * 120.0
+    assert MotionModel(model(120.0), PERIOD).tool_lag == pytest.approx(1.0 / omega**2)
+    assert MotionModel(model(0.0), PERIOD).tool_lag == 0.0
+
+
 def test_gains_of_floats_and_of_arrays_are_the_same_bits() -> None:
     def column(value: float) -> Any:
         return np.array([value, value])

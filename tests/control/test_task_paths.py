@@ -118,7 +118,7 @@ def test_waypoints_are_reached_within_the_limits() -> None:
 @pytest.mark.parametrize("tight", range(3), ids=["speed", "acceleration", "jerk"])
 def test_a_move_between_waypoints_is_as_quick_as_its_tightest_limit_allows(tight: int) -> None:
     limits = [(0.02, 100.0, 1e6), (100.0, 0.1, 1e6), (100.0, 100.0, 2.0)][tight]
-    move = waypoints([[0.0, 0.01], [0.02, 0.01]], limits, lambda seconds: round(seconds * 1e9), 0, repeat=False)
+    move = waypoints([[0.0, 0.01], [0.02, 0.01]], limits, lambda seconds: round(seconds * 1e9), 0, 0.0, repeat=False)
     assert move.duration_ns is not None
     times = np.linspace(0, move.duration_ns, 4001).astype(np.int64)
     sampled = move.sample(np.repeat(times[:, None], 2, axis=1))

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers import call_limit, plugins
 from hil import Law
 from hil.control import law_registry
 from hil.control.law_registry import LAWS, law_class
-from hil.control.laws import make_axis_laws, make_law, users
+from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import axis_inputs
 from hil.control.laws.coupled import gather
 from hil.control.laws.users import UserAxes
@@ -64,8 +65,8 @@ def test_a_users_law_follows_the_circle(name: str, rig_file: Path) -> None:
 
 
 def test_a_file_a_module_and_an_entry_point_are_the_same_law(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = importlib.metadata.EntryPoint("my-lqr", "examples.laws.lqr:Lqr", law_registry.GROUP)
-    monkeypatch.setattr(law_registry, "entry_points", lambda group: [entry] if group == "hil.laws" else [])
+    entry = importlib.metadata.EntryPoint("my-lqr", "examples.laws.lqr:Lqr", law_registry.KIND.group)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry] if group == "hil.laws" else [])
     hashes = set()
     for name in ("./lqr.py:Lqr", "examples.laws.lqr:Lqr", "my-lqr"):
         rig = load_rig(rig_file, [f"law.name={name}", *QUICK])
@@ -216,7 +217,7 @@ def test_the_same_text_under_two_names_is_told_by_each(rig_file: Path) -> None:
 
 
 def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(users, "CALL_LIMIT_S", 0.3)
+    monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)
     run = fault_of(load_rig(rig_file, [beside("misbehaves"), "law.gains.how='never returns'"]), rig_file.parent)
     assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.NOT_FINITE)
     assert "no answer within 0.3 s" in run.cycle.law.failure

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from drivers import runtime_path
-from drivers.runtime import RuntimeDirectoryError, runtime_dir
+from drivers.runtime import (
+    RuntimeDirectoryError,
+    make_private,
+    open_private,
+    read_private,
+    runtime_dir,
+    write_private,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -14,6 +21,17 @@ def bare_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("HIL_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(runtime_path, "_SERVICE_DIRECTORY", str(tmp_path / "service"))
+
+
+def belongs_to(monkeypatch: pytest.MonkeyPatch, owner: int) -> None:
+    """Every directory that is looked at is that user's."""
+    found = Path.lstat
+
+    def lstat(path: Path) -> os.stat_result:
+        status = found(path)
+        return os.stat_result((*status[:4], owner, *status[5:]))
+
+    monkeypatch.setattr(Path, "lstat", lstat)
 
 
 def mode(path: Path) -> int:
@@ -71,16 +89,55 @@ def test_a_planted_link_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         runtime_dir()
 
 
-def test_another_users_directory_is_refused_to_all_but_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("variable", ["HIL_RUNTIME_DIR", "RUNTIME_DIRECTORY"])
+@pytest.mark.parametrize("user", [0, 4711])
+def test_another_users_directory_is_refused_to_root_too(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, user: int, variable: str
+) -> None:
     place = tmp_path / "theirs"
     place.mkdir(mode=0o700)
-    monkeypatch.setenv("HIL_RUNTIME_DIR", str(place))
-    owner = place.stat().st_uid
-    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
-    with pytest.raises(RuntimeDirectoryError, match=f"belongs to user {owner}, not to {owner + 1}"):
+    monkeypatch.setenv(variable, str(place))
+    belongs_to(monkeypatch, 1000)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    with pytest.raises(RuntimeDirectoryError, match=f"belongs to user 1000, not to {user}"):
         runtime_dir()
+
+
+def test_root_may_look_at_the_services_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "service").mkdir(mode=0o700)
+    belongs_to(monkeypatch, 1000)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    assert runtime_dir() == place
+    assert runtime_dir() == tmp_path / "service"
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    with pytest.raises(RuntimeDirectoryError, match="belongs to user 1000"):
+        make_private(tmp_path / "service")
+
+
+def test_a_file_of_a_runtime_directory_is_a_file_and_nobody_elses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_bytes(b"word")
+    assert read_private(tmp_path / "file") == b"word"
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("link", "pipe", ".", "missing"):
+        with pytest.raises(OSError, match=name.replace(".", "is not a file")):
+            open_private(tmp_path / name, os.O_RDONLY)
+    status = os.stat(tmp_path / "file")
+    theirs = os.stat_result((*status[:4], 4711, *status[5:]))
+    monkeypatch.setattr(os, "fstat", lambda _fd: theirs)
+    with pytest.raises(OSError, match="belongs to user 4711"):
+        open_private(tmp_path / "file", os.O_RDONLY)
+
+
+def test_writing_goes_through_no_planted_link(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("as it was")
+    (tmp_path / f"word.{os.getpid()}.new").symlink_to(precious)
+    (tmp_path / "word").symlink_to(precious)
+    write_private(tmp_path / "word", "new")
+    assert (precious.read_text(), read_private(tmp_path / "word")) == ("as it was", b"new")
+    assert mode(tmp_path / "word") == 0o600
 
 
 def test_a_place_that_cannot_be_made_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from tests.support.bought_drives import RIGS_OF, write_files
 from tests.support.bringup_bench import BringupBench
 from tests.support.paths import RIGS
 
-KINDS = ["cia402", "odrive", "vesc"]
+KINDS = ["cia402", "moteus", "odrive", "vesc"]
 
 
 def bench_of(kind: str, folder: Path, **plant: object) -> BringupBench:

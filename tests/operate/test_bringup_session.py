@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from drivers.bus.any_bus import AnyPort, joined
 from drivers.bus.port import PortError
 from hil.cli.app import build_app
 from hil.live.runtime_paths import runtime_paths
@@ -20,6 +21,10 @@ from hil.live.stop_page import live_pages
 from hil.operate.bringup.jog import POSITIVE, Jog, jog_settings
 from hil.operate.bringup.session import held_keys, open_session
 from hil.operate.bringup.survey import Survey
+from hil.rig.schema import RigConfig
+from sim_plant.config import EmulatedDriveConfig
+from sim_plant.drive_double import DoubleSettings, DriveDouble, make_drive
+from tests.support.bought_drives import EDS, cia402, write_files
 from tests.support.live_rig import CALM, PAPER, PATIENCE_S, Emulator, emulated, rig_with
 
 APP = build_app("drives")
@@ -163,3 +168,40 @@ def test_a_survey_that_is_stopped_ends_without_a_report() -> None:
         survey = Survey(session.host)
         session.run(survey)
         assert not survey.done
+
+
+def test_drives_are_brought_up_through_an_adapter_that_has_no_driver_in_the_kernel(tmp_path: Path) -> None:
+    """`virtual`, python-can's own bus within a process, stands for it; the drives are those of `hil drive`."""
+    write_files(tmp_path)
+    facts = cia402()
+    facts["bus"] |= {"interface": "virtual", "channel": "adapter"}
+    facts["rate_hz"] = 200.0
+    rig = RigConfig.model_validate(facts)
+    settings = DoubleSettings(5.0, 4096, 1e-4, 1e-3, 0.0, 0.0, EmulatedDriveConfig(kind="cia402"))
+    ending = threading.Event()
+    said: list[str] = []
+
+    def serve(port: AnyPort) -> None:
+        drives = [make_drive(tmp_path / EDS, node, settings, time.monotonic_ns()) for node in (3, 9)]
+        double = DriveDouble(drives, port, said.append, every=False)
+        while not ending.is_set():
+            first = port.wait(0.001)
+            double.step([first] if first else [], time.monotonic_ns())
+
+    with joined(rig.bus, fd=False) as port:
+        thread = threading.Thread(target=serve, args=(port,))
+        thread.start()
+        try:
+            with open_session(rig, tmp_path) as session:
+                survey = Survey(session.host)
+                session.run(survey)
+                report = survey.report()
+        finally:
+            ending.set()
+            thread.join()
+    assert [(axis.name, axis.node, axis.phase, axis.problem) for axis in report.axes] == [
+        ("x", 3, "RUNNING", ""),
+        ("y", 9, "RUNNING", ""),
+    ]
+    assert [axis.state for axis in report.axes] == ["SWITCHED_ON"] * 2
+    assert "node 9: switched on" in said

@@ -38,7 +38,7 @@ def test_only_can_interfaces_are_listed_and_each_is_judged(tmp_path, with_socket
     interface(tmp_path, "can1", flags="0x1002")
     interface(tmp_path, "vcan0", mtu="16")
     interface(tmp_path, "eth0", kind="1")
-    found = {f.topic: f for f in doctor.can_findings(tmp_path)}
+    found = {f.topic: f for f in doctor.can_findings(tmp_path, tmp_path / "usb")}
     assert list(found) == ["CAN can0", "CAN can1", "CAN vcan0"]
     assert found["CAN can0"].level == "ok"
     assert "transmit queue 16" in found["CAN can0"].detail
@@ -48,19 +48,77 @@ def test_only_can_interfaces_are_listed_and_each_is_judged(tmp_path, with_socket
     assert "classic" in found["CAN vcan0"].detail
 
 
+def usb_device(usb, port, vendor, product, *, name="", net="", tty=""):
+    """A device as the kernel shows it below /sys/bus/usb/devices."""
+    device = usb / port
+    (device / f"{port}:1.0").mkdir(parents=True)
+    for key, value in {"idVendor": vendor, "idProduct": product, "product": name}.items():
+        (device / key).write_text(value + "\n")
+    for kind, child in (("net", net), ("tty", tty)):
+        if child:
+            (device / f"{port}:1.0" / kind / child).mkdir(parents=True)
+    return device / f"{port}:1.0"
+
+
+def served(net, name, device, driver):
+    """The interface belongs to this device and driver."""
+    (net / name / "device").symlink_to(device)
+    (net.parent / "drivers" / driver).mkdir(parents=True, exist_ok=True)
+    (device / "driver").symlink_to(net.parent / "drivers" / driver)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "product", "driver", "said", "command"),
+    [
+        ("0c72", "0012", "peak_usb", "PEAK PCAN-USB FD (driver peak_usb)", "dbitrate 5000000 fd on"),
+        ("0c72", "000c", "peak_usb", "PEAK PCAN-USB (driver peak_usb)", "type can bitrate 1000000 && "),
+        ("0bfd", "0123", "kvaser_usb", "Kvaser USB (driver kvaser_usb)", "fd on"),
+        ("1d50", "606f", "gs_usb", "candleLight (gs_usb) (driver gs_usb)", "fd on"),
+        ("9999", "0001", "new_usb", "new_usb (driver new_usb)", "fd on"),
+    ],
+)
+def test_an_interface_that_is_down_comes_with_its_adapter_and_commands(
+    tmp_path, with_socketcan, vendor, product, driver, said, command
+):
+    net, usb = tmp_path / "net", tmp_path / "usb"
+    interface(net, "can0", flags="0x1002")
+    served(net, "can0", usb_device(usb, "1-2", vendor, product, net="can0"), driver)
+    (finding,) = doctor.can_findings(net, usb)
+    assert (finding.topic, finding.level) == ("CAN can0", "warn")
+    assert said in finding.detail
+    assert command in finding.advice
+    assert finding.advice.endswith("ip link set can0 up")
+    (net / "can0" / "flags").write_text("0x1003\n")
+    (finding,) = doctor.can_findings(net, usb)
+    assert finding.level == "ok"
+    assert said in finding.detail
+
+
+def test_an_adapter_without_an_interface_is_told_how_to_get_one(tmp_path, with_socketcan):
+    usb = tmp_path / "usb"
+    usb_device(usb, "1-1", "ad50", "60c4", name="CANable", tty="ttyACM3")
+    usb_device(usb, "1-2", "0c72", "0012", name="PCAN-USB FD")
+    usb_device(usb, "1-3", "046d", "c077", name="Mouse")
+    _, serial, peak = doctor.can_findings(tmp_path / "net", usb)
+    assert "slcand -o -c -s8 /dev/ttyACM3 can0" in serial.advice
+    assert "not for a control loop" in serial.detail
+    assert peak.topic == "adapter PEAK PCAN-USB FD"
+    assert "modprobe peak_usb" in peak.advice
+
+
 def test_a_kernel_without_can_is_a_note_with_the_way_out(monkeypatch):
     def refuse(*_):
         raise OSError(97, "Address family not supported by protocol")
 
     monkeypatch.setattr(doctor.socket, "socket", refuse)
-    (finding,) = doctor.can_findings()
+    (finding,) = doctor.can_findings(usb=Path("/nowhere"))
     assert finding.level == "note"
     assert "local bus" in finding.detail
     assert "AF_CAN" in finding.advice
 
 
 def test_no_interface_tells_how_to_make_one(tmp_path, with_socketcan):
-    (finding,) = doctor.can_findings(tmp_path)
+    (finding,) = doctor.can_findings(tmp_path, tmp_path / "usb")
     assert "vcan" in finding.advice
 
 

@@ -1,6 +1,8 @@
 """`hil install` into a directory: what lands where, what is never overwritten, and that uninstall leaves nothing."""
 
 import configparser
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,9 +16,9 @@ from hil.operate.install import (
     uninstall_all,
     with_values,
 )
-from hil.rig.file import load_rig
+from hil.rig.file import load_rig, rig_hash
 from hil.rig.schema import RigError
-from tests.support.paths import RIGS
+from tests.support.paths import RIGS, ROOT
 
 MICROSCOPE = RIGS / "microscope.toml"
 
@@ -65,6 +67,21 @@ def test_a_rig_whose_drives_a_dbc_file_describes_brings_that_file_along(tmp_path
         put(tmp_path, RIGS / "paper-dbc.toml")
     put(tmp_path, tmp_path / "etc/hil/rigs/paper-dbc.toml")
     assert installed.read_bytes().endswith(b'"B\xfcro";\n')
+
+
+def test_a_rig_with_a_law_and_a_task_of_its_own_brings_their_files_along(tmp_path):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for file in ("laws/lqr.py", "tasks/rose.py"):
+        shutil.copy(ROOT / "examples" / file, mine)
+    text = MICROSCOPE.read_text()
+    text = re.sub(r"(?ms)^\[law\].*?(?=^\[(?!law))", '[law]\nname = "./lqr.py:Lqr"\n\n', text)
+    text = re.sub(r"(?ms)^\[task\].*?(?=^\[(?!task))", '[task]\nkind = "./rose.py:Rose"\naxes = ["x", "y"]\n\n', text)
+    (mine / "mine.toml").write_text(text.replace('name = "microscope"', 'name = "mine"'))
+    put(tmp_path / "root", mine / "mine.toml")
+    installed = tmp_path / "root/etc/hil/rigs"
+    assert rig_hash(load_rig(installed / "mine.toml")) == rig_hash(load_rig(mine / "mine.toml"))
+    assert {path.name for path in installed.iterdir()} >= {"mine.toml", "lqr.py", "rose.py"}
 
 
 @pytest.mark.parametrize(("file", "error"), [("missing.dbc", RigError), ("../elsewhere.dbc", InstallError)])
@@ -170,3 +187,10 @@ def test_names_are_escaped_as_systemd_does(name, escaped):
 def test_a_key_that_is_not_in_the_file_is_an_error_and_not_dropped():
     with pytest.raises(InstallError, match="BitRate"):
         with_values("[CAN]\n", BitRate=1)
+
+
+def test_a_bus_that_is_none_of_the_kernels_is_not_installed(tmp_path: Path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(MICROSCOPE.read_text().replace('interface = "auto"', 'interface = "slcan"', 1))
+    with pytest.raises(InstallError, match="the kernel's CAN interfaces alone"):
+        put(tmp_path / "root", rig)

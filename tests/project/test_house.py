@@ -46,6 +46,8 @@ NO_MODULES = {
     "hil.floats",
     "sim_plant.floats",
     "hil.laws",
+    "hil.tasks",
+    "hil.stages",
     "hil.target",
 }  # of the build; an entry point group; a systemd unit
 HERE = Path(__file__).relative_to(ROOT).as_posix()

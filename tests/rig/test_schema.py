@@ -85,7 +85,7 @@ def test_an_override_of_the_emulated_encoder_alone_changes_the_axes_with_it() ->
         ("rate_hz=0", "greater than or equal to 10"),
         ("plant.mass=[1.0, 2.0, 3.0]", "plant.mass has 3 values for 2 axes"),
         ("law.unknown=1", "law.unknown"),
-        ("task.kind=circel", "'circle'"),
+        ("task.kind=circel", "task.kind = 'circel': the nearest is circle; the tasks are hold, circle"),
         ("axes.x.limits.force=99", "exceeds rated_force"),
         ("axes.x.limits.position=[1.0, -1.0]", "the first must be below the second"),
         ("wire.drop_probability=1.5", "less than 1"),
@@ -149,7 +149,7 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.toml"
     os.mkfifo(pipe)
     for path in ("/dev/zero", "/dev/null", pipe):
-        with pytest.raises(RigError, match="pipe or device"):
+        with pytest.raises(RigError, match="not a file but a"):
             load_rig(path)
 
 

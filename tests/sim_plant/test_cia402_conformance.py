@@ -11,7 +11,7 @@ from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.quirks import Quirks
 from sim_plant.drives.servo import ServoDrive
-from tests.support.foreign_drive import CST_DRIVE, I16, Fact, eds_text
+from tests.support.foreign_drive import CST_DRIVE, I16, U8, Fact, eds_text
 
 MS = 1_000_000
 NODE = 5
@@ -130,6 +130,37 @@ def test_a_lost_master_does_to_the_network_state_what_1029h_says(behaviour: int,
     line.drive.advance(line.now + 60 * MS)
     assert line.drive.nmt is state
     assert line.drive.state is DriveState.FAULT
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [
+        (0, DriveState.OPERATION_ENABLED),
+        (1, DriveState.FAULT),
+        (2, DriveState.SWITCH_ON_DISABLED),
+        (3, DriveState.QUICK_STOP),
+    ],
+)
+def test_a_lost_master_does_to_a_makers_drive_what_6007h_says(option: int, state: DriveState, tmp_path: Path) -> None:
+    facts = {"x6007": Fact(I16, "rw", str(option)), "x605A": Fact(I16, "rw", "6")}
+    line = Line(eds=made(tmp_path, **facts))
+    line.enable()
+    assert line.write(0x1016, 1, 127 << 16 | 50, 4) == 0
+    line.send(0x700 + 127, b"\5")
+    frames = line.drive.advance(line.now + 60 * MS)
+    assert line.drive.state is state
+    assert [frame.data[:2] for frame in frames if frame.can_id == 0x085] == [b"\x30\x81"]  # 8130h, heartbeat
+
+
+@pytest.mark.parametrize(
+    ("polarity", "position", "force"), [(0x00, 1, 1), (0x80, -1, 1), (0x20, 1, -1), (0xA0, -1, -1)]
+)
+def test_607eh_turns_position_and_torque_round(polarity: int, position: int, force: int, tmp_path: Path) -> None:
+    line = Line(eds=made(tmp_path, x607E=Fact(U8, "rw", "0")))
+    assert line.write(0x607E, 0, polarity, 1) == 0
+    line.enable()
+    assert line.force() == force * 2.5
+    assert line.drive.dictionary.get(key_of(0x6064)) == position * 10_000
 
 
 @pytest.mark.parametrize(("option", "state"), [(2, DriveState.SWITCH_ON_DISABLED), (6, DriveState.QUICK_STOP)])

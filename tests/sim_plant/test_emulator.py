@@ -232,7 +232,8 @@ def test_a_status_file_that_cannot_be_written_does_not_end_the_stage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     emulator, _, control = live_pair(tmp_path, monkeypatch)
-    (tmp_path / "status.new").mkdir()  # stands in the way, as a full file system or a removed directory would
+    # It stands in the way, as a full file system or a removed directory would.
+    (tmp_path / f"status.json.{os.getpid()}.new").mkdir()
     before = (tmp_path / "status.json").read_text()
     emulator.step(time.monotonic_ns() + 10**9)
     assert "status.json: Is a directory" in emulator.status_error

@@ -9,10 +9,11 @@ import numpy as np
 
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind
+from hil.cycle.tick import CommandKind, LoadedTask
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader, RingWriter
 from hil.live.stop_line import StopLine
+from hil.live.task_file import TaskIntake
 from hil.rig.file import load_rig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP
@@ -22,7 +23,7 @@ from hil.telemetry.gateway import Gateway
 from tests.support.paths import RIGS
 
 RIG = load_rig(RIGS / "microscope.toml", ["safety.command_expiry_s=0.5"])
-ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE})
+ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE, CommandKind.LOAD_TASK})
 
 
 class CommandBench:
@@ -41,7 +42,9 @@ class CommandBench:
         self._reader = RingReader(directory / "ring")
         self._record = np.zeros(1, RECORD)[0]
         self._server = CommandServer(directory / "commands", remote)
-        self._gateway = Gateway(RIG, directory / "stop", self.entries.append, lambda: self.problems)
+        self._gateway = Gateway(RIG, directory / "stop", self.entries.append, lambda: self.problems, directory / "task")
+        self.tasks: list[LoadedTask | None] = []  # what was taken in
+        self._seen = 0
         self._thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:
@@ -55,13 +58,21 @@ class CommandBench:
                 if connection.closed_because:
                     self._gateway.note_rejected(connection.who, connection.closed_because, now_ns)
             for request in asked:
-                self._gateway.take(request, self._mailbox, now_ns, "READY")
+                self._gateway.take(request, self._mailbox, now_ns, "READY", self._record)
+            self._gateway.advance(self._mailbox, now_ns, "READY")
             self._gateway.give_up(now_ns, "READY")
             time.sleep(0.002)
 
     def _tick(self, now_ns: int) -> None:
         if self.dead:
             return
+        if self._mailbox.task_posted != self._seen:
+            self._seen = self._mailbox.task_posted
+            intake = TaskIntake(self.directory / "task", self._seen, RIG)
+            while not intake.done:
+                intake.work()
+            self.tasks.append(intake.task)
+            self._mailbox.answer_task(self._seen, ready=intake.task is not None)
         pressed, commands, record = self._stop.pressed(), self._mailbox.poll(), self._record
         state = State.ESTOP if pressed else State.READY
         record["now_ns"], record["state"], record["flags"] = now_ns, state, ESTOP * pressed

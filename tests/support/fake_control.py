@@ -55,7 +55,7 @@ def main(rig_file: str, ticks: int) -> None:
         pacer.start()
         while not stopped and ring.written < ticks:
             pacer.wait()
-            desk.handle(mailbox.poll(), pacer.now_ns, act)
+            desk.handle(mailbox.poll(), pacer.now_ns, act, lambda: False)
             flags = mailbox.recorder_ok(pacer.now_ns) << 1
             put_tick(builder, bare_tick(pacer.index, pacer.now_ns, scheduled_ns=pacer.scheduled_ns, flags=flags), state)
             for axis in range(n):

@@ -13,7 +13,7 @@ import canopen
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 
-U8, U16, U32, I8, I16, I32 = 0x5, 0x6, 0x7, 0x2, 0x3, 0x4
+U8, U16, U32, I8, I16, I32, STRING = 0x5, 0x6, 0x7, 0x2, 0x3, 0x4, 0x9
 
 
 class Fact(NamedTuple):
@@ -56,6 +56,48 @@ CST_DRIVE: dict[tuple[int, int], Fact] = {  # 1006h, 1019h, 6072h, 60C2h and dum
     (0x6502, 0): Fact(U32, "ro", "0x225"),
 }
 
+FULL_DRIVE = CST_DRIVE | {  # a CST drive that has whatever the standards offer, in ranges and with options of its own
+    (0x1006, 0): Fact(U32),
+    (0x1014, 0): Fact(U32, "rw", "$NODEID+0x80"),
+    (0x1015, 0): Fact(U16),
+    (0x1018, 1): Fact(U32, "ro", "0x2E1"),
+    (0x1019, 0): Fact(U8),
+    (0x1029, 0): Fact(U8, "ro", "1"),
+    (0x1029, 1): Fact(U8, "rw", "1"),
+    **_pdo(0x1401, "$NODEID+0x80000300", 8),
+    **_pdo(0x1402, "$NODEID+0x80000400", 8),
+    (0x6007, 0): Fact(I16, "rw", "1"),
+    (0x605A, 0): Fact(I16, "rw", "2"),
+    (0x605B, 0): Fact(I16, "rw", "1"),
+    (0x605C, 0): Fact(I16, "rw", "1"),
+    (0x605E, 0): Fact(I16, "rw", "2"),
+    (0x6072, 0): Fact(U16, "rw", "3000"),
+    (0x607E, 0): Fact(U8),
+    (0x60C2, 0): Fact(U8, "ro", "2"),
+    (0x60C2, 1): Fact(U8, "rw", "10"),
+    (0x60C2, 2): Fact(I8, "rw", "-3"),
+    (0x6502, 0): Fact(U32, "ro", "0x3ED"),
+}
+
+MOTION_DRIVE = CST_DRIVE | {  # one that offers every mode of CiA 402-2 that is emulated, and has names in words
+    (0x1003, 0): Fact(U8, "rw", "0"),
+    **{(0x1003, place): Fact(U32, "ro") for place in range(1, 5)},
+    (0x1008, 0): Fact(STRING, "const", "A servo drive with a name of more than seven bytes"),
+    (0x2000, 0): Fact(STRING, "rw", "nothing yet"),
+    (0x603F, 0): Fact(U16, "ro", "0", True),
+    (0x6060, 0): Fact(I8, "rw", "0", True),
+    (0x6061, 0): Fact(I8, "ro", "0", True),
+    (0x606C, 0): Fact(I32, "ro", "0", True),
+    (0x6077, 0): Fact(I16, "ro", "0", True),
+    (0x607A, 0): Fact(I32, "rw", "0", True),
+    (0x607C, 0): Fact(I32),
+    (0x6081, 0): Fact(U32, "rw", "1000"),
+    (0x6083, 0): Fact(U32, "rw", "10000"),
+    (0x6098, 0): Fact(I8, "rw", "35"),
+    (0x60FF, 0): Fact(I32, "rw", "0", True),
+    (0x6502, 0): Fact(U32, "ro", "0x3AD"),
+}
+
 
 def eds_text(facts: Mapping[tuple[int, int], Fact], dummies: Sequence[int] = ()) -> str:
     """An EDS file that states these facts."""
@@ -79,8 +121,17 @@ def eds_text(facts: Mapping[tuple[int, int], Fact], dummies: Sequence[int] = ())
 class ForeignDrive:
     """A drive on the facts given. rated_torque: value of 6076h, mN m. torque: thousandths it applies now."""
 
-    def __init__(self, facts: Mapping[tuple[int, int], Fact], node_id: int, rated_torque: int = 500) -> None:
-        source = StringIO(eds_text(facts))
+    def __init__(
+        self,
+        facts: Mapping[tuple[int, int], Fact],
+        node_id: int,
+        rated_torque: int = 500,
+        *,
+        values: Mapping[int, int] | None = None,
+        dummies: Sequence[int] = (),
+    ) -> None:
+        """values: of objects whose fact states none."""
+        source = StringIO(eds_text(facts, dummies))
         source.name = "made.eds"  # type: ignore[misc]  # canopen tells the format by it
         self._sent: list[Frame] = []
         network: Any = canopen.Network()
@@ -89,6 +140,8 @@ class ForeignDrive:
         self.node.associate_network(network)
         if (0x6076, 0) in facts:
             self.node.object_dictionary[0x6076].default = rated_torque
+        for index, value in (values or {}).items():
+            self.node.object_dictionary[index].default = value
         self._network = network
         self.node_id = node_id
         self.state = cia301.DriveState.SWITCH_ON_DISABLED

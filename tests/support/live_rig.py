@@ -42,6 +42,7 @@ CALM = (
     "safety.flood_frames=1000",
     "safety.transmit_refused_limit=250",
     "timing.realtime=false",
+    "telemetry.blackbox_s=16",
 )
 
 

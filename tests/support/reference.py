@@ -21,7 +21,11 @@ from tests.support.paths import RIGS, ROOT
 
 FILE = ROOT / "tests" / "reference" / "trace_hashes.json"
 SECONDS = 4.0
-LEARNING = ("pd-feedforward", "structured-kalman")  # laws also run inside iterative learning, on a figure that repeats
+LEARNING = (
+    "pd-feedforward",
+    "structured-kalman",
+    "presliding-kalman",
+)  # laws also run inside iterative learning, on a figure that repeats
 REPEATS = ["task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]"]
 RIG_NAMES = ("microscope", "paper")
 CELL = (

@@ -1,5 +1,7 @@
 """Recordings: what goes in comes out, cut short or not; a full disk is counted and hurts nobody."""
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,11 @@ from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
 from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
 from hil.rig.file import document_hash
-from hil.telemetry import codec
+from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import Recorder, Recording, RecordingError
+from hil.telemetry.mcap_items import LARGEST_RECORD
+from hil.telemetry.recorder import FLUSH_NS, Recorder, write_batch
+from hil.telemetry.recording import Recording, RecordingError
 from tests.support.paths import ROOT
 from tests.support.records import bare_tick, put_axis
 
@@ -31,7 +35,8 @@ TICKS = st.tuples(
     st.lists(COMMANDS, max_size=4),
     st.integers(0, 31),
 )
-RIG = {"name": "x"}
+AXIS = {"kind": "linear", "encoder_resolution": 2.0**-20, "limits": {"force": 1.0}}
+RIG = {"name": "x", "rate_hz": 1000.0, "axes": {"x": AXIS, "y": AXIS, "state": AXIS}}
 DIGEST = document_hash(RIG)
 METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}
 
@@ -101,8 +106,8 @@ def test_a_frame_leaves_nothing_of_a_longer_one_that_had_its_place() -> None:
 @settings(max_examples=40, deadline=None)
 @given(st.lists(TICKS, min_size=1, max_size=5))
 def test_everything_replay_needs_survives_the_way_through_protobuf(ticks: list) -> None:
-    message = pb.Traffic.FromString(codec.traffic(_records(ticks), first=5).SerializeToString())
-    found = list(codec.recorded_ticks(message))
+    message = pb.Cycle.FromString(cycle_codec.encode(_records(ticks), 3, first=5).SerializeToString())
+    found = list(cycle_codec.recorded_ticks(message))
     assert [step.ring for step in found] == [5 + place for place in range(len(ticks))]
     for place, (received, sent, commands, flags) in enumerate(ticks):
         step = found[place]
@@ -163,13 +168,20 @@ def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path)
     from mcap_protobuf.decoder import DecoderFactory
 
     recorder = Recorder(tmp_path / "run.mcap", METADATA)
-    recorder.write("telemetry", 0, codec.telemetry(_records([([], [], [], 0)]), 3).SerializeToString())
+    write_batch(recorder, _records([([], [], [], 0)] * 3), first=7, lost=0)
     recorder.close()
     with (tmp_path / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        [(schema, channel, _, message)] = list(reader.iter_decoded_messages())
-        assert (schema.name, channel.topic) == ("hil.telemetry.Telemetry", "telemetry")
-        assert list(message.position) == [0.0, 10.0, 20.0]
+        found = list(reader.iter_decoded_messages(topics=["tick"]))
+        schema, channel, _, message = found[0]
+        assert (schema.name, channel.topic) == ("hil.telemetry.Tick", "tick")
+        assert [where.log_time for _, _, where, _ in found] == [10, 1010, 2010]
+        assert [(tick.tick, tick.sequence) for _, _, _, tick in found] == [(0, 7), (2, 8), (4, 9)]
+        assert [message.x.position, message.y.position, message.axis_state.position] == [0.0, 10.0, 20.0]
+        states = type(message).DESCRIPTOR.fields_by_name["state"].enum_type.values_by_number
+        assert states[message.state].name == "ACTIVE"
+        assert json.loads(channel.metadata["units"])["x.position"] == "m"
+        assert json.loads(channel.metadata["steps"])["x.position"] == 2.0**-23
         assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", DIGEST)]
 
 
@@ -190,10 +202,36 @@ def test_a_recording_cut_short_anywhere_is_readable_up_to_there(tmp_path: Path) 
 
 def test_a_recorder_that_was_never_closed_leaves_a_readable_file(tmp_path: Path) -> None:
     recorder = _write(tmp_path / "run.mcap", 200)
+    recorder.write("status", FLUSH_NS, pb.Status(index=200).SerializeToString())
     indices, recording = _read(tmp_path / "run.mcap")
     recorder.close()
     assert recording.truncated
-    assert len(indices) > 150
+    assert indices == list(range(201))
+
+
+def test_a_recording_is_never_overwritten_and_only_owner_and_group_may_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    _write(path, 3).close()
+    before = path.read_bytes()
+    second = Recorder(path, METADATA)
+    assert (second.ok, second.errors, second.problem) == (False, 1, "File exists")
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "elsewhere")
+    assert not Recorder(tmp_path / "link.mcap", METADATA).ok
+    assert path.read_bytes() == before
+    assert path.stat().st_mode & 0o007 == 0
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_pipe_is_refused_at_once_and_a_chunk_that_would_fill_the_memory_is_not_unpacked(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordingError, match="not a recording"):
+        Recording(tmp_path / "pipe")
+    recorder = Recorder(tmp_path / "bomb.mcap", METADATA)
+    recorder.write("status", 0, bytes(LARGEST_RECORD + 1))
+    recorder.close()
+    assert (tmp_path / "bomb.mcap").stat().st_size < 2**16
+    indices, recording = _read(tmp_path / "bomb.mcap")
+    assert (indices, recording.truncated) == ([], True)
 
 
 def test_a_full_disk_is_counted_and_never_raises() -> None:

@@ -67,7 +67,10 @@ def test_nobody_else_answers_queries_or_shows_itself_alive(publisher: Publisher)
         until(lambda: None, lambda: bool(list(us.liveliness().get("hil/**", timeout=2.0))))
         assert [str(reply.ok.key_expr) for reply in us.liveliness().get("hil/**", timeout=2.0)] == ["hil/rig/alive"]
         answers = us.get("hil/*/rig", handler=zenoh.handlers.FifoChannel(8), timeout=5.0)
-        until(lambda: publisher.answer_rig_queries(lambda: b"true"), lambda: publisher.answered > 0)
+        until(
+            lambda: publisher.answer_queries({"rig": lambda: b"true", "schema": lambda: b""}),
+            lambda: publisher.answered > 0,
+        )
         assert [reply.ok.payload.to_bytes() for reply in answers] == [b"true"]
         lie.undeclare()
         token.undeclare()

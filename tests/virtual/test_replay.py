@@ -3,19 +3,25 @@
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.writer import Writer
 
+from drivers.frame import Frame
+from hil.cycle.tick import CycleResult, Tick
 from hil.operate.summary import load_run, summarise
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recorder import LockstepRecorder, Recorder, Recording, RecordingError
-from hil.virtual.replay import replay_run
+from hil.telemetry.recorder import LockstepRecorder
+from hil.telemetry.recording import Recording, RecordingError
+from hil.telemetry.tick_schema import TickSchema
+from hil.virtual.replay import exact_motion, replay_run
 from hil.virtual.sim import simulate
+from tests.support.earlier_layout import Change, unchanged, write_earlier
 from tests.support.paths import ROOT
 
 RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"
@@ -28,30 +34,49 @@ def rig() -> RigConfig:
 
 
 @pytest.fixture(scope="module")
-def recording(rig: RigConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def both(rig: RigConfig, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """A recording, and the records of its ticks."""
     path = tmp_path_factory.mktemp("lockstep") / "run.mcap"
     recorder = LockstepRecorder(path, rig, RIG_FILE)
-    simulate(rig, RIG_FILE.parent, SECONDS, observer=recorder.observe)
+    records: list[np.ndarray] = []
+
+    def observe(tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
+        recorder.observe(tick, frames, result)
+        records.append(result.record.copy())
+
+    simulate(rig, RIG_FILE.parent, SECONDS, observer=observe)
     recorder.close()
-    return path
+    return path, np.array(records)
 
 
-def rewritten(source: Path, target: Path, change: object) -> Path:
-    """A copy of a recording with its traffic messages changed by `change(message, number)`; None drops one."""
-    original = Recording(source)
-    recorder = Recorder(target, original.metadata)
-    number = 0
-    for item in original:
-        data = item.data
-        if item.topic == "traffic":
-            message = change(pb.Traffic.FromString(data), number)  # type: ignore[operator]
-            number += 1
-            if message is None:
-                continue
-            data = message.SerializeToString()
-        recorder.write(item.topic, item.time_ns, data)
-    recorder.close()
-    return target
+@pytest.fixture(scope="module")
+def recording(both: tuple[Path, np.ndarray]) -> Path:
+    return both[0]
+
+
+def rewritten(both: tuple[Path, np.ndarray], target: Path, change: Change = unchanged) -> Path:
+    """The same run in the earlier layout, its traffic changed."""
+    return write_earlier(target, Recording(both[0]).metadata, both[1], change)
+
+
+def test_a_recording_of_the_earlier_layout_replays_byte_for_byte_and_gives_the_same_columns(
+    both: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    earlier = rewritten(both, tmp_path / "earlier.mcap")
+    report = replay_run(earlier)
+    assert (report.ticks, report.different, report.gap_at, report.truncated) == (1200, 0, None, False)
+    exact = exact_motion(both[0])
+    assert exact is not None
+    old, new = load_run(earlier).columns, load_run(both[0])
+    assert new.counters.sent == int(both[1]["port"][-1][1])
+    assert np.array_equal(old["following_error"], exact["following_error"])
+    steps = TickSchema(new.metadata["rig"]).scales
+    for axis, name in enumerate(steps):
+        for field in ("position", "velocity_estimate", "force"):
+            difference = np.abs(old[field][:, axis] - new.columns[field][:, axis])
+            assert difference.max() <= steps[name][field].step / 2, (name, field)
+    for field in ("index", "scheduled_ns", "state", "fault", "task_ns"):
+        assert np.array_equal(old[field], new.columns[field]), field
 
 
 def test_a_lockstep_run_with_lost_frames_replays_byte_for_byte(recording: Path) -> None:
@@ -60,7 +85,7 @@ def test_a_lockstep_run_with_lost_frames_replays_byte_for_byte(recording: Path) 
     assert report.frames > 1100
 
 
-def test_one_changed_bit_of_one_sent_frame_is_found(recording: Path, tmp_path: Path) -> None:
+def test_one_changed_bit_of_one_sent_frame_is_found(both: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     def flip(message: pb.Traffic, number: int) -> pb.Traffic:
         if number == 10:
             data = bytearray(message.sent.data)
@@ -68,29 +93,29 @@ def test_one_changed_bit_of_one_sent_frame_is_found(recording: Path, tmp_path: P
             message.sent.data = bytes(data)
         return message
 
-    report = replay_run(rewritten(recording, tmp_path / "x.mcap", flip))
+    report = replay_run(rewritten(both, tmp_path / "x.mcap", flip))
     assert (report.ticks, report.different, report.first_different) == (1200, 1, 500)
 
 
-def test_a_changed_sample_changes_the_torque(recording: Path, tmp_path: Path) -> None:
+def test_a_changed_sample_changes_the_torque(both: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     def shift(message: pb.Traffic, number: int) -> pb.Traffic:
         if number == 20:
             message.now_ns[0] += 200_000
         return message
 
-    assert replay_run(rewritten(recording, tmp_path / "x.mcap", shift)).different > 0
+    assert replay_run(rewritten(both, tmp_path / "x.mcap", shift)).different > 0
 
 
-def test_a_replay_that_compared_nothing_says_so_and_fails(recording: Path, tmp_path: Path) -> None:
-    empty = rewritten(recording, tmp_path / "empty.mcap", lambda message, number: None)
+def test_a_replay_that_compared_nothing_says_so_and_fails(both: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    empty = rewritten(both, tmp_path / "empty.mcap", lambda message, number: None)
     done = subprocess.run([sys.executable, "-m", "hil", "replay", str(empty)], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 1
     assert "nothing was compared" in done.stdout
     assert "every torque frame is the same" not in done.stdout
 
 
-def test_a_gap_ends_the_replay_and_is_named(recording: Path, tmp_path: Path) -> None:
-    report = replay_run(rewritten(recording, tmp_path / "x.mcap", lambda message, n: None if n == 4 else message))
+def test_a_gap_ends_the_replay_and_is_named(both: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    report = replay_run(rewritten(both, tmp_path / "x.mcap", lambda message, n: None if n == 4 else message))
     assert (report.ticks, report.different, report.gap_at) == (200, 0, 200)
 
 
@@ -149,7 +174,9 @@ def test_a_recording_without_a_rig_is_refused(recording: Path, tmp_path: Path, d
         replay_run(path)
 
 
-def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: Path, tmp_path: Path) -> None:
+def test_traffic_that_no_control_process_can_have_caused_is_refused(
+    both: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
     def nonsense(message: pb.Traffic, number: int) -> pb.Traffic:
         if number == 2:
             del message.received.can_id[-1]
@@ -177,7 +204,7 @@ def test_traffic_that_no_control_process_can_have_caused_is_refused(recording: P
 
     for change in (nonsense, oversized, crowded, endless, ancient, futuristic):
         with pytest.raises(RecordingError, match="makes no sense"):
-            replay_run(rewritten(recording, tmp_path / "x.mcap", change))
+            replay_run(rewritten(both, tmp_path / "x.mcap", change))
 
 
 def test_a_law_the_rig_cannot_have_is_refused_by_name(recording: Path) -> None:

@@ -4,26 +4,31 @@ The drives do not know the binding (sim_plant/drives): they are as their makers'
 """
 
 from collections.abc import Callable
+from enum import IntEnum
 from pathlib import Path
+from struct import Struct
 from typing import Any, NamedTuple
 
 import pytest
 
+from drivers.protocols.moteus_registers import _NUMBER, Mode, Register
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.lockstep import LockstepRun
-from tests.support.bought_drives import EDS, RIGS_OF, VESC_DBC, write_files
+from tests.support.bought_drives import EDS, ODRIVE_DBC, RIGS_OF, VESC_DBC, write_files
 
 Document = dict[str, Any]
-ODRIVE_DBC = "odrive_cansimple.dbc"
 PATIENCE = {"enable_timeout_ticks": 60, "disable_timeout_ticks": 30}
 TICKS = 330
 
 
 class Mistake(NamedTuple):
-    """drive: whose rig. what: in a few words. rig: changes its document. file, old, new: change a file it names."""
+    """drive: whose rig. what: in a few words. rig: changes its document. file, old, new: change a file it names.
+    code: changes names of the codec's modules, as a mistake in it would.
+    """
 
     drive: str
     what: str
@@ -31,6 +36,12 @@ class Mistake(NamedTuple):
     file: str = ""
     old: str = ""
     new: str = ""
+    code: tuple[tuple[str, Any], ...] = ()
+
+
+def codec(what: str, *code: tuple[str, Any]) -> "Mistake":
+    """A mistake in the codec of moteus: names below drivers.protocols, and what stands there."""
+    return Mistake("moteus", what, code=code)
 
 
 def binding(key: str, **changes: Any) -> Callable[[Document], Any]:
@@ -61,6 +72,11 @@ def table(**changes: Any) -> Callable[[Document], Any]:
     return lambda rig: rig["bus"]["cia402"].update(changes)
 
 
+def moteus(**changes: Any) -> Callable[[Document], Any]:
+    """[bus.moteus]."""
+    return lambda rig: rig["bus"]["moteus"].update(changes)
+
+
 def both(*changes: Callable[[Document], Any]) -> Callable[[Document], Any]:
     return lambda rig: [change(rig) for change in changes]
 
@@ -74,6 +90,13 @@ def constant(signal: str, value: int) -> Callable[[Document], Any]:
     return change
 
 
+def renumbered(what: str, numbers: type[IntEnum], **changes: int) -> "Mistake":
+    """A mistake in the codec of moteus: other numbers in one of its enumerations."""
+    members: dict[str, int] = {member.name: member.value for member in numbers} | changes
+    return codec(what, (f"moteus.{numbers.__name__}", IntEnum(numbers.__name__, members)))
+
+
+BIG_ENDIAN = {kind: Struct(">" + form.format[1:]) for kind, form in _NUMBER.items()}
 _TORQUE, _POSITION = "Input_Torque : 0|32@1- (1,0)", "Pos_Estimate : 0|32@1- (1,0)"
 _CURRENT, _PID = "Current : 7|32@0- (0.001,0)", "PID_Pos : 55|16@0- (0.02,0)"
 MISTAKES = (
@@ -135,6 +158,31 @@ MISTAKES = (
     Mistake("vesc", "11-bit identifiers", file=VESC_DBC, old="BO_ 2147483904 ", new="BO_ 256 "),
     Mistake("vesc", "no gear", axes(gear=1.0)),
     Mistake("vesc", "turns too fast to be counted", lambda rig: rig["axes"]["x"]["limits"].update(speed=3.0)),
+    # moteus
+    Mistake("moteus", "another controller", moteus(nodes=[1, 3])),
+    Mistake("moteus", "controllers exchanged", moteus(nodes=[2, 1])),
+    Mistake("moteus", "a timeout that the rig does not state", moteus(watchdog_s=0.1)),
+    Mistake("moteus", "positions of 16 bits", moteus(position="int16")),
+    Mistake("moteus", "torques of 16 bits, too coarse", moteus(torque="int16")),
+    Mistake("moteus", "no gear", axes(gear=1.0)),
+    Mistake("moteus", "gear without 2 pi", axes(gear=100.0)),
+    Mistake("moteus", "gear the other way round", axes(gear=1 / 628.3)),
+    Mistake("moteus", "another encoder", axes(encoder_resolution=1e-6)),
+    Mistake("moteus", "another frame layout", lambda rig: rig["bus"].update(protocol="stage_fd")),
+    renumbered("current mode", Mode, POSITION=9),
+    renumbered("zero velocity mode", Mode, POSITION=12),
+    codec("its own loop left on", ("moteus._NO_LOOP", b"")),
+    renumbered("torque to the velocity command", Register, FEEDFORWARD_TORQUE=0x21),
+    renumbered("torque to its limit", Register, FEEDFORWARD_TORQUE=0x25),
+    renumbered("velocity for position", Register, POSITION=0x02),
+    renumbered("torque for position", Register, POSITION=0x03),
+    renumbered("mode read from another register", Register, MODE=0x0B),
+    codec("ten times too many counts", ("moteus.COUNTS_PER_TURN", 1_000_000)),
+    codec("positions in radians", ("moteus.COUNTS_PER_TURN", 100_000 * 6.2832)),
+    codec("positions of the other sign", ("moteus.COUNTS_PER_TURN", -100_000)),
+    renumbered("stopped means enabled", Mode, POSITION=0),
+    codec("big-endian floats", ("moteus_registers._NUMBER", BIG_ENDIAN)),
+    codec("no answer asked for", ("moteus._REPLY_WANTED", 0)),
     # CiA 402
     Mistake("cia402", "another rated torque", table(rated_torque=[50.0, 5.0])),
     Mistake("cia402", "rated torque in mN m", table(rated_torque=[0.005, 0.005])),
@@ -183,13 +231,19 @@ def test_without_a_mistake_the_task_runs(drive: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: f"{mistake.drive}: {mistake.what}")
-def test_a_mistake_is_caught_before_a_task_runs(mistake: Mistake, tmp_path: Path) -> None:
+def test_a_mistake_is_caught_before_a_task_runs(
+    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = right(mistake.drive, tmp_path / "right")
+    for name, value in mistake.code:
+        monkeypatch.setattr(f"drivers.protocols.{name}", value)
     wrong = tmp_path / "wrong"
     wrong.mkdir()
     try:
         rig = seeded(mistake, wrong)
         refuse_unschedulable(rig, wrong)
+        if encoder_range_problems(rig, wrong):
+            return
         run.cycle = ControlCycle(rig, wrong)
     except (ValueError, RigError):
         return  # by `hil check`, before a bus is opened

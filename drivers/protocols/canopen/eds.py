@@ -13,6 +13,7 @@ from struct import calcsize
 from typing import NamedTuple
 
 from drivers.protocols.canopen.cia301 import BASIC_TYPES
+from drivers.text_file import UnsuitableFileError, read_bounded
 
 _LARGEST = 4 * 2**20  # bytes; the longest public EDS we know has 0.6 MB
 _SECTION = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
@@ -158,10 +159,10 @@ class Eds:
 
 def read_eds(path: Path, node_id: int = 1) -> Eds:
     """Read an EDS or DCF file, UTF-8 or Latin-1. Raises EdsError naming the file, OSError where it cannot be read."""
-    with path.open("rb") as file:
-        data = file.read(_LARGEST + 1)
-    if len(data) > _LARGEST:
-        raise EdsError(f"{path}: longer than {_LARGEST} bytes: not an EDS or DCF file")
+    try:
+        data = read_bounded(path, _LARGEST)
+    except UnsuitableFileError as error:
+        raise EdsError(f"{path}: not an EDS or DCF file: {error}") from None
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -33,7 +33,8 @@ from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, FULL_SCALE, MA
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import INT32, MAX_AXES, check_force, reject_id
 
-OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True)  # where a rig has no [bus.cia402]
+# Where a rig has no [bus.cia402]; how it ends is part of its contract.
+OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True, stop_options="keep")
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
 _OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
 
@@ -92,6 +93,7 @@ class Cia402Host:
     name = "cia402"
     sequence_modulus = 0
     checksum = False
+    states = True
     causes = False  # a statusword says FAULT; why, an emergency message does
     fd = False
     echo_id: int | None = cia301.SYNC_ID

@@ -5,6 +5,9 @@ the drive's own loops decide the force, which no gate of ours then bounds. A req
 read-only or out of range refuses the drive; an optional one is skipped, and the plan says so; an extra one is the
 user's and counts as required. An object that is read-only but has the value already is no obstacle.
 
+What a drive does on its own when it is disabled, in fault, or no longer hears its host (1029h, 6007h, 605Bh, 605Ch,
+605Eh) is to let go, unless the rig says otherwise: a ramp of the drive's own is a force that nothing here bounds.
+
 6071h is in thousandths of 6076h (mN m; mN on a linear axis), on many drives the motor's rated torque: it is read from
 the drive at every start, or compared with what the rig states, and written only where the rig asks for it.
 
@@ -35,6 +38,16 @@ _NO_RTR = 1 << 30  # of a TPDO's COB-ID
 _MODES = ("PP", "VL", "PV", "TQ", None, "HM", "IP", "CSP", "CSV", "CST", "CSTCA")  # bits of 6502h
 _PDOS = 8  # looked at
 _AT_SYNC, _AT_ONCE = 1, 255  # transmission types
+
+
+# Options that decide what force a drive applies on its own account; bus.cia402.write may state others.
+_ENDINGS = (
+    (0x1029, 1, 0, "a communication error ends operation"),
+    (0x6007, 0, 2, "and disables the power stage"),
+    (0x605B, 0, 0, "shutting down, it lets go at once"),
+    (0x605C, 0, 0, "disabled, it lets go at once, without a ramp of its own"),
+    (0x605E, 0, 0, "in fault, it lets go at once"),
+)
 
 
 class Reason(NamedTuple):
@@ -143,6 +156,8 @@ class _Planner:
         self._torque_unit()
         if axis.period_ns:
             self._cycle_period()
+        self._sign()
+        self._endings()
         for item in settings.write:
             self._write(*item.place, item.value, "extra", "bus.cia402.write")
         self.plan.warnings += eds.warnings[:20]
@@ -257,6 +272,20 @@ class _Planner:
                 return
         if self._eds.entry(0x60C2, 1) is not None:
             self.plan.warnings.append(f"60C2h cannot express a period of {period_ns} ns; left as it is")
+
+    def _sign(self) -> None:
+        """607Eh turns positions round, and with some makers torques: the rig states signs (axes.NAME.direction)."""
+        if self._eds.entry(0x607E) is not None and not self._is_stated(0x607E, 0):
+            self._check(0x607E, 0, 0xFF, "the drive turns no sign round")
+
+    def _endings(self) -> None:
+        """What a drive does by itself when it is disabled, in fault, or alone: it lets go, and moves nothing."""
+        for index, subindex, value, why in _ENDINGS if self._settings.stop_options == "release" else ():
+            if not self._is_stated(index, subindex):
+                self._write(index, subindex, value, "optional", why)
+
+    def _is_stated(self, index: int, subindex: int) -> bool:
+        return any(item.place == (index, subindex) for item in self._settings.write)
 
     # single steps -----------------------------------------------------------------------------------------------------
 

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.plugins import where
 from drivers.toml_file import shown
 from hil.control.gain import Gain, declared
-from hil.control.law_registry import PACKAGE, is_built_in, law_class, where
+from hil.control.law_registry import PACKAGE, is_built_in, law_class
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.control.laws.coupled import Coupled, interpreted_axis_laws
 from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearning
@@ -61,7 +62,10 @@ def make_law(
     hil.control.trajectories.task_repeat. Raises ValueError naming the key, its value and what is allowed.
     """
     gains = _known_gains(law, model.mass.shape[-1])
-    return _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
+    made = _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
+    if law.learnt_state:
+        made.begin_learnt([np.array(values) for values in zip(*law.learnt_state, strict=True)])
+    return made
 
 
 def make_axis_laws(
@@ -81,6 +85,8 @@ def make_axis_laws(
     for axis in range(n):
         own, limit = _axis_gains(gains, axis), float(force_limit[axis])
         axes.append(_construct(law, made, own, axis_model(model, axis), period, limit, repeat))
+        if law.learnt_state:
+            axes[axis].begin_learnt(list(law.learnt_state[axis]))
     if not ours:
         return UserAxes(axes, law.name, n)
     return Coupled(law, model, period, force_limit, repeat) if axes[0].coupled else PerAxis(axes)
@@ -104,7 +110,8 @@ def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
     made = law_class(law, __name__)
     if not issubclass(made, Law):
         raise ValueError(f"law.name = {shown(law.name)}: {made.__name__} does not inherit from hil.Law")
-    return _checked_gains(law, {**declared(made.GAINS), **LEARNING_GAINS}, n_axes)
+    learning = {} if is_built_in(law) and made.learns_repeats else LEARNING_GAINS
+    return _checked_gains(law, {**declared(made.GAINS), **learning}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:
@@ -136,4 +143,7 @@ def _construct(
             "law.iterative_learning = true: the task does not repeat (circle, lissajous and point_to_point do; path, "
             "waypoints, spline, raster and spiral with task.repeat = true)"
         )
+    if is_built_in(law) and inner.learns_repeats:
+        inner.learn_repeats(*repeat)
+        return inner
     return IterativeLearning(inner, model, period, force_limit, *repeat, **learning)

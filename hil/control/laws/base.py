@@ -122,8 +122,9 @@ class Law(ABC):
     is False, there is one object for every axis of every plant. Our own laws all are. preview: how many periods ahead
     `inputs.preview` is to reach. coupled: it looks at all axes at once, and its `force` takes arrays alone.
     told_of_learning: a force learnt beside it (hil/control/laws/iterative_learning.py) counts in the forces that acted;
-    its feedback is then that of `stiffness` (N/m) and `damping` (N s/m). denominator_floors: how often a denominator
-    was held at its floor.
+    its feedback is then that of `stiffness` (N/m) and `damping` (N s/m). learns_repeats: it learns a task that repeats
+    by itself (ours alone), and law.iterative_learning turns that on by `learn_repeats`. denominator_floors: how often a
+    denominator was held at its floor.
     """
 
     GAINS: ClassVar[dict[str, Any]] = {}
@@ -131,12 +132,31 @@ class Law(ABC):
     coupled: bool = False
     preview: int = 0
     told_of_learning: ClassVar[bool] = False
+    learns_repeats: ClassVar[bool] = False
     stiffness: Number = 0.0
     damping: Number = 0.0
     denominator_floors: int = 0
 
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:  # noqa: B027
         """Every law is made like this. period: s. force_limit: N."""
+
+    def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
+        """Learn from repeat to repeat, of that length from that task time on (ns). Raises ValueError naming the key."""
+        raise ValueError("law.iterative_learning: this law has no learning of its own")
+
+    def learnt_state(self) -> list[Number]:
+        """Of a law that learns repeats by itself: all that `begin_learnt` needs to go on from there."""
+        return []
+
+    def begin_learnt(self, state: list[Number]) -> None:
+        """Begin with that from the next reset on. Raises ValueError naming law.learnt."""
+        raise ValueError("law.learnt: this law keeps nothing that it learns")
+
+    def found_of_pulse(self, ticks: int) -> list[Number]:
+        """Of a law that learns repeats by itself: what it finds, N, at the end of each period, of a force of 1 N in the
+        first that it is not told of.
+        """
+        return []
 
     @abstractmethod
     def reset(self, position: Number, force: Number) -> None:

@@ -122,6 +122,10 @@ class MotionModel:
         rings = model.mode_frequency + zero > 0.0
         self.flexible = anywhere(rings)
         self._seen = select(rings, one, zero)
+        # s^2: the tool is behind the encoder by that times the acceleration. What the reference bends the spring by is
+        # not in x, which is of forces beyond the reference's: the error seen is the encoder's.
+        held = (1.0 - load) * (ring * ring)
+        self.tool_lag = select(rings, period * period / select(rings, held, one), zero)
         part = self._seen * load / (1.0 - load)
         lag = at_least(zero + model.torque_lag * (1.0 / period), LEAST_LAG)
         # In periods, and in forces of 2 m / T^2 a metre: a constant force of 1 moves the axis by 1 in a period.
@@ -176,6 +180,11 @@ class Channel:
 
     def __init__(self, zero: Number) -> None:
         self._e, self._v, self._x, self._n, self._d = zero, zero, zero, zero, zero
+
+    @property
+    def found(self) -> Number:
+        """What the observer has come to take it for, N."""
+        return -self._d
 
     def innovation(self, opposing: Number, model: MotionModel, gains: Gains) -> Number:
         """Innovation at the end of a period in which a force `opposing` (N) acted that the observer knows nothing of,

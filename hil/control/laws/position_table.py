@@ -12,6 +12,7 @@ from hil.control.number import Number, bounded, select
 
 HALF = 31  # nodes on each side of position 0
 LAST_CELL = 30.999
+NODES = 2 * HALF + 1
 
 
 class PositionTable:
@@ -21,7 +22,7 @@ class PositionTable:
         self._density = 1.0 / pitch
         self._limit = limit
         self._floats = isinstance(limit, float)
-        self._values: Any = [0.0] * (2 * HALF + 1) if self._floats else np.zeros((2 * HALF + 1, *np.shape(limit)))
+        self._values: Any = [0.0] * NODES if self._floats else np.zeros((NODES, *np.shape(limit)))
         zero = limit - limit
         self._to_near, self._to_far = zero, zero  # learnt since the axis came between the nodes beside it
         _, self._near, self._far = self._place(zero)
@@ -62,6 +63,15 @@ class PositionTable:
             self._near, self._far = near, far
         self._to_near = self._to_near + (1.0 - share) * force
         self._to_far = self._to_far + share * force
+
+    def values(self) -> list[Number]:
+        """Of all nodes, N, from the most negative position on."""
+        return [self._values[node] for node in range(NODES)]
+
+    def fill(self, values: list[Number]) -> None:
+        """Begin with these, N."""
+        for node in range(NODES):
+            self._values[node] = bounded(values[node], self._limit)
 
     def _grow(self, node: Any, force: Number) -> None:
         self._write(node, bounded(self._read(node) + force, self._limit))

@@ -11,8 +11,11 @@ flexible mode inside the observer; a bias that is found.
   but measured friction itself is never fed forward, which would be positive feedback with delay.
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
-  force acts. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be soft, the
-  loop then takes gains that are stable on any.
+  force acts. It is the tool that follows: the encoder goes ahead of the reference by what the spring bends under its
+  acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
+  soft, the loop then takes gains that are stable on any.
+- Where the task repeats and law.iterative_learning says so, what d still is at each instant of it is fed forward in
+  the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile.
 
 After the method of an independent study on LuGre and Maxwell-slip guides. Models: Canudas de Wit and others, IEEE TAC
 40(3), 1995; Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005.
@@ -24,8 +27,9 @@ from hil.control.gain import TINIEST, Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver
-from hil.control.laws.position_table import PositionTable
+from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
+from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
 from hil.control.number import Number, at_least, bounded, select
 
@@ -34,6 +38,8 @@ MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as kno
 STRETCH = 4.0  # s stays within this many times the coarsest reach
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
+WEIGHTS = 7
+KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
 
 # Where the model has no mode, and where it has one.
 RIGID_OR_FLEXIBLE = {
@@ -45,7 +51,7 @@ RIGID_OR_FLEXIBLE = {
     "rest_damping": (0.38, 0.8),
     "rest_force_noise": (0.83, 2.86),
     "rest_disturbance_noise": (0.105, 0.155),
-    "innovation_noise": (0.09, 0.6),
+    "innovation_noise": (0.06, 0.6),
     "integral": (0.1, 0.08),
     "table_delay": (6.0, 12.0),
 }
@@ -58,7 +64,7 @@ def _of_model(unit: str, meaning: str) -> Gain:
 class PreslidingKalman(Law):
     """Gains that are None follow from whether the model has a mode (RIGID_OR_FLEXIBLE). rest_...: while it rests."""
 
-    told_of_learning: ClassVar[bool] = False
+    learns_repeats: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
         "bandwidth": _of_model("rad", "natural frequency of the loop in motion times the period"),
         "damping": _of_model("1", "damping ratio in motion"),
@@ -141,7 +147,38 @@ class PreslidingKalman(Law):
         self._pitch, self._table_limit = table_pitch + zero, TABLE_LIMIT * dry
         self._table_gain = table_rate * (period / self._pitch)
         self._delay = default("table_delay") * period
+        self._memory: RepeatMemory | None = None
+        self._kept: list[Number] = []  # weights and tables to begin with
         self.reset(zero, model.gravity + zero)
+
+    def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
+        """See Law."""
+        self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit)
+
+    def learnt_state(self) -> list[Number]:
+        """See Law: weights, both tables, and the force of every tick of the repeat."""
+        if self._memory is None:
+            return []
+        weights: list[Number] = list(self._weights)
+        return weights + self._forward.values() + self._backward.values() + self._memory.best()
+
+    def begin_learnt(self, state: list[Number]) -> None:
+        """See Law."""
+        if self._memory is None:
+            raise ValueError("law.learnt: only with law.iterative_learning = true")
+        if len(state) < KEPT:
+            raise ValueError(f"law.learnt: it has {len(state)} values; a state of this law has at least {KEPT}")
+        self._memory.begin_with(state[KEPT:])
+        self._kept = state[:KEPT]
+
+    def found_of_pulse(self, ticks: int) -> list[Number]:
+        """See Law; in motion."""
+        zero = self._model.mass - self._model.mass
+        channel, found = Channel(zero), []
+        for tick in range(ticks):
+            channel.innovation(zero + (1.0 if tick == 0 else 0.0), self._motion, self._moving)
+            found.append(channel.found)
+        return found
 
     def reset(self, position: Number, force: Number) -> None:
         """At rest, without error; what `force` has beyond the gravity hold is taken as a disturbance."""
@@ -171,6 +208,16 @@ class PreslidingKalman(Law):
         self._position, self._velocity = zero, zero  # of the reference, at the newest sample
         self._place, self._ahead = zero, zero  # of the axis in its bank; of the reference in its own
         self._begun = False
+        self._learnt, self._open = zero, zero + 1.0  # by repeating; 1.0 where weights and table learn
+        if self._memory is not None:
+            self._memory.forget()
+            self._open = 1.0 - self._memory.frozen
+        kept = self._kept
+        if kept:
+            w = [zero + value for value in kept[:WEIGHTS]]
+            self._weights = (w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+            self._forward.fill(kept[WEIGHTS : WEIGHTS + NODES])
+            self._backward.fill(kept[WEIGHTS + NODES :])
 
     def _begin(self, inputs: LawInputs) -> None:
         """The axis rests, held by its drive or brake until the first command arrives; so does the reference."""
@@ -197,14 +244,30 @@ class PreslidingKalman(Law):
         moves = (v != 0.0) | (q != self._position)
         self._position, self._velocity = q + 0.0, v + 0.0
         observer.correct(innovation, self._gains)
-        self._learn(q + (observer.e + observer.x), innovation, select(moves, inputs.fresh, 0.0 * inputs.fresh))
+        memory = self._memory
+        if memory is not None:
+            self._repeat(memory, inputs)
+        learn = select(moves, inputs.fresh, 0.0 * inputs.fresh) * self._open
+        self._learn(q + (observer.e + observer.x), innovation, learn)
         lost = (start.position - q) - half * (v + start.velocity)
         error, rate = observer.ahead(last - self._known_last, lost)
         known = self._feedforward(inputs)
+        if self._motion.flexible:
+            tool = self._motion.tool_lag
+            error = error - tool * start.acceleration
+            rate = rate - (tool * (1.0 / self._period)) * (inputs.end.acceleration - start.acceleration)
         share = self._stiff
         kp = self.stiffness + share * (self._rest_stiffness - self.stiffness)
         kd = self.damping + share * (self._rest_damping - self.damping)
         return known + observer.d - kp * error - kd * rate
+
+    def _repeat(self, memory: RepeatMemory, inputs: LawInputs) -> None:
+        """Tell the memory what the sample says of the repeat, and take from it the force of the coming interval."""
+        tick, observer = memory.tick(inputs.task_ns), self._observer
+        error = observer.e - self._motion.tool_lag * inputs.sample.acceleration
+        memory.note(tick, observer.d, error, inputs.fresh * (abs(inputs.force_before) < self._limit))
+        self._learnt = memory.force(tick)
+        self._open = 1.0 - memory.frozen
 
     def _learn(self, position: Number, innovation: Number, learn: Number) -> None:
         """Weights from the innovation of the interval before the sample; `position` of the axis, observed."""
@@ -266,6 +329,8 @@ class PreslidingKalman(Law):
         table = (0.5 + turned) * self._forward.at(place) + (0.5 - turned) * self._backward.at(place)
         smooth = (model.mass + w[6]) * a + (model.viscous + model.quadratic * abs(v)) * v + model.gravity
         wanted = smooth + friction + table
+        if self._memory is not None:
+            wanted = wanted + self._learnt
         motion = self._motion
         known = (wanted - motion.tardy * self._lagged) / (1.0 - motion.tardy)
         self._lagged = motion.kept * self._lagged + motion.taken * known
@@ -286,7 +351,7 @@ class PreslidingKalman(Law):
         """Put the disturbance where the axis was when it acted."""
         v = self._velocity
         step = -at_least(-(self._table_gain * abs(v)), -LARGEST_STEP)
-        d = self._observer.d * select(rests, 0.0 * step, step)
+        d = self._observer.d * (select(rests, 0.0 * step, step) * self._open)
         place = self._position - self._delay * v
         self._forward.add(place, select(v > 0.0, d, 0.0 * d))
         self._backward.add(place, select(v < 0.0, d, 0.0 * d))

@@ -6,68 +6,15 @@ which line of which file it was. The next `reset` (the operator's, before anothe
 """
 
 import math
-import os
-import signal
 import sys
-import threading
 from collections.abc import Mapping, Sequence
-from types import FrameType
 from typing import Any
 
 import numpy as np
 
+from drivers.call_limit import TooLongError, watch
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
-
-CALL_LIMIT_S = 5.0  # a call that lasts as long never ends, or might as well; it is given up before twice that
-
-
-class _TooLongError(BaseException):
-    """Raised in the midst of a law's call; no Exception, so that the law does not catch it by accident."""
-
-
-class _Watch:
-    """Ends a law's call that lasts too long, by a timer that looks every CALL_LIMIT_S whether the same call still runs.
-
-    The calls themselves only count: no system call, no clock. A timer that finds no more calls stops itself.
-    """
-
-    def __init__(self) -> None:
-        self.calls = self._seen = 0
-        self.within = self.armed = False
-
-    def begin(self) -> None:
-        """A call begins."""
-        if not self.armed:
-            self._arm()
-        self.calls += 1
-        self.within = True
-
-    def _arm(self) -> None:
-        """Look from now on. Signals reach the main thread alone, and somebody else's timer is left alone."""
-        self.armed = True
-        if threading.current_thread() is not threading.main_thread():
-            return
-        if signal.getsignal(signal.SIGALRM) in (signal.SIG_DFL, None):
-            signal.signal(signal.SIGALRM, self._look)
-        if signal.getsignal(signal.SIGALRM) == self._look:
-            signal.setitimer(signal.ITIMER_REAL, CALL_LIMIT_S, CALL_LIMIT_S)
-
-    def disarm(self) -> None:
-        """Another process has no such timer."""
-        self.armed = self.within = False
-
-    def _look(self, number: int, frame: FrameType | None) -> None:
-        same, self._seen = self.calls == self._seen, self.calls
-        if same and self.within:
-            raise _TooLongError(f"no answer within {CALL_LIMIT_S:g} s")
-        if same:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            self.armed = False
-
-
-_watch = _Watch()
-os.register_at_fork(after_in_child=_watch.disarm)
 
 
 class UserAxes:
@@ -87,13 +34,13 @@ class UserAxes:
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""
         self.failure = ""
-        _watch.begin()
+        watch.begin()
         try:
             self._reset(position, force)
-        except (Exception, SystemExit, _TooLongError) as error:
+        except (Exception, SystemExit, TooLongError) as error:
             self.failure = told(self._name, self._laws[0], error)
         finally:
-            _watch.within = False
+            watch.within = False
 
     def _reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         if self._coupled:
@@ -110,14 +57,14 @@ class UserAxes:
                     x.preview = [_copy(x.start) for _ in range(self._preview + 1)]
         if self.failure:
             return [math.nan] * self._n
-        _watch.begin()
+        watch.begin()
         try:
             return self._of_all(axes) if self._coupled else self._of_each(axes)
-        except (Exception, SystemExit, _TooLongError) as error:
+        except (Exception, SystemExit, TooLongError) as error:
             self.failure = told(self._name, self._laws[0], error)
             return [math.nan] * self._n
         finally:
-            _watch.within = False
+            watch.within = False
 
     @property
     def denominator_floors(self) -> int:

@@ -6,7 +6,7 @@ continuous.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import add, mul, sub
 
 from hil.control.trajectories.base import Plan
@@ -68,16 +68,23 @@ def injection(plan: InjectionConfig, ns: Callable[[float], int], settle_ns: int)
     `ns` turns seconds into nanoseconds (a whole number of periods, at least one). Raises ValueError naming key, value
     and allowed range when the contact point or its speed cannot be.
     """
-    home, focal, approach_ns = plan.home, plan.focal, ns(plan.approach_s)
-    from_home, cells = move(approach_ns, home, focal, APPROACH), _cells(plan, ns)
+    return OverCells(plan.home, plan.focal, ns(plan.approach_s), settle_ns, _cells(plan, ns))
 
-    def begin(start: Values) -> Segments:
-        if max(map(abs, map(sub, start, home))) > AT_HOME:
-            entry = [move(approach_ns, start, home, HOME), from_home]
+
+class OverCells:
+    """The Plan over a row of cells: from the focal position on made beforehand."""
+
+    def __init__(self, home: Values, focal: Values, approach_ns: int, settle_ns: int, cells: Sequence[Segment]) -> None:
+        self.home, self.focal, self.cells = home, focal, cells
+        self.approach_ns, self.settle_ns = approach_ns, settle_ns
+        self._from_home = move(approach_ns, home, focal, APPROACH)
+
+    def __call__(self, start: Values) -> Segments:
+        """The trajectory from rest at `start`, m by axis."""
+        if max(map(abs, map(sub, start, self.home))) > AT_HOME:
+            entry = [move(self.approach_ns, start, self.home, HOME), self._from_home]
         else:
-            entry = [move(approach_ns, start, focal, APPROACH)]
-        trajectory = Segments([*entry, *cells], repeat=False, phase_names=PHASES)
-        trajectory.steady_from_ns = len(entry) * approach_ns + settle_ns
+            entry = [move(self.approach_ns, start, self.focal, APPROACH)]
+        trajectory = Segments([*entry, *self.cells], repeat=False, phase_names=PHASES)
+        trajectory.steady_from_ns = len(entry) * self.approach_ns + self.settle_ns
         return trajectory
-
-    return begin

@@ -77,7 +77,19 @@ class Path(Trajectory):
         )
 
 
-def spline(rows: Sequence[Sequence[float]], dwell_ns: int = 0, *, repeat: bool) -> Segments:
+class AlongPath:
+    """The Plan of a path: `body`, made beforehand, behind an approach from wherever the stage rests."""
+
+    def __init__(self, body: Segments, columns: Sequence[int], approach_ns: int, settle_ns: int) -> None:
+        self.body, self.columns = body, list(columns)
+        self.approach_ns, self.settle_ns = approach_ns, settle_ns
+
+    def __call__(self, start: Sequence[float]) -> Trajectory:
+        """The trajectory from rest at `start`, m by axis."""
+        return Path(self.body, self.columns, start, self.approach_ns, self.settle_ns)
+
+
+def spline(rows: Sequence[Sequence[float]], *, repeat: bool, dwell_ns: int = 0) -> Segments:
     """The cubic spline through rows of time (s, increasing) and positions (m, one a column), at rest at both ends; then
     a rest of dwell_ns.
     """
@@ -146,7 +158,7 @@ def fitted_spline(
     speed, acceleration, jerk = [peak / limit for peak, limit in zip(peaks, limits, strict=True)]
     seconds = ns(UNSCALED_S * max(speed, acceleration**0.5, jerk ** (1.0 / 3.0))) * 1e-9
     rows = [[seconds * s, *q] for s, q in zip(shares, through, strict=True)]
-    return spline(rows, dwell_ns, repeat=repeat)
+    return spline(rows, repeat=repeat, dwell_ns=dwell_ns)
 
 
 def _peaks(body: Segments) -> tuple[float, float, float]:
@@ -183,8 +195,8 @@ def raster_points(corner: Sequence[float], size: Sequence[float], lines: int) ->
 
 
 def waypoints(
-    points: Sequence[Sequence[float]], limits: Limits, ns: Callable[[float], int], dwell_ns: int, blend: float = 0.0,
-    *, repeat: bool,
+    points: Sequence[Sequence[float]], limits: Limits, ns: Callable[[float], int], dwell_ns: int, blend: float, *,
+    repeat: bool,
 ) -> Segments:  # fmt: skip
     """Through points (m, one a column) within (speed, acceleration, jerk) along every axis: from rest to rest, with a
     rest of dwell_ns at each, or where `blend` (m) is above 0 past them at no more than that, with a rest at the end.

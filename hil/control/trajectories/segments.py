@@ -67,6 +67,14 @@ def cubic(duration_ns: int, ends: Sequence[tuple[float, float, float, float]]) -
     return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], 0)
 
 
+def segment(
+    duration_ns: int, coefficients: Sequence[tuple[float, float, float, float, float, float]], phase: int
+) -> Segment:
+    """The segment with these coefficients c0 ... c5, by axis."""
+    rows = [_row(c0, c1, c2, c3, c4, c5) for c0, c1, c2, c3, c4, c5 in coefficients]
+    return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], phase)
+
+
 def rest(duration_ns: int, position: Values, phase: int = 0) -> Segment:
     """Stand still."""
     rows = [_row(value, 0.0, 0.0, 0.0, 0.0, 0.0) for value in position]

@@ -10,6 +10,7 @@ from hil.cli.commands import Entry, add_commands, first_word
 
 BENCHES = {
     "jitter": Entry("hil.operate.bench.jitter:jitter", "Wake lateness of the full loop, against cyclictest"),
+    "bus": Entry("hil.operate.bench.bus:bus", "Round trip, jitter and loss of your own adapter and drives"),
 }
 
 bench = typer.Typer(no_args_is_help=True, help="Measurements of this machine, as ratios against a reference.")

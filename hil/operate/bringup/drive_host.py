@@ -19,7 +19,8 @@ class DriveHost:
     """The rig's host, tick by tick: `take` what was received, then `push` or `zero` once; both through a torque gate.
 
     protocol: the layout, in the terms of the axes. cia402: the CANopen master in it, None under other layouts.
-    samples: the newest of each axis. heard_ns: when it came. rejects: why the newest frame of an identifier was none.
+    samples: the newest of each axis. heard_ns: when it came. stamps: (axis, reception) of all in the last `take`.
+    rejects: why the newest frame of an identifier was none.
     Raises ValueError for a rig its layout cannot carry.
     """
 
@@ -35,17 +36,22 @@ class DriveHost:
         self._sequence = -1
         self.samples: list[Sample | None] = [None] * len(axes)
         self.heard_ns = [0] * len(axes)
+        self.stamps: list[tuple[int, int]] = []
         self.rejects: dict[int, Reject] = {}
 
     def take(self, frames: Sequence[Frame], now_ns: int) -> None:
         """What was received since the last call."""
+        self.stamps.clear()
         for frame in frames:
             outcome = self.protocol.decode(frame)
-            if isinstance(outcome, Sample):
-                self.samples[outcome.axis], self.heard_ns[outcome.axis] = outcome, now_ns
-                self.rejects.pop(frame.can_id, None)
-            elif not frame.flags & ECHO:
-                self.rejects[frame.can_id] = outcome
+            if isinstance(outcome, Reject):
+                if not frame.flags & ECHO:
+                    self.rejects[frame.can_id] = outcome
+                continue
+            for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
+                self.stamps.append((sample.axis, frame.timestamp_ns))
+                self.samples[sample.axis], self.heard_ns[sample.axis] = sample, now_ns
+            self.rejects.pop(frame.can_id, None)
 
     def allow(self, axis: int, most_force: float) -> None:
         """From here on `push` may enable the drive of this axis, and no other, with at most so much force (N, N m), its

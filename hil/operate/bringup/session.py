@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from drivers.bus.port import open_port
-from drivers.config import BusConfig
+from drivers.bus.port import open_port, resolve_interface
+from drivers.config import KERNEL_INTERFACES, BusConfig
 from drivers.frame import Frame
 from drivers.runtime import stop_signals
 from hil.live.pacing import Pacer
@@ -107,7 +107,11 @@ class Session:
 
 
 def open_rig_port(config: BusConfig, host: DriveHost) -> Bus:
-    """The rig's own bus. Raises PortError."""
+    """The rig's own bus, through python-can where it is none of the kernel's. Raises PortError."""
+    if resolve_interface(config) not in KERNEL_INTERFACES:
+        from drivers.bus.any_bus import AnyPort, open_bus
+
+        return AnyPort(open_bus(config, fd=host.protocol.fd))
     return open_port(config, role="host", fd=host.protocol.fd, echo_id=host.protocol.echo_id)
 
 

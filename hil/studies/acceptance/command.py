@@ -8,10 +8,10 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from drivers.plugins import file_of
 from hil.cli.options import Overrides, RigFile
 from hil.cli.output import drawable, writable, write_json
 from hil.operate.check import check_rig
-from hil.rig.file import law_file
 from hil.studies.acceptance.law import Demand, accept_law
 
 _USUAL = Demand()
@@ -71,7 +71,7 @@ def check(
 
 def _found(law: str, rig_file: Path) -> str:
     """The law's name; a file that is not beside the rig, but in the present folder, by its whole path."""
-    file = law_file(law)
+    file = file_of(law)
     if file and not (rig_file.parent / file).exists() and Path(file).exists():
         return str(Path(file).resolve()) + law.removeprefix(file)
     return law

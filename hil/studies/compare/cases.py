@@ -8,10 +8,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.cli.processes import worker_pool
 from hil.control.law_registry import registered
 from hil.rig.file import load_rig
+from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.crew import crew, resumed
 from hil.virtual.sim import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
@@ -35,6 +36,15 @@ class Case(NamedTuple):
     rate_hz: float
     overrides: list[str]
     seconds: float
+
+
+class Work(NamedTuple):
+    """A case as it travels: the rig with the files it names (hil/rig/provenance.py), and where it was."""
+
+    case: Case
+    rig: str  # JSON
+    files: dict[str, str]
+    folder: str
 
 
 def law_overrides(law: str) -> list[str]:
@@ -83,10 +93,14 @@ def run_case(case: Case) -> dict[str, Any]:
     """One row: law, corner, rate_hz, axes.<name>.{max_error, rms_error, peak_force, chatter}, state, faults, refused
     (why `hil run` would not start it; empty: it would).
     """
+    return _run(case, case_rig(case), Path(case.rig).parent)
+
+
+def _run(case: Case, rig: RigConfig, folder: Path) -> dict[str, Any]:
     from hil.control.stability import refuse_unstable
     from hil.virtual.sim import simulate
 
-    rig, refused = case_rig(case), []
+    refused = []
     try:
         refuse_unstable(rig)
     except RigError as error:
@@ -94,7 +108,7 @@ def run_case(case: Case) -> dict[str, Any]:
     except ValueError as error:
         raise RigError([f"{case.law}: {error}"]) from None
     try:
-        report, _ = simulate(rig, Path(case.rig).parent, case.seconds)
+        report, _ = simulate(rig, folder, case.seconds)
     except ValueError as error:
         raise RigError([f"{case.law}: {error}"]) from None
     return {
@@ -131,10 +145,22 @@ def cases(
     return found
 
 
-def run_all(work: Sequence[Case], workers: int) -> Iterator[dict[str, Any]]:
+def run_all(work: Sequence[Case], workers: int, scheduler: str = "") -> Iterator[dict[str, Any]]:
     """Rows in the order of the cases, each as soon as it and all before it are there."""
-    if workers == 1 or len(work) == 1:
+    if not scheduler and (workers == 1 or len(work) == 1):
         yield from map(run_case, work)
         return
-    with worker_pool(workers) as pool:
-        yield from pool.map(run_case, work)
+    with crew(workers, scheduler) as hands:
+        yield from resumed(hands, run_work, [packed(case) for case in work])
+
+
+def packed(case: Case) -> Work:
+    """A case with all that it needs."""
+    rig, folder = case_rig(case), Path(case.rig).parent
+    return Work(case, rig.model_dump_json(), referenced_files(rig, folder), str(folder))
+
+
+def run_work(work: Work) -> dict[str, Any]:
+    """As run_case, on whatever machine this is."""
+    with unpacked_rig(work.rig, work.files, Path(work.folder)) as (rig, folder):
+        return _run(work.case, rig, folder)

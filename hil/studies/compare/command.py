@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import drawable, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
@@ -42,6 +42,7 @@ def compare(
     seconds: Annotated[float, typer.Option(min=1.0, max=1e6, help="virtual time of each run")] = 20.0,
     overrides: Overrides = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    scheduler: Scheduler = "",
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="where to draw it [default: runs/RIG-compare.png]")
     ] = None,
@@ -68,7 +69,7 @@ def compare(
     else:
         chosen = [name.strip() for name in laws.split(",") if name.strip()] or list(LAWS)
         work = cases(rig_file, chosen, changes, _numbers(rates), corners, disturbed, seconds)
-        done = run_all(work, workers or os.cpu_count() or 1)
+        done = run_all(work, workers or os.cpu_count() or 1, scheduler)
         rows = list(track(done, f"{len(work)} runs", total=len(work), console=console, transient=True))
         console.print(comparison_table(rig, rows))
         console.print(summary_table(rig, rows))

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hil.cli.processes import worker_pool
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from hil.studies.crew import crew, resumed
 from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, plan_chunks, run_chunk
 from hil.virtual.sim import usable
 
@@ -17,10 +17,12 @@ def campaign(
     done: Callable[[int, int], None],
     overrides: Sequence[str] = (),
     only: str = "",
+    scheduler: str = "",
 ) -> list[Cell]:
-    """All cells of all rigs, in the same order whatever the number of processes. done: called with cells done and cells
-    in all. overrides: key=value over every rig file. only: what the names of the trials contain. Raises RigError for a
-    rig that cannot be tried.
+    """All cells of all rigs, in the same order whatever the number of processes.
+
+    done: called with cells done and cells in all. overrides: key=value over every rig file. only: what the names of the
+    trials contain. scheduler: of a cluster. Raises RigError for a rig that cannot be tried.
     """
     work: list[Chunk] = []
     for path in rigs:
@@ -28,8 +30,8 @@ def campaign(
     total = sum(len(chunk.cells) for chunk in work)
     cells: list[Cell] = []
     # Spawned, not forked: a worker must be single-threaded to fork its cells.
-    with worker_pool(jobs, "spawn") as pool:
-        for chunk_cells in pool.map(run_chunk, work):
+    with crew(jobs, scheduler, "spawn") as hands:
+        for chunk_cells in resumed(hands, run_chunk, work):
             cells += chunk_cells
             done(len(cells), total)
     return cells

@@ -97,7 +97,7 @@ def checkpoints(rig: RigConfig) -> list[Checkpoint]:
 
 class CampaignRun(LockstepRun):
     """A run whose every tick is checked by the invariants. asks: what the operator says in the next tick.
-    latched: whether the control process found a drive that was not well when it began.
+    latched: whether the control process found a drive that was not well when it began, and can be told so.
     """
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
@@ -109,7 +109,8 @@ class CampaignRun(LockstepRun):
     def restart(self) -> None:
         """See LockstepRun; the invariants are those of one process."""
         super().restart()
-        self.latched = any(drive.status & UNHEALTHY for drive in self.stage.drives)
+        unhealthy = any(drive.status & UNHEALTHY for drive in self.stage.drives)
+        self.latched = unhealthy and self.cycle.protocol.states
         self._observer = Invariants(self.rig, self.base_dir).observe
 
     def _say(self) -> tuple[CommandKind, ...]:

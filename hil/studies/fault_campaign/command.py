@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.cli.options import Scheduler
 from hil.cli.output import print_plant_notes, writable, write_json
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name, names
@@ -36,6 +37,7 @@ def faults(
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
     only: Annotated[str, typer.Option(callback=_trials, help="only trials whose names contain this")] = "",
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    scheduler: Scheduler = "",
     json_target: Annotated[
         str, typer.Option("--json", callback=writable, help="write all cells there; - for standard output")
     ] = "",
@@ -52,7 +54,13 @@ def faults(
         console = Console(stderr=json_target == "-", width=PAPER)
     for path in paths:
         print_plant_notes(console, load_rig(path, overrides or ()))
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:
         job = bar.add_task("cells", total=None)
@@ -63,6 +71,7 @@ def faults(
             lambda n, total: bar.update(job, completed=n, total=total),
             overrides or (),
             only,
+            scheduler,
         )
     outcome = document(cells)
     console.print(terminal_table(cells))

@@ -21,6 +21,7 @@ class Capability(Flag):
 
     SEQUENCE = auto()
     CHECKSUM = auto()
+    STATE = auto()
     CAUSE = auto()
     ROOM = auto()
     NODES = auto()
@@ -51,6 +52,13 @@ TEXTS: dict[Capability, Text] = {
         "damage that CAN's own checksum lets through (in a drive's or a gateway's memory) is accepted for the tick it "
         "lasts: a position within the speed bound, a torque within the drive's own limit, a drive state as it reads",
     ),
+    Capability.STATE: Text(
+        "drives have states, which they tell and are told",
+        "no drive states",
+        "a drive is known by its positions alone: that it failed, let go or tripped shows where its axis does not do "
+        "as it is told, and at rest nowhere. There is no enable: a drive obeys whatever torque it hears, so commands "
+        "that are damaged without notice go on moving it",
+    ),
     Capability.CAUSE: Text(
         "every answer says what is wrong with its drive",
         "no cause in the status",
@@ -74,6 +82,7 @@ def has_nodes(layout: str) -> bool:
 def fixed_capabilities(protocol: HostProtocol) -> Capability:
     """Those that follow from the layout alone."""
     capabilities = Capability.NODES if has_nodes(protocol.name) else NONE
+    capabilities |= Capability.STATE if protocol.states else NONE
     capabilities |= Capability.CAUSE if protocol.causes else NONE
     capabilities |= Capability.SEQUENCE if protocol.sequence_modulus else NONE
     return capabilities | (Capability.CHECKSUM if protocol.checksum else NONE)

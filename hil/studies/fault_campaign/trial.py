@@ -24,6 +24,16 @@ def silence(state: State) -> Fault:
     return Fault.ENCODER_LOST if state in MOVING else Fault.ENCODER_DEAD
 
 
+# What shows of a drive that says nothing of itself: its axis does not do as it is told.
+BY_MOTION = (
+    Fault.FOLLOWING_ERROR,
+    Fault.ENCODER_STUCK,
+    Fault.FILTER_DIVERGED,
+    Fault.SPEED,
+    Fault.TRAVEL_PLANNED,
+    Fault.TRAVEL,
+    Fault.OSCILLATION,
+)
 Step = Callable[[CampaignRun, int, int], None]  # run, axis, ticks since the injection
 Limit = int | Callable[[RigConfig], int]
 
@@ -35,7 +45,8 @@ class Trial:
     step: called before every tick from the injection on (third argument 0). faults: what the detectors may flag, any of
     them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for
     every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
-    following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. benign: must
+    following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. law:
+    it falsifies what the law asks for, which nobody asks before axes have been pushed as the rig says. benign: must
     not change the state at all. certain: False where feedback may well master it. command: an operator's command the
     trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. exactly: by
     the state it began in, the one of `faults` that it must be where detection is due and the layout can tell; not asked
@@ -46,7 +57,8 @@ class Trial:
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
-    due. lacking: what was missing of it.
+    due. Of drives without states only the motion is seen, if at all, and where they are `deaf` to what the host says
+    they are not asked to let go. lacking: what was missing of it.
     """
 
     name: str
@@ -56,6 +68,7 @@ class Trial:
     per_axis: bool = True
     moving_only: bool = False
     following_only: bool = False
+    law: bool = False
     benign: bool = False
     certain: bool = True
     armed: frozenset[State] = MOVING
@@ -70,17 +83,20 @@ class Trial:
     needs: Capability = NONE
     instead: tuple[Fault, ...] = ()
     unseen: bool = True
+    deaf: bool = False
     lacking: Capability = NONE
 
     def over(self, capabilities: Capability) -> "Trial":
         """The same under a layout with these capabilities."""
         lacking = self.needs & ~capabilities
         if not lacking:
-            return self
+            return replace(self, deaf=False)
+        stateless = bool(lacking & Capability.STATE)
         return replace(
             self,
-            faults=(*self.faults, *self.instead),
-            certain=self.certain and not self.unseen,
+            faults=(*self.faults, *self.instead, *(BY_MOTION if stateless else ())),
+            certain=self.certain and not (self.unseen or stateless),
+            deaf=self.deaf and stateless,
             exactly=None,
             benign=False,
             lacking=lacking,

@@ -1,6 +1,5 @@
 """`hil sweep`: thousands of plants under one rig; distributions, and the worst cases as rig files."""
 
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,21 +7,20 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import metres, print_plant_notes, writable, write_json
 from hil.control.law_registry import LAWS, file_name
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from hil.studies.crew import Crew, crew, resumed
 from hil.studies.sweep.plants import (
-    Crew,
     Figures,
     Job,
-    cluster,
     collect,
     jobs,
     plot,
-    processes,
     reproduce,
+    run_chunk,
     save_worst,
     summary,
     worst_plants,
@@ -39,7 +37,7 @@ def sweep(
     seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,
     hard: Annotated[bool, typer.Option(help="also force ripple and Stribeck friction; slower")] = False,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler")] = "",
+    scheduler: Scheduler = "",
     overrides: Overrides = None,
     worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
     output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
@@ -58,11 +56,11 @@ def sweep(
         list(LAWS) if laws == "all" else [name.strip() for name in laws.split(",") if name.strip()] or [base.law.name]
     )
     document: dict[str, Any] = {"rig": base.name, "plants": plants, "seconds": seconds, "seed": seed, "laws": {}}
-    with cluster(scheduler) if scheduler else processes(workers or len(os.sched_getaffinity(0))) as crew:
+    with crew(workers, scheduler) as hands:
         for name in names:
             rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
-            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, crew.size)
-            figures, rate = _run(console, f"{rig.name}: {name}", work, crew)
+            work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, hands.size)
+            figures, rate = _run(console, f"{rig.name}: {name}", work, hands)
             plot(output / f"{file_name(name)}.png", rig, figures)
             chosen = worst_plants(figures, worst)
             paths = save_worst(rig_file, rig, seed, hard, chosen, output)
@@ -73,7 +71,7 @@ def sweep(
         write_json(document, json_target)
 
 
-def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Figures, float]:
+def _run(console: Any, title: str, work: Sequence[Job], hands: Crew) -> tuple[Figures, float]:
     """All jobs under a progress bar: what they found, and plants times ticks per second."""
     from rich.progress import Progress
 
@@ -81,7 +79,7 @@ def _run(console: Any, title: str, work: Sequence[Job], crew: Crew) -> tuple[Fig
     started = time.perf_counter()
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task(title, total=plants)
-        figures = collect(crew.run(work), lambda count: bar.update(task, advance=count))
+        figures = collect(resumed(hands, run_chunk, work), lambda count: bar.update(task, advance=count))
     return figures, plants * work[0].ticks / (time.perf_counter() - started)
 
 

@@ -6,8 +6,7 @@ plants are saved as rig files; `hil sim` on one of them gives the same error, bi
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -15,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
-from hil.cli.processes import worker_pool
 from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
@@ -30,7 +28,6 @@ CHUNK = 2500  # plants run as one array: fewer spend their time between array op
 MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # ranges of the scales
 DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.05), (0.0, 0.2)  # as fractions of the nominal Coulomb friction
 STARTUP_LIMIT = 1000  # ticks
-CONNECT_TIMEOUT_S = 10
 
 
 class Job(NamedTuple):
@@ -135,41 +132,6 @@ def jobs(
     return [
         Job(document, seed, first, min(chunk, plants - first), ticks, steady, hard) for first in range(0, plants, chunk)
     ]
-
-
-class Crew(NamedTuple):
-    """Who runs the jobs. run: gives their results, in order. size: how many run at a time."""
-
-    run: Callable[[Sequence[Job]], Iterator[Figures]]
-    size: int
-
-
-@contextmanager
-def processes(workers: int) -> Iterator[Crew]:
-    """A crew of so many processes of this machine."""
-    with worker_pool(workers) as pool:
-        yield Crew(lambda work: pool.map(run_chunk, work), workers)
-
-
-@contextmanager
-def cluster(address: str) -> Iterator[Crew]:
-    """The workers of a dask.distributed cluster, which need this package installed. Raises RigError."""
-    try:
-        from distributed import Client  # type: ignore[attr-defined,unused-ignore]
-    except ImportError:
-        raise RigError(["--scheduler needs the extra: pip install 'hil[cluster]'"]) from None
-    connect: Any = Client
-    try:
-        client = connect(address, timeout=CONNECT_TIMEOUT_S)
-    except (OSError, ValueError) as error:
-        raise RigError([f"--scheduler {address}: {error}"]) from None
-
-    def run(work: Sequence[Job]) -> Iterator[Figures]:
-        for future in client.map(run_chunk, work, pure=False):
-            yield future.result()
-
-    with client:
-        yield Crew(run, max(1, sum(client.ncores().values())))
 
 
 def collect(results: Iterable[Figures], done: Callable[[int], None]) -> Figures:

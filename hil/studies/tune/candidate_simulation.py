@@ -24,7 +24,8 @@ from hil.cycle.limits import force_limits
 from hil.rig.schema import LawConfig, RigConfig
 from hil.virtual.batch import Bounds
 from sim_plant.config import PlantConfig
-from sim_plant.physics.stage import Stage, Truth
+from sim_plant.physics.stage import Truth
+from sim_plant.user_stage import stage_of
 
 LOST = 1.0  # m: error of a candidate that diverged
 STAMP_NS = 1_000  # the drives' clock
@@ -204,7 +205,7 @@ class _Plants:
         self._stages = []
         for group in self._groups:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
-            self._stages.append(Stage(truth, np.full(truth.shape, of._initial)))
+            self._stages.append(stage_of(of._rig.plant, truth, np.full(truth.shape, of._initial)))
         self._arrival = of.schedule.arrival
         self._steps, self._steps_at = of.steps, of.steps_at
         self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true

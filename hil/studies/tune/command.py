@@ -6,19 +6,22 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import print_plant_notes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.crew import crew, resumed
 from hil.studies.tune.objective import Kind, Margins, Outcome, kind_for
 from hil.studies.tune.report import achieved, show
 from hil.studies.tune.search import (
     UNSEEN,
+    AxisSearch,
     Choice,
     Found,
     Start,
     all_or_none,
     refuse_short_margins,
+    run_search,
     tune_axis,
     write_gains,
 )
@@ -55,6 +58,7 @@ def tune(
         int, typer.Option(min=1, max=1000, help="plants, none of them searched, on which the file's gains are met")
     ] = UNSEEN,
     start: Annotated[Start, typer.Option(help="where to begin: mid-range, or the rig file's gains")] = Start.MIDDLE,
+    scheduler: Scheduler = "",
     dry_run: Annotated[bool, typer.Option(help="do not write the rig file")] = False,
 ) -> None:
     """Find gains for a law on a set of tasks and plants, show the trade, and write what is better to the rig file.
@@ -84,7 +88,14 @@ def tune(
     found: list[Found] = []
     with Progress(console=console, transient=True) as bar:
         job = bar.add_task(f"{rig.name}: {name}", total=(generations + 1) * len(rig.axes))
-        for axis, axis_name in enumerate(rig.axis_names):
+        if scheduler:
+            document = rig.model_dump_json()
+            work = [AxisSearch(document, name, axis, choice) for axis in range(len(rig.axes))]
+            with crew(0, scheduler) as hands:
+                for axis_found in resumed(hands, run_search, work):
+                    found.append(axis_found)
+                    bar.update(job, advance=generations + 1)
+        for axis, axis_name in enumerate([] if scheduler else rig.axis_names):
 
             def report(outcome: Outcome, axis_name: str = axis_name) -> None:
                 note = f"{name}, {axis_name}: {outcome.ratio[outcome.cost.argmin()]:.3g} times what is good"

@@ -179,6 +179,21 @@ def all_or_none(found: Sequence[Found]) -> list[Found]:
     return [axis._replace(kept=True) for axis in found]
 
 
+class AxisSearch(NamedTuple):
+    """One axis' search as it travels: the rig as JSON, and the arguments of tune_axis."""
+
+    rig: str
+    law: str
+    axis: int
+    choice: Choice
+
+
+def run_search(job: AxisSearch) -> Found:
+    """As tune_axis, on whatever machine this is."""
+    rig = RigConfig.model_validate_json(job.rig)
+    return tune_axis(rig, job.law, job.axis, job.choice, lambda outcome: None)
+
+
 def refuse_short_margins(rig: RigConfig, least: Margins) -> None:
     """Raises RigError naming every axis whose loop is unstable, or whose margins are less than `least`."""
     report = check_stability(rig)

@@ -64,7 +64,11 @@ def read(index: int, subindex: int = 0) -> bytes:
         (write(0x6060, 0, 8, 1), Abort.VALUE_RANGE),
         (write(0x1A00, 0, 0, 1), Abort.DEVICE_STATE),  # the PDO is valid
         (write(0x1019, 0, 241, 1), Abort.VALUE_HIGH),
-        (bytes((0xA0,)), Abort.COMMAND),  # block upload
+        (bytes((0xA3,)), Abort.COMMAND),  # a block of nothing
+        (cia301.SDO.pack(0xA0, 0x1008, 0, b"\0\0\0\0"), Abort.BLOCK_SIZE),  # block upload, no segment a block
+        (cia301.SDO.pack(0xA0, 0x5FFF, 0, b"\x7f\0\0\0"), Abort.NO_OBJECT),
+        (cia301.SDO.pack(0xC2, 0x2000, 0, b"\1\1\0\0"), Abort.OUT_OF_MEMORY),  # block download of 257 bytes
+        (cia301.SDO.pack(0xC0, 0x1008, 0, bytes(4)), Abort.READ_ONLY),
         (bytes((0x60,)), Abort.COMMAND),  # a segment of nothing
         (bytes((0x00,)), Abort.COMMAND),
     ],

@@ -15,7 +15,7 @@ from drivers.config import BusConfig, SignalBinding
 from drivers.frame import ECHO, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
-from drivers.protocols.dbc_binding import BoundMessage
+from drivers.protocols.dbc_page import BoundMessage
 from tests.support.paths import RIGS, ROOT
 
 RATED = [5.3, 20.0, 0.04, 1.0]

@@ -10,7 +10,8 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
-from drivers.protocols.dbc import STATE_TIMEOUT_NS, DbcDevice
+from drivers.protocols.dbc import STATE_TIMEOUT_NS
+from drivers.protocols.dbc_device import DbcDevice
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
@@ -178,7 +179,7 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
     bus = BusConfig.model_validate(tomllib.loads((RIGS / "paper-dbc.toml").read_text())["bus"])
     device = device_protocol(bus, 2, [5.0, 5.0], RIGS)
     assert isinstance(device, DbcDevice)
-    assert device.encode_status(Sample(0, 0, 0, 0, 0)) == []
+    assert len(device.frames_of(Sample(0, 0, 0, 0, 0))) == 1
 
 
 @pytest.mark.parametrize(
@@ -190,12 +191,27 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
         ({"feedback": "triggered", "feedback_period_s": 0.001}, "feedback_period_s"),
         ({"checksum_algorithm": "sum8"}, "checksum_algorithm"),
         ({"status": both("Set_Axis_State", "Axis_Requested_State")}, "both as command and as feedback"),
+        ({"status": [], "error": [], "state_period_s": 0.02}, "state_period_s: no status or error"),
         ({"error": both("Heartbeat", "Axis_Error")[:1]}, "error has 1 signals for 2 axes"),
     ],
 )
 def test_a_key_that_could_not_act_is_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(LayoutError, match=says):
         ends(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"feedback_period_s": 0.004}, "rate_hz = 500 has to be 250 or less"),
+        ({"state_period_s": 0.1}, "within the 0.1 s of safety.disable_timeout_ticks = 50"),
+    ],
+)
+def test_drives_that_say_too_little_for_the_rate_are_refused(changes: dict[str, Any], says: str) -> None:
+    rig = tomllib.loads((RIGS / "odrive.toml").read_text())
+    rig["bus"]["dbc"] |= changes
+    with pytest.raises(ValueError, match=says):
+        RigConfig.model_validate(rig)
 
 
 def test_a_broken_message_that_nobody_binds_does_not_matter(tmp_path: Path) -> None:

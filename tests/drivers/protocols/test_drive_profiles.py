@@ -86,6 +86,7 @@ def test_a_cst_drive_without_sync_counter_and_dummies_gets_an_rpdo_of_its_own() 
         0x1006: "is not in the EDS",
         0x60C2: "is not in the EDS",
         0x6072: "is not in the EDS",
+        **dict.fromkeys((0x1029, 0x6007, 0x605B, 0x605C, 0x605E), "is not in the EDS"),
     }
     tpdo = next(
         item.step.value for item in made.planned if item.step.object_index == 0x1800 and item.step.subindex == 1
@@ -111,6 +112,31 @@ def test_interpolation_period_and_stated_objects_are_written_where_they_exist() 
     assert steps[0x1029, 1].required
     refused = plan(CST_DRIVE, write=[ObjectValue(object="1029h:01", value=1)])
     assert [reason.object for reason in refused.reasons] == ["1029h:01"]  # a key that would be ignored is an error
+
+
+OPTIONS = {(0x1029, 1): 0, (0x6007, 0): 2, (0x605B, 0): 0, (0x605C, 0): 0, (0x605E, 0): 0}
+
+
+def test_a_drive_is_told_to_let_go_by_itself_unless_the_rig_says_otherwise() -> None:
+    facts = (
+        CST_DRIVE
+        | {(0x1029, 1): Fact(U8, "rw", "1")}
+        | {key: Fact(I16, "rw", "1") for key in OPTIONS if key[0] > 0x2000}
+    )
+    made = plan(facts)
+    assert OPTIONS.items() <= {(s.object_index, s.subindex): s.value for s in made.steps if s.size}.items()
+    assert not any(step.required for step in made.steps if (step.object_index, step.subindex) in OPTIONS)
+    stated = plan(facts, write=[ObjectValue(object="605Ch", value=1)])
+    assert [s.value for s in stated.steps if s.object_index == 0x605C] == [1]
+    kept = plan(facts, stop_options="keep")
+    assert not OPTIONS.keys() & {(s.object_index, s.subindex) for s in kept.steps}
+
+
+def test_a_drive_that_turns_signs_round_is_refused_unless_the_rig_says_so(tmp_path: Path) -> None:
+    facts = CST_DRIVE | {(0x607E, 0): Fact(U8, "rw", "0")}
+    assert Step(0x607E, 0, 0, mask=0xFF, width=1) in plan(facts).steps
+    stated = plan(facts, write=[ObjectValue(object="607Eh", value=0x80)])
+    assert [(s.size, s.value) for s in stated.steps if s.object_index == 0x607E] == [(1, 0x80)]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,175 @@
+"""Where classes come from: laws, tasks, stages and frame layouts, our own and everybody else's.
+
+A rig names a class by a name of our own table, by a name that an installed package registers (an entry point), as
+`package.module:Class`, or as `./file.py:Class` of a file beside the rig. Of a file, the rig carries the text (key
+`source` of the same table), so that it is part of the rig's hash, of the recording, and of the work sent to other
+processes. Packages are looked for where Python does, and in FOLDER, as long as that is root's alone.
+"""
+
+import difflib
+import hashlib
+import importlib
+import linecache
+import stat
+import sys
+from collections.abc import Mapping
+from functools import cache, lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+FOLDER = Path("/usr/local/lib/hil/plugins")  # of this machine: `pip install --target`, or plain files, by root
+
+
+class Kind(NamedTuple):
+    """A kind of plug-in. noun, plural: in words. table, key: of the rig file, where its name stands. group: of entry
+    points. ours: our own by name, each `package.module:Name`. methods: what a class of users must have.
+    """
+
+    noun: str
+    plural: str
+    table: str
+    key: str
+    group: str
+    ours: Mapping[str, str]
+    methods: tuple[str, ...]
+
+    @property
+    def path(self) -> str:
+        """The key in full, such as law.name."""
+        return f"{self.table}.{self.key}"
+
+
+def find(kind: Kind, name: str, source: str = "") -> Any:
+    """What a name stands for; source: the text of its file, for './file.py:Class'.
+
+    Raises ValueError naming key, value and what is allowed; and whatever the plug-in's own module raises, as a
+    ValueError with its file and line.
+    """
+    if name in kind.ours:
+        return load(kind.ours[name])
+    if ":" not in name:
+        return _checked(kind, load(_registered(kind, name), kind), name)
+    module, _, attribute = name.rpartition(":")
+    if module.endswith(".py"):
+        return _checked(kind, getattr(_from_source(kind, module, source), attribute, None), name)
+    return _checked(kind, load(name, kind), name)
+
+
+def known(kind: Kind, name: str) -> bool:
+    """Whether a name may stand for something: one of ours, a registered one, or a class named in full."""
+    return name in kind.ours or ":" in name or name in registered(kind)
+
+
+def registered(kind: Kind) -> list[str]:
+    """Names of all that can be had by name: ours, then those of installed packages."""
+    _open_folder()
+    others = {entry.name for entry in entry_points(group=kind.group)}
+    return [*kind.ours, *sorted(others - kind.ours.keys())]
+
+
+def unknown(kind: Kind, name: str) -> str:
+    """What to say of a name that is not known."""
+    names = registered(kind)
+    nearest = difflib.get_close_matches(name[:40], names, n=1)
+    hint = f"the nearest is {nearest[0]}; " if nearest else ""
+    return (
+        f"{kind.path} = {name!r:.80}: {hint}the {kind.plural} are {', '.join(names)}; or 'package.module:Class', or "
+        "'./file.py:Class' of a file beside the rig"
+    )
+
+
+def file_of(name: Any) -> str:
+    """The file of a plug-in named ./file.py:Class; empty for other names."""
+    file = name.rpartition(":")[0] if isinstance(name, str) else ""
+    return file if file.endswith(".py") else ""
+
+
+def load(target: str, kind: Kind | None = None) -> Any:
+    """What `package.module:Name` stands for. kind: whose key is named where it is not to be had (ValueError)."""
+    module, _, attribute = target.partition(":")
+    if kind is None:
+        return getattr(importlib.import_module(module), attribute)
+    _open_folder()
+    try:
+        found = importlib.import_module(module)
+    except ImportError as error:
+        raise ValueError(f"{kind.path} = {target!r}: {error}") from None
+    except Exception as error:
+        raise ValueError(f"{kind.path} = {target!r}: importing it failed: {where(error)}") from error
+    return getattr(found, attribute, None)
+
+
+def where(error: BaseException, file: str = "") -> str:
+    """The place, kind and text of an exception: of the last line of `file` that it came through, else of the innermost.
+
+    A module made from a rig's text has the file's name as the rig has it.
+    """
+    trace, place = error.__traceback__, ""
+    while trace is not None:
+        name = trace.tb_frame.f_code.co_filename
+        if not file or name == file or (not trace.tb_next and not place):
+            place = f"{name}:{trace.tb_lineno}: "
+        trace = trace.tb_next
+    return f"{place}{type(error).__name__.strip('_')}: {error}"
+
+
+def code_file(made: type) -> str:
+    """The file that a plug-in's class is from."""
+    return str(getattr(sys.modules.get(made.__module__), "__file__", None) or "")
+
+
+def _registered(kind: Kind, name: str) -> str:
+    _open_folder()
+    for entry in entry_points(group=kind.group):
+        if entry.name == name:
+            return entry.value
+    raise ValueError(unknown(kind, name))
+
+
+def _checked(kind: Kind, found: Any, target: str) -> Any:
+    if isinstance(found, type) and all(callable(getattr(found, method, None)) for method in kind.methods):
+        return found
+    attribute = target.rpartition(":")[2]
+    raise ValueError(f"{kind.path} = {target!r}: {attribute!r} is no class with {' and '.join(kind.methods)}")
+
+
+@cache
+def _open_folder() -> None:
+    """Let Python look into FOLDER too, last. What others than root may write to is left out, as if it were not there:
+    the control process may run with more rights than they have.
+    """
+    try:
+        found = FOLDER.stat()
+    except OSError:
+        return
+    if found.st_uid == 0 and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and stat.S_ISDIR(found.st_mode):
+        sys.path.append(str(FOLDER))
+
+
+def _from_source(kind: Kind, file: str, source: str) -> ModuleType:
+    """A module from the text of a plug-in's file."""
+    if not source:
+        raise ValueError(f"{kind.path} = '{file}:...': {kind.table}.source is empty; load the rig from its file")
+    try:
+        return _executed(file, source)
+    except Exception as error:
+        place = f"{file}:{error.lineno}: {error.msg}" if isinstance(error, SyntaxError) else where(error)
+        raise ValueError(f"{kind.path} = '{file}:...': {place}") from error
+
+
+@lru_cache(maxsize=64)
+def _executed(file: str, source: str) -> ModuleType:
+    """Executed once for every text under every name."""
+    digest = hashlib.sha256(f"{file}\0{source}".encode()).hexdigest()[:16]
+    module = ModuleType(f"hil_plugin_{digest}")
+    module.__file__ = file
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
+    sys.modules[module.__name__] = module  # dataclasses look their module up
+    try:
+        exec(compile(source, file, "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    return module

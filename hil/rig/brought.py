@@ -1,0 +1,105 @@
+"""What a rig file brings with it: the texts of its plug-ins' files, the samples of its task, what its law has learnt.
+
+A document that has them already (a recording's, or work sent to another process) keeps them, unless something else was
+chosen: it needs no file, and runs no code.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.plugins import file_of, known
+from drivers.text_file import UnsuitableFileError, read_bounded
+from drivers.toml_file import shown
+from hil.rig.schema import RigConfig
+from hil.rig.task_file import TaskFileError, read_task_file
+from hil.rig.task_kinds import KIND, is_users, run_task
+
+LARGEST_PLUGIN = 2**20  # bytes of a Python file
+# Tables whose key may name a file's class; `source` is its text.
+PLUGINS = (("law", "name"), ("task", "kind"), ("plant", "stage"))
+_OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
+
+
+class BroughtError(ValueError):
+    """A file or a program that the rig names and that is of no use; a line for each problem."""
+
+
+def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[str]]) -> None:
+    """Fill in what the files beside the rig say. overridden: paths of the keys that were chosen after the file.
+
+    Raises BroughtError.
+    """
+    for table, key in PLUGINS:
+        _read_source(document, table, key, folder, chosen=[table, key] in overridden)
+    _read_learnt(document, folder, chosen=["law", "learnt"] in overridden)
+    task = document.get("task")
+    if not isinstance(task, dict):
+        return
+    kind, changed = task.get("kind", ""), {path[1] for path in overridden if path[0] == "task" and len(path) > 1}
+    if isinstance(kind, str) and kind and is_users(kind):
+        if (changed & {*_OF_A_TASK} or not task.get("samples")) and known(KIND, kind):
+            _run_task(task, kind)
+    elif isinstance(task.get("file", ""), str) and task.get("file") and ("file" in changed or not task.get("samples")):
+        try:
+            task["axes"], task["samples"] = read_task_file(folder / task["file"])
+        except TaskFileError as error:
+            raise BroughtError("\n".join(f"task.file: {line}" for line in str(error).splitlines())) from None
+
+
+def named_files(rig: RigConfig) -> dict[str, str]:
+    """The files that a rig names, by key: their paths, as the rig has them."""
+    named = {f"{table}.{key}": file_of(getattr(getattr(rig, table), key)) for table, key in PLUGINS}
+    kind, _, dbc = rig.bus.protocol.partition(":")
+    named["bus.protocol"] = dbc if kind == "dbc" else ""
+    named["task.file"] = rig.task.file
+    named["law.learnt"] = rig.law.learnt
+    return {key: name for key, name in named.items() if name}
+
+
+def _read_source(document: dict[str, Any], table: str, key: str, folder: Path, *, chosen: bool) -> None:
+    """Put the text of a plug-in's file into `source` of its table, so that it is part of the rig."""
+    named = document.get(table)
+    if not isinstance(named, dict):
+        return
+    file = file_of(named.get(key))
+    if not file:
+        named.pop("source", None)
+    elif chosen or not named.get("source"):
+        path = folder / file
+        try:
+            named["source"] = read_bounded(path, LARGEST_PLUGIN).decode().replace("\r\n", "\n")
+        except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
+            no_text = isinstance(error, UnicodeDecodeError)
+            text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
+            raise BroughtError(f"{table}.{key} = {shown(named[key])}: {path}: {text}") from None
+
+
+def _read_learnt(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:
+    """Put what law.learnt holds into law.learnt_on and law.learnt_state."""
+    law, axes = document.get("law"), document.get("axes")
+    if not isinstance(law, dict) or not isinstance(axes, dict) or not isinstance(law.get("learnt", ""), str):
+        return
+    if not law.get("learnt"):
+        for key in ("learnt_on", "learnt_state"):
+            law.pop(key, None)
+    elif chosen or not law.get("learnt_state"):
+        from hil.rig.learnt_file import LearntFileError, read_learnt_file  # few rigs have one
+
+        try:
+            law["learnt_on"], law["learnt_state"] = read_learnt_file(folder / law["learnt"], list(axes))
+        except LearntFileError as error:
+            raise BroughtError(f"law.learnt: {error}") from None
+
+
+def _run_task(task: dict[str, Any], kind: str) -> None:
+    """Put what a user's task returns into task.samples."""
+    axes, parameters = task.get("axes", []), task.get("parameters", {})
+    if not isinstance(parameters, dict) or not isinstance(axes, list) or not all(isinstance(a, str) for a in axes):
+        return  # which the schema refuses
+    if not axes:
+        raise BroughtError(f"task.axes = []: {kind} needs the names of the axes it moves")
+    try:
+        task["samples"] = run_task(kind, str(task.get("source", "")), axes, parameters)
+    except ValueError as error:
+        raise BroughtError(str(error)) from error

@@ -1,0 +1,129 @@
+"""The command: draws, runs and prints."""
+
+import os
+import time
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from hil.cli.options import RigFile
+from hil.cli.output import writable, write_json
+from hil.cli.processes import worker_pool
+from hil.control.laws.base import Array
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.studies.evidence.stages import HEAD
+from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REPEATS, Job, jobs, run
+
+
+def evidence(
+    rig_file: RigFile,
+    *,
+    stages: Annotated[int, typer.Option(min=2, max=10_000, help="stages drawn for each row")] = 20,
+    seed: Annotated[int, typer.Option(help="of the stages")] = 1,
+    modes: Annotated[str, typer.Option(help="comma-separated, Hz of the free axis; 0: rigid")] = "0,150,200,300",
+    axes: Annotated[str, typer.Option(help="comma-separated; default: all of the rig's")] = "",
+    trials: Annotated[str, typer.Option(help="those whose names contain one of these, comma-separated")] = "",
+    law: Annotated[str, typer.Option(help="default: the rig's own")] = "",
+    learning: Annotated[bool, typer.Option(help="with law.iterative_learning, after 16 repeats")] = False,
+    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    json_target: Annotated[
+        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
+    ] = "",
+) -> None:
+    """Median and 95 % of a law's accuracies over drawn stages with presliding, lag, mode and noise."""
+    from rich.console import Console
+
+    begun = time.monotonic()
+    # The rig's own task may be one that does not repeat: what is tried are this command's.
+    sets = [*(overrides or ()), *([f"law.name={law}"] if law else ()), "law.iterative_learning=false"]
+    rig = load_rig(rig_file, sets)
+    rig = rig.model_copy(update={"law": rig.law.model_copy(update={"iterative_learning": learning})})
+    names = _axes(rig, axes)
+    wanted = [part.strip() for part in trials.split(",") if part.strip()]
+    work = [
+        job
+        for job in jobs(rig, names, stages, seed, _modes(modes))
+        if not wanted or any(part in job.trial.name for part in wanted)
+    ]
+    if not work:
+        raise typer.BadParameter(f"--trials {trials}: they are {'; '.join(trial.name for trial in TRIALS)}")
+    console = Console(stderr=json_target == "-")
+    with worker_pool(workers or len(os.sched_getaffinity(0))) as pool:
+        found = list(pool.map(run, work))
+    rows = _rows(names, work, found)
+    _show(console, rig, names, rows, f"median / 95 % of {stages} stages, seed {seed}")
+    console.print(f"{time.monotonic() - begun:.0f} s")
+    if json_target:
+        document = {"rig": rig.name, "law": rig.law.name, "learning": learning, "stages": stages, "seed": seed}
+        write_json({**document, "of": HEAD, "rows": rows}, json_target)
+
+
+def _axes(rig: RigConfig, axes: str) -> list[str]:
+    wanted = [name.strip() for name in axes.split(",") if name.strip()] or rig.axis_names
+    unknown = [name for name in wanted if name not in rig.axes]
+    if unknown:
+        raise typer.BadParameter(f"--axes {unknown[0]}: the axes are {', '.join(rig.axis_names)}")
+    return [name for name in rig.axis_names if name in wanted]
+
+
+def _modes(modes: str) -> list[float]:
+    try:
+        found = [float(value) for value in modes.split(",")]
+    except ValueError:
+        found = [-1.0]
+    if any(value != 0.0 and not 1.0 <= value <= 5000.0 for value in found):
+        raise typer.BadParameter(f"--modes {modes}: expected 0 or 1 to 5000 Hz each, separated by commas")
+    return found
+
+
+def _rows(names: Sequence[str], work: Sequence[Job], found: Sequence[dict[str, Array]]) -> list[dict[str, Any]]:
+    """Median and 95 % of every figure, by axis; a stage that failed counts as worse than all others."""
+    rows: list[dict[str, Any]] = []
+    for job, figures in zip(work, found, strict=True):
+        failed = figures["failed"]
+        for figure, values in figures.items():
+            if figure == "failed":
+                continue
+            worst = np.where(failed, np.inf, values)
+            axes = {
+                name: {
+                    "median": float(np.quantile(worst[:, i], 0.5, method="higher")),
+                    "p95": float(np.quantile(worst[:, i], 0.95, method="higher")),
+                    "failed": int(failed[:, i].sum()),
+                }
+                for i, name in enumerate(names)
+            }
+            name = figure if job.trial.name == REST else f"{job.trial.name}: {figure}"
+            rows.append({"mode_hz": job.mode_hz, "figure": name, "axes": axes})
+    return rows
+
+
+def _unit(figure: str) -> tuple[str, float]:
+    if "repeats" in figure:
+        return "", 1.0
+    return ("ms", 1e3) if figure.endswith("nm") else ("nm", 1e9)
+
+
+def _show(console: Any, rig: RigConfig, names: Sequence[str], rows: Sequence[dict[str, Any]], of: str) -> None:
+    from rich.table import Table
+
+    learning = f", {WARM_REPEATS} repeats and {LEARNING_REPEATS} that learn" if rig.law.iterative_learning else ""
+    title = f"{rig.name}, {rig.law.name}{learning}, at {rig.rate_hz:g} Hz: {of}"
+    table = Table(title=title, caption=HEAD)
+    table.add_column("mode")
+    table.add_column("figure")
+    for name in names:
+        table.add_column(name, justify="right")
+    for row in rows:
+        unit, scale = _unit(row["figure"])
+        cells = []
+        for axis in row["axes"].values():
+            failed = f" ({axis['failed']} failed)" if axis["failed"] else ""
+            cells.append(f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}{failed}")
+        mode = f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
+        table.add_row(mode, f"{row['figure']}{', ' if unit else ''}{unit}", *cells)
+    console.print(table)

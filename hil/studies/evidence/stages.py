@@ -1,0 +1,119 @@
+"""Drawn stages: what differs from a rig's nominal model, and by how much.
+
+A stage's parameters follow from the seed and its number alone. It differs from the nominal model as real stages do:
+presliding (LuGre), a lag and a mode that are not quite what the model says, mass and friction off, friction that varies
+along the travel, cogging, a cable, an unknown constant force, noise of half a count.
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from random import Random
+
+import numpy as np
+
+from hil.rig.schema import RigConfig
+from sim_plant.config import CoggingConfig, ModeConfig, PlantConfig
+from sim_plant.physics.truth import Truth
+
+MASS, FRICTION, LAG, MODE = (0.8, 1.2), (0.7, 1.3), (0.8, 1.2), (0.9, 1.1)  # uniform, factors on what the model says
+PRESLIDING = (0.3e-6, 30e-6)  # m (rad), log-uniform
+DAMPING = (0.15, 0.5)  # ratio of the stuck axis
+VARIATION, VARIATION_PERIOD = 0.1, (5e-3, 20e-3)  # of friction along the travel, random phase
+COGGING, COGGING_PERIOD = 1 / 30, 24e-3  # of Coulomb friction, random phase; m
+CABLE, HYSTERESIS, REACH = 1 / 6, 0.01, 5e-4  # of Coulomb friction: a metre, half the loop; m
+BIAS = 0.1  # of Coulomb friction: at most, either sign
+NOMINAL_LAG, MODE_DAMPING, MODE_LOAD = 2e-4, 0.02, 0.3
+HEAD = (
+    "presliding 0.3-30 um (LuGre, damping 0.15-0.5), mass +-20 %, friction +-30 % and varying by 10 % over 5-20 mm, "
+    "lag 0.2 ms +-20 %, mode +-10 % (damping 0.02, 30 % load), cogging, cable, bias +-10 % of Coulomb friction, "
+    "half-count noise. Not in it: membranes, Stribeck friction, force noise, floor vibration, drift, encoder errors, "
+    "latency the stamps do not know. Errors are the tool's, against the setpoint at the sample's instant"
+)
+
+
+def _held(mode_hz: float) -> float:
+    """Hz of the tool while the motor is held."""
+    return mode_hz * float(np.sqrt(1.0 - MODE_LOAD))
+
+
+def nominal(rig: RigConfig, mode_hz: float) -> RigConfig:
+    """The rig whose model knows the drive's lag and the mode as they are on average."""
+    known = {
+        "torque_lag": NOMINAL_LAG,
+        "mode_frequency_hz": _held(mode_hz),
+        "mode_damping": MODE_DAMPING,
+        "mode_load": MODE_LOAD,
+    }
+    axes = {
+        name: axis.model_copy(update={"model": axis.model.model_copy(update=known)}) for name, axis in rig.axes.items()
+    }
+    return rig.model_copy(update={"axes": axes})
+
+
+def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
+    """Stage `number`: a function of the arguments alone."""
+    random, names = Random(f"{seed}/{number}"), list(rig.axes)
+    models = [axis.model for axis in rig.axes.values()]
+    n = len(models)
+
+    def uniform(limits: tuple[float, float]) -> list[float]:
+        return [random.uniform(*limits) for _ in range(n)]
+
+    mass, friction, lag, mode = uniform(MASS), uniform(FRICTION), uniform(LAG), uniform(MODE)
+    low, high = PRESLIDING
+    dry = [m.coulomb for m in models]
+    plant = PlantConfig(
+        mass=[m.mass * k for m, k in zip(models, mass, strict=True)],
+        coulomb=[m.coulomb * k for m, k in zip(models, friction, strict=True)],
+        viscous=[m.viscous * k for m, k in zip(models, friction, strict=True)],
+        quadratic=[m.quadratic for m in models],
+        gravity=[m.gravity for m in models],
+        presliding=[low * (high / low) ** random.random() for _ in models],
+        presliding_damping=uniform(DAMPING),
+        torque_lag=[NOMINAL_LAG * k for k in lag],
+        friction_variation=VARIATION,
+        friction_period=uniform(VARIATION_PERIOD),
+        friction_phase=uniform((0.0, 6.283)),
+        cogging=[
+            CoggingConfig(axis=name, amplitude=COGGING * c, period=COGGING_PERIOD, phase=random.uniform(0.0, 6.283))
+            for name, c in zip(names, dry, strict=True)
+        ],
+        cable_stiffness=[CABLE * c for c in dry],
+        cable_hysteresis=[HYSTERESIS * c for c in dry],
+        cable_reach=REACH,
+        bias=[random.uniform(-BIAS, BIAS) * c for c in dry],
+        encoder_noise=[0.5 * axis.encoder_resolution for axis in rig.axes.values()],
+        seed=random.randrange(2**31),
+        modes=[
+            ModeConfig(axis=name, frequency_hz=_held(mode_hz) * k, damping=MODE_DAMPING, load=MODE_LOAD)
+            for name, k in zip(names, mode, strict=True)
+            if mode_hz
+        ],
+    )  # fmt: skip
+    return Truth.from_config(plant, n, names)
+
+
+def only(rig: RigConfig, names: Sequence[str]) -> RigConfig:
+    """The rig with these of its axes, in its order. Its task and what else names axes is as it was. Streams
+    of noise are numbered by axis: another number, other noise.
+    """
+    kept = [i for i, name in enumerate(rig.axes) if name in names]
+    n = len(rig.axes)
+
+    def picked(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: picked(item) for key, item in value.items()}
+        return [value[i] for i in kept] if isinstance(value, list) and len(value) == n else value
+
+    law = rig.law.model_copy(update={"gains": picked(rig.law.gains), "tuned": picked(rig.law.tuned)})
+    estimator = rig.estimator.model_copy(update={key: picked(value) for key, value in rig.estimator})
+    plant = rig.plant.model_copy(
+        update={key: picked(getattr(rig.plant, key)) for key in ("encoder_resolution", "initial_position")}
+    )
+    axes = {name: axis for name, axis in rig.axes.items() if name in names}
+    return rig.model_copy(update={"axes": axes, "law": law, "estimator": estimator, "plant": plant})
+
+
+def columns(truth: Truth, kept: Sequence[int]) -> Truth:
+    """These axes of one stage."""
+    return Truth(**{field.name: getattr(truth, field.name)[list(kept)] for field in fields(truth)})

@@ -1,0 +1,130 @@
+"""LOAD_TASK in the sidecar: a task's parts put together, checked and planned, then handed to the control process.
+
+Checked is what ACTIVATE would ask: the rig with that task is a rig, and the task keeps every limit from where the stage
+stands. That takes as long as it takes, in a thread: the sidecar goes on, and no tick waits. The control process takes
+the plan in between its ticks (hil/live/task_file.py); only then the command itself is posted.
+"""
+
+import os
+import zlib
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.control.feasibility import violations
+from hil.cycle.state_machine import State
+from hil.cycle.task_loading import loaded_task, rig_with_task, task_document
+from hil.live.mailbox import Mailbox
+from hil.live.task_file import task_bytes
+from hil.rig.schema import RigConfig, RigError
+from hil.telemetry.command_server import Asked
+
+MOST_BYTES = 2**21  # of a task, compressed
+MOST_TEXT = 2**24  # of its JSON
+PATIENCE_NS = 20_000_000_000
+_LONGEST = 800  # characters of a reason: it has to fit a message
+
+
+class Prepared(NamedTuple):
+    """What became of a task. reason: why it is refused; empty where it is not."""
+
+    reason: str
+    document: str = ""
+    rig: RigConfig | None = None
+    data: bytes = b""
+
+
+class TaskLoader:
+    """One task at a time, from the last of its parts until the control process has it. path: of the task's file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._threads: ThreadPoolExecutor | None = None
+        self._asked: Asked | None = None
+        self._future: Future[Prepared] | None = None
+        self._prepared = Prepared("")
+        self._number = 0
+        self._until_ns = 0
+
+    def take(self, asked: Asked, rig: RigConfig, mailbox: Mailbox | None, last: np.void | None, now_ns: int) -> str:
+        """Begin with a request that holds the last part. last: the newest tick. Returns why it is refused, or ""."""
+        upload, asked.connection.upload = asked.connection.upload, b""
+        if mailbox is None or last is None:
+            return "no control process is running this rig, or it is not known where the stage stands"
+        state = State(int(last["state"]))
+        if state is not State.READY:
+            return f"a task is loaded at rest, in READY; the state is {state.name}"
+        if rig.law.iterative_learning:
+            return "law.iterative_learning = true: the law learns from the rig's own task, and takes no other"
+        if self._asked is not None:
+            return "another task is being loaded"
+        self._number = mailbox.task_posted + 1
+        self._asked, self._until_ns = asked, now_ns + PATIENCE_NS
+        self._threads = self._threads or ThreadPoolExecutor(1, thread_name_prefix="task")
+        start = last["position"][: len(rig.axes)].tolist()
+        self._future = self._threads.submit(_prepare, upload, rig, start, self._number)
+        return ""
+
+    def advance(self, mailbox: Mailbox | None, now_ns: int) -> tuple[Asked, Prepared] | None:
+        """Go on with what was begun; what came of it once the control process has it, or it is refused."""
+        if self._asked is None:
+            return None
+        reason = self._step(mailbox, now_ns)
+        if reason is None:
+            return None
+        asked, self._asked, self._future = self._asked, None, None
+        return asked, self._prepared._replace(reason=reason)
+
+    def _step(self, mailbox: Mailbox | None, now_ns: int) -> str | None:
+        """Why it is refused; "": the control process has it; None: neither yet."""
+        assert self._asked is not None
+        if mailbox is None or not self._asked.connection.open:
+            return "the control process, or who asked, is gone"
+        if now_ns > self._until_ns:
+            return f"the task is not ready after {PATIENCE_NS * 1e-9:g} s"
+        if self._future is not None:
+            return self._hand_on(self._future, mailbox) if self._future.done() else None
+        ready = mailbox.task_ready(self._number)
+        if ready is None:
+            return None
+        return "" if ready else "the control process cannot take it in: is it of another version of hil?"
+
+    def _hand_on(self, future: "Future[Prepared]", mailbox: Mailbox) -> str | None:
+        self._future, self._prepared = None, future.result()
+        if self._prepared.reason:
+            return self._prepared.reason
+        try:
+            _write(self._path, self._prepared.data)
+        except OSError as error:
+            return f"{self._path}: {error.strerror}"
+        mailbox.post_task(self._number)
+        return None
+
+
+def _prepare(upload: bytes, rig: RigConfig, start: list[float], number: int) -> Prepared:
+    """Everything about a task that takes time. start: where the stage stands, m by axis."""
+    try:
+        inflater = zlib.decompressobj()
+        text = inflater.decompress(upload, MOST_TEXT)
+        if not inflater.eof:
+            return Prepared(f"the task is damaged, or longer than {MOST_TEXT} bytes")
+        other = rig_with_task(rig, text.decode())
+        loaded = loaded_task(other)
+        if found := violations(other, start):
+            return Prepared(f"the task cannot begin here: {found[0].text()}")
+        return Prepared("", task_document(other.task), other, task_bytes(number, loaded, other))
+    except RigError as error:
+        return Prepared("; ".join(error.problems)[:_LONGEST])
+    except (ValueError, ArithmeticError, zlib.error) as error:
+        return Prepared(f"{error}"[:_LONGEST])
+
+
+def _write(path: Path, data: bytes) -> None:
+    """In place of the one before; whoever opens it sees the old file or the new."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    with os.fdopen(fd, "wb") as file:
+        file.write(data)
+    os.replace(temporary, path)

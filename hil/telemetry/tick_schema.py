@@ -1,0 +1,155 @@
+"""The protobuf schema of a rig's ticks, for viewers: a message per tick, in it a field for every axis, by its name.
+
+The message type hil.telemetry.Tick is made from the rig, so that any MCAP viewer shows `tick.x.position` without being
+told what x is. What makes such messages small is that no value is finer than means something: each is rounded to a
+multiple of a power of two (its step), which leaves most of its bits zero. To the last bit, every value follows from
+what went into the cycle (cycle_codec.py), by running the cycle again.
+"""
+
+import json
+from enum import IntEnum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import Message
+
+from drivers.protocols.base import DriveStatus
+from hil.cycle.fault_table import Fault
+from hil.cycle.record import MOTION_FIELDS
+from hil.cycle.state_machine import State
+
+PACKAGE: Final = "hil.telemetry"
+TICK: Final = f"{PACKAGE}.Tick"
+NO_TASK_NS: Final = -1
+LATENESS_STEP: Final = 2.0**-20  # s, about a microsecond
+_FIRST_AXIS = 16  # field number
+_FieldType = descriptor_pb2.FieldDescriptorProto
+
+
+class Scale(NamedTuple):
+    """Unit and step of one axis' quantity."""
+
+    unit: str
+    step: float
+
+
+# Of the message, before the axes: name, number, type, unit and meaning.
+TICK_FIELDS: Final = (
+    ("tick", 1, "int64", "", "index of the control cycle's slot; more than 1 further: slots were skipped"),
+    ("sequence", 2, "uint64", "", "0, 1, 2, ... of this control process; more than 1 further: messages were lost"),
+    ("state", 3, "State", "", "of the state machine, after the tick"),
+    ("fault", 4, "Fault", "", "that latched; NONE: none"),
+    ("faults_active", 5, "Fault*", "", "those that fired in this tick"),
+    ("task_start_ns", 6, "sfixed64", "ns", "when the task's clock was zero, monotonic; -1: no task runs"),
+    ("lateness", 7, "double", "s", "when the tick woke, after it was due"),
+)
+# Of each axis, after the motion fields.
+_AXIS_FIELDS: Final = (("age_ticks", 11, "uint32"), ("drive_status", 12, "uint32"))
+_VELOCITIES = ("velocity_estimate", "setpoint_velocity")
+_FORCES = ("force", "force_requested", "disturbance_estimate")
+_TYPES = {name: getattr(_FieldType, f"TYPE_{name.upper()}") for name in ("int64", "uint64", "uint32", "double")}
+_TYPES["sfixed64"] = _FieldType.TYPE_SFIXED64
+
+
+def scales(rig: dict[str, Any]) -> dict[str, dict[str, Scale]]:
+    """Unit and step of every motion field, by axis and name. rig: a validated rig as JSON has it.
+
+    Steps: an eighth of a count, a 64th of a count per period, a 65536th of the force limit, or the power of two below.
+    """
+    found = {}
+    for name, axis in rig["axes"].items():
+        linear = axis.get("kind", "linear") == "linear"
+        count = float(axis["encoder_resolution"])
+        position = Scale("m" if linear else "rad", _power_of_two(count / 8))
+        velocity = Scale(f"{position.unit}/s", _power_of_two(count * float(rig["rate_hz"]) / 64))
+        force = Scale("N" if linear else "N m", _power_of_two(float(axis["limits"]["force"]) / 2**16))
+        found[name] = {
+            field: velocity if field in _VELOCITIES else force if field in _FORCES else position
+            for field in MOTION_FIELDS
+        }
+    return found
+
+
+def _power_of_two(value: float) -> float:
+    """The largest power of two that is not above a positive value."""
+    return float(2.0 ** np.floor(np.log2(value)))
+
+
+def field_of_axis(axis: str) -> str:
+    """The axis' field: its name, unless the message has a field of that name already."""
+    return f"axis_{axis}" if axis in {name for name, *_ in TICK_FIELDS} else axis
+
+
+class TickSchema:
+    """The type of a rig's Tick messages. rig: a validated rig as JSON has it, as in a recording's or ring's metadata.
+
+    files: the serialised FileDescriptorSet that a foreign reader needs. units: {"x.position": {"unit", "step"}, ...}.
+    """
+
+    def __init__(self, rig: dict[str, Any]) -> None:
+        self.axes = list(rig["axes"])
+        self.scales = scales(rig)
+        file = _file(self.axes)
+        self.files = descriptor_pb2.FileDescriptorSet(file=[file])
+        pool = descriptor_pool.DescriptorPool()
+        pool.Add(file)
+        self.message: type[Message] = message_factory.GetMessageClass(pool.FindMessageTypeByName(TICK))
+        self.units = {name: unit for name, _, _, unit, _ in TICK_FIELDS if unit} | {
+            f"{field_of_axis(axis)}.{name}": scale.unit
+            for axis, row in self.scales.items()
+            for name, scale in row.items()
+        }
+        self.steps = {"lateness": LATENESS_STEP} | {
+            f"{field_of_axis(axis)}.{name}": scale.step
+            for axis, row in self.scales.items()
+            for name, scale in row.items()
+        }
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """For the channel: units, steps, and the bits of drive_status, each as JSON."""
+        bits = {(flag.name or "").lower(): int(flag) for flag in DriveStatus}
+        return {"units": json.dumps(self.units), "steps": json.dumps(self.steps), "drive_status": json.dumps(bits)}
+
+
+def _file(axes: list[str]) -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(name="tick.proto", package=PACKAGE, syntax="proto3")
+    _add_enum(file, State)
+    _add_enum(file, Fault)
+    axis = file.message_type.add(name="Axis")
+    for number, name in enumerate(MOTION_FIELDS, 1):
+        _add_field(axis, name, number, "double")
+    for name, number, kind in _AXIS_FIELDS:
+        _add_field(axis, name, number, kind)
+    tick = file.message_type.add(name="Tick")
+    for name, number, kind, _, _ in TICK_FIELDS:
+        _add_field(tick, name, number, kind)
+    for number, name in enumerate(axes, _FIRST_AXIS):
+        tick.field.add(
+            name=field_of_axis(name),
+            number=number,
+            label=_FieldType.LABEL_OPTIONAL,
+            type=_FieldType.TYPE_MESSAGE,
+            type_name=f".{PACKAGE}.Axis",
+        )
+    return file
+
+
+def _add_enum(file: descriptor_pb2.FileDescriptorProto, kind: type[IntEnum]) -> None:
+    """An enum with its members' own names, in a message, as names are else one set for the whole package."""
+    holder = file.message_type.add(name=f"{kind.__name__}s")
+    enum = holder.enum_type.add(name=kind.__name__)
+    for member in kind:
+        enum.value.add(name=member.name, number=member.value)
+
+
+def _add_field(message: descriptor_pb2.DescriptorProto, name: str, number: int, kind: str) -> None:
+    label = _FieldType.LABEL_REPEATED if kind.endswith("*") else _FieldType.LABEL_OPTIONAL
+    kind = kind.rstrip("*")
+    field = message.field.add(name=name, number=number, label=label)
+    if kind in _TYPES:
+        field.type = _TYPES[kind]
+    else:
+        field.type = _FieldType.TYPE_ENUM
+        field.type_name = f".{PACKAGE}.{kind}s.{kind}"

@@ -1,0 +1,103 @@
+"""The force learnt over repeats, around a disturbance that is what is missing, and late as an observer says it."""
+
+import numpy as np
+import pytest
+
+from hil.control.laws import make_axis_laws, make_law
+from hil.control.laws.repeat_memory import LAG, WARM_REPEATS, RepeatMemory
+from hil.rig.schema import LawConfig
+from tests.control.test_laws import LIMIT, PERIOD, model
+
+COUNT = 100  # ticks of a repeat
+REPEAT_NS = COUNT * 1_000_000
+
+
+def memory() -> RepeatMemory:
+    return RepeatMemory(REPEAT_NS, 0, 1e-3, 5.0)
+
+
+def play(learnt: RepeatMemory, wanted: list[float], repeats: int, first: int = 0, lag: int = 2 + LAG) -> list[float]:
+    """RMS of what is missing in each repeat; the observer says it `lag` ticks late."""
+    missing, found = [0.0] * lag, []
+    for repeat in range(first, first + repeats):
+        total = 0.0
+        for slot in range(COUNT):
+            tick = repeat * COUNT + slot
+            learnt.note(tick, missing[-lag], missing[-lag] * 1e-6, 1.0)
+            missing.append(wanted[slot] - learnt.force(tick))
+            total += missing[-1] ** 2
+        found.append((total / COUNT) ** 0.5)
+    return found
+
+
+def wave(size: float) -> list[float]:
+    return (size * np.sin(2.0 * np.pi * np.arange(COUNT) / COUNT)).tolist()
+
+
+def test_what_comes_back_every_repeat_goes_away_and_the_first_repeats_are_left_alone() -> None:
+    found = play(memory(), wave(1.0), 12)
+    assert found[:WARM_REPEATS] == [pytest.approx(0.7071, abs=1e-3)] * WARM_REPEATS
+    assert found[3] < 0.5 * found[0]
+    assert max(found[8:]) < 0.02 * found[0]
+
+
+def test_a_changed_stage_is_learnt_anew() -> None:
+    learnt = memory()
+    play(learnt, wave(1.0), 12)
+    found = play(learnt, wave(-1.0), 12, first=12)
+    assert found[0] > 1.0
+    assert found[-1] < 0.05
+
+
+def test_learning_that_harms_is_undone_within_three_repeats() -> None:
+    """An observer that says the opposite of what is missing."""
+    learnt, worse, at = memory(), [], 0.0
+    missing = [0.0] * 8
+    for tick in range(40 * COUNT):
+        learnt.note(tick, -missing[-4], missing[-4], 1.0)
+        missing.append(wave(1.0)[tick % COUNT] - learnt.force(tick))
+        at += missing[-1] ** 2
+        if tick % COUNT == COUNT - 1:
+            worse.append((at / COUNT) ** 0.5 > 1.1 * 0.7071)
+            at = 0.0
+    longest = max(len(run) for run in "".join("x" if bad else " " for bad in worse).split(" "))
+    assert 0 < longest <= 3
+
+
+def test_a_spoilt_sample_teaches_nothing() -> None:
+    learnt = memory()
+    for tick in range((WARM_REPEATS + 3) * COUNT):
+        learnt.note(tick, 1.0, 1e-6, 0.0)
+        assert learnt.force(tick) == 0.0
+
+
+def test_the_length_of_a_repeat_is_checked() -> None:
+    def made(ns: int) -> None:
+        make_law(LawConfig(name="presliding-kalman", iterative_learning=True), model(), PERIOD, LIMIT, repeat=(ns, 0))
+
+    made(14_000_000)
+    with pytest.raises(ValueError, match="not a multiple"):
+        made(100_000_500)
+    with pytest.raises(ValueError, match="repeats every 13 ticks; 14 to 100000 can be learnt"):
+        made(13_000_000)
+    with pytest.raises(ValueError, match="repeats every 100001 ticks"):
+        made(100_001_000_000)
+    with pytest.raises(ValueError, match="does not repeat"):
+        make_axis_laws(LawConfig(name="presliding-kalman", iterative_learning=True), model(), PERIOD, LIMIT)
+    wrong = LawConfig(name="presliding-kalman", gains={"learning_rate": 0.5}, iterative_learning=True)
+    with pytest.raises(ValueError, match=r"law\.gains\.learning_rate"):
+        make_law(wrong, model(), PERIOD, LIMIT)
+
+
+def test_floats_and_arrays_learn_the_same_bits() -> None:
+    rng = np.random.default_rng(3)
+    many = RepeatMemory(REPEAT_NS, 0, 1e-3, np.full(2, 0.4))
+    each = [RepeatMemory(REPEAT_NS, 0, 1e-3, 0.4) for _ in range(2)]
+    for tick in range(12 * COUNT):
+        d, e = rng.normal(size=2), rng.normal(size=2) * 1e-6 * (1.0 + (tick > 6 * COUNT))
+        good = np.array([1.0, float(tick % 97 != 0)])
+        many.note(tick, d, e, good)
+        together = many.force(tick)
+        for i, one in enumerate(each):
+            one.note(tick, float(d[i]), float(e[i]), float(good[i]))
+            assert one.force(tick) == together[i]

@@ -1,0 +1,99 @@
+"""How another task reaches the control process: the same plan, bit for bit, and nothing from damaged bytes."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.cycle.task_loading import loaded_task
+from hil.live.task_file import PIECES, TaskIntake, task_bytes
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from tests.support.paths import RIGS
+
+AXES = "task.axes=['x', 'y']"
+TASKS = {
+    "hold": ["task.kind=hold"],
+    "circle": ["task.kind=circle", AXES, "task.radius=1e-3"],
+    "point_to_point": ["task.kind=point_to_point", "task.axes=['y']", "task.target=[0.01]"],
+    "lissajous": ["task.kind=lissajous", AXES, "task.radius=1e-3"],
+    "waypoints": ["task.kind=waypoints", AXES, "task.waypoints=[[0.0, 0.0], [0.01, 0.02], [0.0, 0.03]]"],
+    "blended": ["task.kind=waypoints", AXES, "task.waypoints=[[0.0, 0.0], [0.01, 0.02]]", "task.blend=1e-3",
+                "task.repeat=true"],
+    "spline": ["task.kind=spline", "task.axes=['y']", "task.waypoints=[[0.0], [0.02], [0.01]]"],
+    "raster": ["task.kind=raster", AXES, "task.corner=[0.0, 0.0]", "task.size=[5e-3, 1e-3]"],
+    "spiral": ["task.kind=spiral", AXES, "task.radius=1e-3", "task.repeat=true"],
+}  # fmt: skip
+
+
+def rig_with(name: str) -> RigConfig:
+    if name == "injection":
+        return load_rig(RIGS / "microscope.toml")
+    return load_rig(RIGS / "paper.toml", TASKS[name])
+
+
+def taken_in(path: Path, data: bytes, rig: RigConfig, number: int = 7) -> tuple[TaskIntake, int]:
+    path.write_bytes(data)
+    intake, pieces = TaskIntake(path, number, rig), 0
+    while not intake.done:
+        intake.work()
+        pieces += 1
+    return intake, pieces
+
+
+@pytest.mark.parametrize("name", [*TASKS, "injection"])
+def test_the_plan_that_arrives_is_the_plan_that_was_sent(name: str, tmp_path: Path) -> None:
+    rig = rig_with(name)
+    sent = loaded_task(rig)
+    intake, _ = taken_in(tmp_path / "task", task_bytes(7, sent, rig), rig)
+    assert intake.task is not None
+    assert list(intake.task.start_ranges) == list(sent.start_ranges)
+    start = [0.001 * (axis + 1) for axis in range(len(rig.axes))]
+    there, here = intake.task.plan(start), sent.plan(start)
+    assert (there.duration_ns, there.repeat_ns, there.repeat_from_ns, there.steady_from_ns, there.phase_names) == (
+        here.duration_ns, here.repeat_ns, here.repeat_from_ns, here.steady_from_ns, here.phase_names
+    )  # fmt: skip
+    for time in range(0, 9_000_000_000, 37_000_000):
+        assert there.phase_at(time) == here.phase_at(time)
+        for axis in range(len(rig.axes)):
+            assert there.at(axis, time) == here.at(axis, time)
+
+
+def test_a_long_task_comes_in_small_pieces(tmp_path: Path) -> None:
+    rows = [[0.01 * k, 1e-3 * (k % 2)] for k in range(2000)]
+    rig = load_rig(RIGS / "paper.toml", ["task.kind=path", "task.axes=['x']", f"task.samples={rows}"])
+    intake, pieces = taken_in(tmp_path / "task", task_bytes(7, loaded_task(rig), rig), rig)
+    assert intake.task is not None
+    assert pieces == 2 + 2000 // PIECES  # header, 1999 segments and the rest at the end, and the checksum
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_damaged_bytes_are_no_task(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    rig = rig_with("waypoints")
+    good = task_bytes(7, loaded_task(rig), rig)
+    place = data.draw(st.integers(0, len(good) - 1))
+    bad = bytearray(good[: data.draw(st.sampled_from([place, len(good)]))])
+    if len(bad) == len(good):
+        bad[place] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.getbasetemp() / "damaged"
+    assert taken_in(path, bytes(bad), rig)[0].task is None
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=100, deadline=None)
+def test_any_bytes_are_no_task(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / "any"
+    assert taken_in(path, b"HILTASK1" + data, rig_with("hold"))[0].task is None
+
+
+def test_the_task_of_another_number_or_rig_is_not_taken(tmp_path: Path) -> None:
+    rig = rig_with("hold")
+    data = task_bytes(7, loaded_task(rig), rig)
+    assert taken_in(tmp_path / "task", data, rig, number=8)[0].task is None
+    assert taken_in(tmp_path / "task", data, load_rig(RIGS / "microscope.toml"))[0].task is None
+    missing = TaskIntake(tmp_path / "none", 7, rig)
+    missing.work()
+    assert missing.done
+    assert missing.task is None

@@ -1,0 +1,132 @@
+"""The emulated moteus controller, spoken to by the maker's own Python client."""
+
+import math
+from typing import Any
+
+import pytest
+from moteus import Controller, QueryResolution
+from moteus import moteus as client
+
+from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
+from sim_plant.drives.moteus import Moteus
+from sim_plant.drives.servo import NEVER_NS, ServoDrive
+
+MS = 1_000_000
+STOPPED, FAULT, PREPARING, POSITION, TIMEOUT = 0, 1, 2, 10, 11
+TORQUE = {"position": math.nan, "velocity": 0.0, "kp_scale": 0.0, "kd_scale": 0.0}
+
+
+class Bench:
+    """One controller with id 3, a motor of 2 N m and a default timeout of 100 ms, at -0.5 turns."""
+
+    def __init__(self, **more: int) -> None:
+        self.servo = ServoDrive(0, 2.0, 1e-7, 100 * MS, False, 0)
+        self.drive = Moteus(3, self.servo, lambda: -0.5, 0, **more)
+        resolution = QueryResolution()
+        resolution.velocity = resolution.torque = resolution.temperature = client.mp.INT16
+        self.client = Controller(id=3, transport=object(), query_resolution=resolution)
+        self.now = 0
+
+    def raw(self, data: bytes, can_id: int = EXTENDED | 0x8003, flags: int = FD | BRS) -> list[Frame]:
+        self.now += MS
+        padded = data + b"\x50" * (next(n for n in FD_LENGTHS if n >= len(data)) - len(data))
+        return self.drive.on_frame(Frame(can_id, padded, flags, self.now))
+
+    def send(self, command: Any) -> dict[int, float]:
+        """What it says after a command."""
+        self.raw(command.data)
+        (frame,) = self.raw(self.client.make_query().data)
+        assert frame.can_id == 0x300
+        assert frame.flags == FD | BRS
+        return dict(client.parse_registers(frame.data).response)
+
+    def torque(self, torque: float, **more: float) -> dict[int, float]:
+        return self.send(self.client.make_position(**(TORQUE | {"feedforward_torque": torque} | more), query=True))
+
+    def stop(self) -> dict[int, float]:
+        return self.send(self.client.make_stop(query=True))
+
+
+def test_torque_is_the_feedforward_of_position_mode_without_a_loop() -> None:
+    bench = Bench()
+    told = bench.torque(0.5)
+    assert bench.servo.force == 0.5
+    assert (told[0x00], told[0x0F]) == (POSITION, 0)
+    assert told[0x01] == pytest.approx(-0.5)
+    bench.torque(0.5, kp_scale=1.0)
+    assert bench.servo.force == 0.0  # a loop of its own
+    bench.torque(0.5, kd_scale=1.0)
+    assert bench.servo.force == 0.5  # limited to the scale of kp
+    assert bench.torque(-5.0)[0x0F] == 99
+    assert bench.servo.force == -2.0
+    assert bench.torque(1.0, maximum_torque=0.25)[0x0F] == 102
+    assert bench.servo.force == 0.25
+    bench.torque(0.5)
+    assert bench.stop()[0x00] == STOPPED
+    assert bench.servo.force == 0.0
+
+
+def test_a_frame_that_writes_the_mode_begins_from_defaults() -> None:
+    bench = Bench()
+    bench.torque(0.5)
+    bench.raw(bytes((0x01, 0x00, POSITION)))
+    assert bench.servo.force == 0.0  # no feedforward, and a loop of its own
+    bench.torque(0.5)
+    bench.raw(b"\x0d\x22" + b"\x00\x00\x80\x3e")  # a register alone
+    assert bench.servo.force == 0.25
+
+
+@pytest.mark.parametrize("timeout", [0.01, 0.0, math.nan])
+def test_its_watchdog_is_what_the_command_says(timeout: float) -> None:
+    bench = Bench()
+    bench.torque(0.5, watchdog_timeout=timeout)
+    heard = bench.now - MS
+    due = {0.01: heard + 10 * MS, 0.0: heard + 100 * MS}.get(timeout, heard + NEVER_NS)
+    assert bench.servo.deadline_ns == due
+    bench.stop()
+    assert bench.servo.deadline_ns == NEVER_NS  # stopped, it waits for nobody
+
+
+def test_it_leaves_timeout_and_fault_by_a_stop_alone() -> None:
+    bench = Bench()
+    bench.torque(0.5)
+    bench.servo.trip(bench.now)
+    assert bench.torque(0.5)[0x00] == TIMEOUT
+    assert bench.servo.force == 0.0
+    assert bench.stop()[0x00] == STOPPED
+    bench.torque(0.5)
+    bench.servo.fail()
+    told = bench.torque(0.5)
+    assert (told[0x00], told[0x0F], bench.servo.force) == (FAULT, 33, 0.0)
+    bench.stop()
+    assert bench.torque(0.5)[0x00] == POSITION
+
+
+def test_it_takes_its_time_to_enable() -> None:
+    bench = Bench(enable_delay_ns=2 * MS)
+    assert bench.torque(0.5)[0x00] == PREPARING
+    assert bench.servo.force == 0.0
+    assert bench.torque(0.5)[0x00] == POSITION
+    assert bench.servo.force == 0.5
+
+
+def test_it_hears_its_own_id_alone_and_answers_when_asked() -> None:
+    bench = Bench()
+    data = bench.client.make_position(**TORQUE, feedforward_torque=0.5).data
+    assert bench.raw(data, EXTENDED | 0x8004) == []
+    assert bench.raw(data, 0x003, flags=0) == []  # classic
+    assert bench.servo.force == 0.0
+    assert bench.raw(data, 0x003) == []  # no answer wanted
+    assert bench.servo.force == 0.5
+    (frame,) = bench.raw(b"\x11\x00", EXTENDED | 0xA503)
+    assert frame.can_id == 0x325
+
+
+def test_what_is_damaged_is_lost_and_what_it_has_not_is_refused() -> None:
+    bench = Bench()
+    (frame,) = bench.raw(b"\x11\x00\x0c\xff\x01\x22\x00")  # 255 values that are not there
+    assert client.parse_registers(frame.data).response == {0: STOPPED}
+    (frame,) = bench.raw(b"\x11\xf0\x07\x01\x01\x01\x11\x00")  # an unknown register to read, position to write
+    errors = client.parse_registers(frame.data)
+    assert errors.errors == [(0x3F0, 1), (0x01, 2)]
+    assert errors.response[0] == STOPPED

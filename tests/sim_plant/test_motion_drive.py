@@ -1,0 +1,183 @@
+"""The drive that stands alone: every mode its EDS offers moves its motor, and no other is taken."""
+
+from pathlib import Path
+
+import pytest
+
+from drivers.frame import Frame
+from drivers.protocols.canopen import cia301
+from drivers.protocols.canopen.cia301 import DriveState, NmtCommand
+from sim_plant.drives.motion_drive import CSP, CST, CSV, EMULATED, HM, PP, PV, TQ, MotionDrive
+from sim_plant.drives.motor import Motor
+from sim_plant.drives.object_dictionary import key_of
+from sim_plant.drives.servo import NEVER_NS, ServoDrive
+from tests.support.foreign_drive import MOTION_DRIVE, eds_text
+
+MS = 1_000_000
+NODE = 9
+SPEED, ACCELERATION = 20_000, 200_000  # counts/s, counts/s^2
+
+
+class Line:
+    """One drive, its master, and time."""
+
+    def __init__(self, tmp_path: Path, modes: int = 0x3AD) -> None:
+        facts = MOTION_DRIVE | {(0x6502, 0): MOTION_DRIVE[0x6502, 0]._replace(value=hex(modes))}
+        tmp_path.mkdir(exist_ok=True)
+        (tmp_path / "made.eds").write_text(eds_text(facts))
+        self.servo = ServoDrive(0, 2.0, 1e-3, NEVER_NS, False, 0)
+        self.motor = Motor(1e-3, 1e-3, 1e-3, 0)
+        self.drive = MotionDrive(NODE, self.servo, self.motor, eds=tmp_path / "made.eds")
+        self.now = 0
+        self.pass_time(1)
+        self.nmt(NmtCommand.START)
+
+    def send(self, can_id: int, data: bytes = b"") -> list[Frame]:
+        return self.drive.on_frame(Frame(can_id, data, 0, self.now))
+
+    def pass_time(self, milliseconds: int) -> None:
+        self.now += milliseconds * MS
+        self.drive.advance(self.now)
+
+    def nmt(self, command: NmtCommand) -> None:
+        self.send(0x000, bytes((command, NODE)))
+
+    def write(self, index: int, value: int, size: int, subindex: int = 0) -> int:
+        data = (value % (1 << 8 * size)).to_bytes(4, "little")
+        (answer,) = self.send(0x600 + NODE, cia301.SDO.pack(0x23 | (4 - size) << 2, index, subindex, data))
+        return int.from_bytes(answer.data[4:], "little") if answer.data[0] == 0x80 else 0
+
+    def enable(self, mode: int) -> None:
+        assert self.write(0x6060, mode, 1) == 0
+        assert self.write(0x6081, SPEED, 4) == self.write(0x6083, ACCELERATION, 4) == 0
+        for word in (0x06, 0x07, 0x0F):
+            assert self.write(0x6040, word, 2) == 0
+        assert self.drive.state is DriveState.OPERATION_ENABLED
+
+    @property
+    def word(self) -> int:
+        return int(self.drive.dictionary.get(key_of(0x6041)))
+
+    @property
+    def position(self) -> int:
+        return int(self.drive.dictionary.get(key_of(0x6064)))
+
+    @property
+    def speed(self) -> int:
+        return int(self.drive.dictionary.get(key_of(0x606C)))
+
+
+@pytest.mark.parametrize("mode", range(-1, 12))
+def test_a_mode_is_taken_where_the_eds_offers_it_and_it_is_emulated(mode: int, tmp_path: Path) -> None:
+    line = Line(tmp_path, modes=0x3FF)
+    taken = line.write(0x6060, mode, 1) == 0
+    assert taken == (mode in EMULATED or mode == 0)
+    assert line.drive.dictionary.get(key_of(0x6061)) == (mode if taken else 0)
+    other = Line(tmp_path / "other", modes=0x1)  # profile position alone
+    assert (other.write(0x6060, mode, 1) == 0) == (mode in (0, PP))
+
+
+def test_profile_position_moves_within_its_profile_and_shakes_hands(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(PP)
+    assert line.write(0x607A, 5000, 4) == line.write(0x6040, 0x1F, 2) == 0
+    assert line.word & 0x1400 == 0x1000  # acknowledged, not reached
+    assert line.write(0x6040, 0x0F, 2) == 0
+    assert line.word & 0x1000 == 0
+    fastest = 0
+    start = line.now
+    while not line.word & 0x0400 and line.now < start + 2000 * MS:
+        line.pass_time(1)
+        fastest = max(fastest, line.speed)
+    assert line.position == 5000
+    assert 0.9 * SPEED <= fastest <= SPEED
+    assert (line.now - start) * 1e-9 == pytest.approx(5000 / SPEED + SPEED / ACCELERATION, rel=0.1)
+    assert line.write(0x607A, -1000, 4) == line.write(0x6040, 0x5F, 2) == 0  # relative
+    line.pass_time(1000)
+    assert line.position == 4000
+
+
+def test_profile_velocity_ramps_and_halts(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(PV)
+    assert line.word & 0x1000
+    assert line.write(0x60FF, 10_000, 4) == 0
+    line.pass_time(25)
+    assert line.speed == pytest.approx(5000, rel=0.1)
+    assert line.word & 0x1400 == 0
+    line.pass_time(100)
+    assert line.speed == 10_000
+    assert line.word & 0x0400
+    assert line.write(0x6040, 0x010F, 2) == 0
+    line.pass_time(1)
+    assert line.speed == 0
+
+
+def test_cyclic_positions_are_reached_at_the_next_sync_and_velocities_at_once(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(CSP)
+    for target in (0, 100, 200, 300):
+        assert line.write(0x607A, target, 4) == 0
+        line.send(0x080)
+        line.pass_time(10)
+    assert line.position == 300
+    line.pass_time(100)
+    assert (line.position, line.speed) == (300, 0)  # the master fell silent: it stands
+    assert line.word & 0x1000
+    line.enable(CSV)
+    assert line.write(0x60FF, -1000, 4) == 0
+    assert line.speed == 0
+    line.send(0x080)
+    line.pass_time(100)
+    assert (line.position, line.speed) == (200, -1000)
+    assert line.write(0x6040, 0x06, 2) == 0
+    line.pass_time(1)
+    assert line.speed == pytest.approx(-1000, abs=2)  # switched off, it runs out
+    line.pass_time(20_000)
+    assert line.speed == 0
+
+
+@pytest.mark.parametrize("mode", [TQ, CST])
+def test_torque_accelerates_the_motor_at_once_or_at_sync(mode: int, tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(mode)
+    assert line.write(0x6071, 500, 2) == 0
+    line.pass_time(1)
+    assert (line.servo.force == 1.0) == (mode == TQ)
+    line.send(0x080)
+    line.pass_time(1)
+    assert line.servo.force == 1.0  # half of 2 N m
+    before = line.speed
+    line.pass_time(1)
+    assert line.speed - before == pytest.approx(1000, rel=0.01)  # 1 N m on 1e-3 kg m^2, in counts of 1e-3 rad, in 1 ms
+
+
+def test_homing_calls_its_place_home(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.motor.position = 123.0
+    line.enable(HM)
+    assert line.word & 0x1000 == 0
+    assert line.write(0x607C, 40, 4) == line.write(0x6040, 0x1F, 2) == 0
+    assert line.word & 0x1400 == 0x1400
+    assert line.position == 40
+
+
+def test_power_that_fails_leaves_a_drive_as_it_came(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    line.enable(CST)
+    line.servo.fail()
+    line.pass_time(1)
+    assert line.drive.state is DriveState.FAULT
+    line.drive.reboot()
+    assert [frame.data for frame in line.drive.advance(line.now)] == [b"\0"]
+    assert line.drive.state is DriveState.SWITCH_ON_DISABLED
+    assert line.drive.mode == line.drive.dictionary.number(key_of(0x6060))
+
+
+def test_facts_that_the_file_lacks_are_no_obstacle(tmp_path: Path) -> None:
+    facts = {key: fact for key, fact in MOTION_DRIVE.items() if key[0] not in (0x607A, 0x60FF, 0x6081, 0x6502)}
+    (tmp_path / "bare.eds").write_text(eds_text(facts | {(0x2001, 0): MOTION_DRIVE[0x6081, 0]}))
+    drive = MotionDrive(
+        NODE, ServoDrive(0, 1.0, 1e-3, NEVER_NS, False, 0), Motor(1, 1, 1, 0), eds=tmp_path / "bare.eds"
+    )
+    assert [mode for mode in EMULATED if drive.emulates(mode)] == [CST]

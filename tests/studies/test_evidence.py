@@ -1,0 +1,103 @@
+"""Evidence over drawn stages: the draws, the figures, and a short slice of what `presliding-kalman` holds."""
+
+import numpy as np
+import pytest
+
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.studies.evidence.stages import FRICTION, PRESLIDING, columns, nominal, only, stage_of
+from hil.studies.evidence.trials import LONG, MOVE, PLAN, STEP_S, TRIALS, Job, Trial, _at_rest, jobs, run, trajectory_of
+from tests.support.paths import RIGS
+
+MILLISECOND = 1_000_000  # ns
+
+
+def rig(law: str = "presliding-kalman") -> RigConfig:
+    return load_rig(RIGS / "microscope.toml", [f"law.name={law}"])
+
+
+def job(trial: Trial, *, axes: tuple[str, ...] = ("x",), law: str = "presliding-kalman", mode_hz: float = 0.0) -> Job:
+    return Job(rig(law).model_dump_json(), axes, 7, 2, trial, mode_hz)
+
+
+def test_a_stage_follows_from_seed_and_number_alone_and_keeps_to_the_distributions() -> None:
+    one = rig()
+    again = stage_of(one, 3, 5, 150.0)
+    drawn = [stage_of(one, 3, number, 150.0) for number in range(40)]
+    assert np.array_equal(drawn[5].mass, again.mass)
+    assert not np.array_equal(drawn[5].mass, stage_of(one, 4, 5, 150.0).mass)
+    presliding = np.array([truth.presliding for truth in drawn])
+    assert PRESLIDING[0] <= presliding.min() < 1e-6
+    assert 1e-5 < presliding.max() <= PRESLIDING[1]
+    friction = np.array([truth.coulomb for truth in drawn]) / [axis.model.coulomb for axis in one.axes.values()]
+    assert FRICTION[0] <= friction.min() < 0.8
+    assert 1.2 < friction.max() <= FRICTION[1]
+    assert (columns(again, [2]).cogging["phase"] == again.cogging["phase"][2]).all()
+
+
+@pytest.mark.parametrize("trial", TRIALS, ids=lambda trial: trial.name)
+def test_references_begin_at_rest_and_stay_continuous_within_the_limits(trial: Trial) -> None:
+    one = rig()
+    path = trajectory_of(one, trial)
+    times = np.arange(0, round(trial.seconds * 1000)) * MILLISECOND
+    for i, axis in enumerate(one.axes.values()):
+        q, v, _ = path.sample_axis(i, times)
+        assert q[0] == v[0] == 0.0
+        assert np.abs(np.diff(q)).max() <= max(axis.limits.speed * 1e-3, 1.1e-6)
+        assert axis.limits.position[0] < q.min() <= q.max() < axis.limits.position[1]
+    if path.repeat_ns is not None:
+        begin = path.repeat_from_ns + 123 * MILLISECOND
+        assert path.at(0, begin) == pytest.approx(path.at(0, begin + 3 * path.repeat_ns), abs=1e-15)
+
+
+def test_trials_are_those_that_the_rig_has() -> None:
+    names = {job.trial.name for job in jobs(rig(), ["x"], 2, 1, [0.0, 150.0])}
+    paper = load_rig(RIGS / "paper.toml", [])
+    assert names - {job.trial.name for job in jobs(paper, ["y"], 2, 1, [0.0])} == {PLAN}
+    assert {job.trial.flexible for job in jobs(rig(), ["x"], 2, 1, [150.0])} == {True}
+
+
+def test_figures_at_rest_are_what_the_errors_say() -> None:
+    """Two stages: one without error; one that holds 2 nm off and takes 30 ms to every step and 20 to the bias."""
+    period, seconds = 1e-3, TRIALS[-1].seconds
+    error = np.zeros((round(seconds / period), 2, 1))
+    error[:, 1] = 2e-9
+    for begin in (15.0, 15.0 + STEP_S, 15.0 + 2 * STEP_S, 15.0 + 3 * STEP_S):
+        at = round(begin / period)
+        error[at : at + 30, 1] = 51e-9
+    at = round((15.0 + 4 * STEP_S + 0.5) / period)
+    error[at : at + 20, 1] = 3e-7
+    found = {name: values[:, 0].tolist() for name, values in _at_rest(error, period).items()}
+    assert found == {
+        "hold 10 s, RMS": [0.0, pytest.approx(2e-9)],
+        "1 um step to 50 nm": [0.0, pytest.approx(0.03)],
+        "step of the bias, peak": [0.0, 3e-7],
+        "step of the bias, back to 100 nm": [0.0, pytest.approx(0.02)],
+    }
+
+
+def test_some_of_the_axes_are_tried_with_their_own_gains() -> None:
+    whole = load_rig(RIGS / "microscope.toml", ["law.gains.integral=[0.1, 0.2, 0.3, 0.4]"])
+    some = only(whole, ["y", "z"])
+    assert list(some.axes) == ["y", "z"]
+    assert some.law.gains == {"integral": [0.2, 0.3]}
+    assert some.law.tuned["pd-feedforward"]["kp"] == whole.law.tuned["pd-feedforward"]["kp"][1:3]
+    assert some.estimator.disturbance_noise == [1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("trial", "mode_hz", "peak", "rms"),
+    [(Trial(MOVE, 3.0, 2.0, False), 0.0, 1.0e-6, 120e-9), (Trial(LONG, 3.0, 2.0, True), 150.0, 2.4e-6, 600e-9)],
+    ids=["rigid", "tool on a spring"],
+)
+def test_presliding_kalman_on_drawn_stages(trial: Trial, mode_hz: float, peak: float, rms: float) -> None:
+    found = run(job(trial, mode_hz=mode_hz))
+    assert not found["failed"].any()
+    assert found["peak"].max() < peak
+    assert found["RMS"].max() < rms
+
+
+def test_the_rig_is_told_what_lag_and_mode_are_on_average() -> None:
+    model = nominal(rig(), 150.0).axes["x"].model
+    assert (model.torque_lag, model.mode_load) == (2e-4, 0.3)
+    assert model.mode_frequency_hz == pytest.approx(150.0 * 0.7**0.5)
