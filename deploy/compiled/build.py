@@ -39,7 +39,7 @@ LINKED = ("tests", "deploy", "docs")
 # a new law is compiled with the others.
 FOR_BOTH = """
 hil/control: number setpoints
-hil/control/estimator: motion_filter velocity_blend
+hil/control/estimator: motion_filter
 hil/control/laws: *
 sim_plant/physics: number axis disturbance dynamics encoder membrane structure
 """
@@ -71,14 +71,14 @@ SEAM = ("hil/control/laws/coupled.py", "hil/control/laws/users.py")
 # Imports of FOR_BOTH, and what leads to the copies
 IMPORTS = (
     (
-        r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|estimator\.velocity_blend|laws)\b(?!\.(?:coupled|users)\b|\w)",
+        r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.(?:coupled|users)\b|\w)",
         r"hil.floats.\1",
     ),
     (r"\bsim_plant\.physics\.(number|axis|disturbance|dynamics|encoder|membrane|structure)\b", r"sim_plant.floats.\1"),
 )
 HIDDEN_IMPORT = re.compile(
     r"^from (?:hil(?:\.control(?:\.estimator|\.laws)?)?|sim_plant(?:\.physics)?) import "
-    r".*\b(?:control|motion_filter|velocity_blend|number|setpoints|laws|coupled|physics|axis|dynamics|encoder|structure)\b",
+    r".*\b(?:control|motion_filter|number|setpoints|laws|coupled|physics|axis|dynamics|encoder|structure)\b",
     re.MULTILINE,
 )
 

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.control.estimator.gains import design_gains
-from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.estimator.velocity_blend import VelocityBlend
+from hil.control.estimator.motion_filter import MotionFilter, VelocityBlend
 from hil.control.laws import make_axis_laws
 from hil.control.laws.base import AxisLaws, axis_inputs, axis_model
 from hil.control.nominal_model import rig_model

@@ -34,7 +34,7 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import HostProtocol
-from hil.control.estimator.velocity_blend import expected_acceleration
+from hil.control.estimator.motion_filter import expected_acceleration
 from hil.control.laws.base import AxisLaws
 from hil.cycle.axes import Axes
 from hil.cycle.command_desk import CommandDesk

@@ -5,8 +5,7 @@ import pytest
 
 from hil.control.estimator.filterpy_design import make_filter, steady_gains
 from hil.control.estimator.gains import design_gains, filter_parameters
-from hil.control.estimator.motion_filter import MotionFilter
-from hil.control.estimator.velocity_blend import VelocityBlend
+from hil.control.estimator.motion_filter import MotionFilter, VelocityBlend
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.compare.velocity_cases import Data

@@ -104,7 +104,7 @@ def test_the_velocity_table_ranks_a_model_of_the_error_above_differences(tmp_pat
     assert rows["Kalman, constant acceleration of the error"] < 0.6 * rows["finite difference"]
     assert rows["Kalman, constant velocity of the error"] < 0.6 * rows["Kalman, constant velocity"]
     assert rows["Kalman, structured"] < 0.6 * rows["Kalman, model, input and disturbance"]
-    by_case = {case: {} for case in {row["case"] for row in found}}
+    by_case: dict[str, dict[str, float]] = {case: {} for case in {row["case"] for row in found}}
     for row in found:
         by_case[row["case"]][row["estimator"]] = row["axes"]["x"]["rms_error"]
     assert len(by_case) == 7
