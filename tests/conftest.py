@@ -58,3 +58,12 @@ def lockstep(filterpy_loaded: None) -> Callable[..., "LockstepRun"]:
         return LockstepRun(rig, RIGS, observer=invariants.observe, **keywords)  # type: ignore[arg-type]
 
     return make
+
+
+@pytest.fixture
+def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches are as long as their trials: these look at less than half a second."""
+    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 0.2)
+    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 0.2)
+    monkeypatch.setattr("hil.studies.tune.stage_trials.MOVE_S", 0.03)
+    monkeypatch.setattr("hil.studies.tune.stage_trials.DWELL_S", 0.01)

@@ -41,6 +41,13 @@ def select(condition: Any, then: Number, otherwise: Number) -> Number:
     return chosen
 
 
+def anywhere(condition: Any) -> bool:
+    """Whether the condition holds for any of the axes."""
+    if isinstance(condition, bool):
+        return condition
+    return bool(condition.any())
+
+
 def root(value: Number) -> Number:
     """Square root; NaN below 0."""
     if isinstance(value, float):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.control.estimator.gains import design_gains
-from hil.control.estimator.motion_filter import MotionFilter
+from hil.control.estimator.motion_filter import MotionFilter, VelocityBlend
 from hil.control.laws import make_axis_laws
 from hil.control.laws.base import AxisLaws, axis_inputs, axis_model
 from hil.control.nominal_model import rig_model
@@ -30,6 +30,7 @@ class Axes:
         self.models = [axis_model(model, index) for index in range(n)]
         gains, variance = design_gains(rig)
         self.filters = [MotionFilter(gains[:, i].tolist(), self.models[i].mass) for i in range(n)]
+        self.shown = [VelocityBlend(0.0, rig.period_ns * 1e-9) for _ in range(n)]  # for people
         self.innovation_limit: list[float] = np.sqrt(variance * rig.safety.nis_limit).tolist()  # m
         learning = rig.law.iterative_learning
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if learning else None

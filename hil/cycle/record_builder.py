@@ -127,14 +127,14 @@ class RecordBuilder:
         self._words[5] = _pair(self._flags, sequence)
         self._words[6] = task_ns
 
-    def axis(self, axis: i64, inputs: LawInputs, motion: MotionFilter) -> None:
-        """One axis' motion, its following error with it. axis: 0-based."""
+    def axis(self, axis: i64, inputs: LawInputs, motion: MotionFilter, velocity: float) -> None:
+        """One axis' motion, its following error with it. axis: 0-based. velocity: to be shown, m/s."""
         fields, reference = self._motion, inputs.sample
         position: float = inputs.position
         setpoint: float = reference.position
         fields[axis] = position
         fields[axis + MAX_AXES] = motion.position
-        fields[axis + 2 * MAX_AXES] = motion.velocity
+        fields[axis + 2 * MAX_AXES] = velocity
         fields[axis + 3 * MAX_AXES] = motion.disturbance
         fields[axis + 4 * MAX_AXES] = motion.innovation
         fields[axis + 5 * MAX_AXES] = setpoint

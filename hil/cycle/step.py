@@ -34,6 +34,7 @@ import numpy as np
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import HostProtocol
+from hil.control.estimator.motion_filter import expected_acceleration
 from hil.control.laws.base import AxisLaws
 from hil.cycle.axes import Axes
 from hil.cycle.command_desk import CommandDesk
@@ -146,15 +147,19 @@ class ControlCycle:
         sampling.take(tick.now_ns, self._sent_now_ns, self.monitor)
         found = not sampling.tracked and all(self.inbox.heard)
         clocks, filters, measured, shares = sampling.clocks, self.filters, [], sampling.shares
+        shown = axes.shown
         for axis, x in enumerate(self.inputs):
             motion, force, interval = filters[axis], axes.net_before[axis], x.sample_interval
             share = shares[axis]
             if share > 0.0:  # the force of the latest tick acted for a part of the interval, at its end
                 motion.correct(force, interval * (1.0 - share), x.position, 0.0)
                 force, interval = axes.net_last[axis], interval * share
-            motion.correct(force, interval, x.position, x.fresh, clocks[axis].stretch)
+            expected, stretch = expected_acceleration(x), clocks[axis].stretch
+            motion.correct(force, interval, x.position, x.fresh, stretch)
+            shown[axis].take(motion, expected, x.sample_interval, x.position, x.fresh, stretch)
             if found:
                 motion.reseed(x.position)
+                shown[axis].reseed(x.position)
             elif not x.fresh and sampling.tracked:
                 x.position = motion.position
             motion.look_ahead(axes.net_last[axis], x.ahead)
@@ -233,7 +238,7 @@ class ControlCycle:
         records.tick(tick, supervisor.machine.state, supervisor.fault, self.monitor.active, sending=bool(sent))
         records.progress(max(self.sent_sequence, 0), self.setpoints.task_ns)
         for axis, x in enumerate(self.inputs):
-            records.axis(axis, x, self.filters[axis])
+            records.axis(axis, x, self.filters[axis], self.axes.shown[axis].velocity)
             records.force(axis, self._requested[axis], gate.force[axis], gate.saturations[axis])
             records.instant(axis, self.sampling.instants[axis])
         records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])

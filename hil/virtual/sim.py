@@ -143,7 +143,7 @@ class Traces:
             return
         self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
         self.error[index] = self.true[index] - setpoint
-        self.velocity_error[index] = [motion.velocity for motion in cycle.filters] - run.true_velocity
+        self.velocity_error[index] = [shown.velocity for shown in cycle.axes.shown] - run.true_velocity
 
 
 def usable(rig: RigConfig, rig_file: Path) -> RigConfig:

@@ -94,7 +94,7 @@ class Dynamics:
         ]
         self._slowness: Number = s.slowness * (s.stribeck > 0.0)
         self._varying: list[Triple] = [(s.variation, s.variation_wavenumber, s.variation_phase)]
-        self._lag_h = -1.0
+        self._lag_h: Number = -1.0
         self._lag_weights: Triple = (motor, motor, motor)
         self._set_rates(motor)
 
@@ -162,10 +162,10 @@ class Dynamics:
             work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))
         return work
 
-    def _prepare_lag(self, h: float) -> Triple:
+    def _prepare_lag(self, h: Number) -> Triple:
         """Of the force still to come, f(0) - command: parts at a step's beginning and end of the straight line with its
         impulse and first moment, so that a free mass gets exactly what the exponential gives it; and what is left."""
-        if h != self._lag_h:
+        if anywhere(h != self._lag_h):
             x = h * self.inverse_lag
             left = decay(0.25 * x)
             left = left * left
@@ -183,7 +183,7 @@ class Dynamics:
         ratio = velocity * self._slowness
         return self.structure.presliding + self.peak / (1.0 + ratio * ratio)
 
-    def bend(self, begin: Triple, arrived: tuple[Number, Number], span: float) -> tuple[Number, Number]:
+    def bend(self, begin: Triple, arrived: tuple[Number, Number], span: Number) -> tuple[Number, Number]:
         """The bristle `span` seconds later, and its limit there; at most one reversal in between.
 
         begin: the bristle, its limit and the velocity at the start. arrived: metres moved, and the velocity then.
@@ -204,7 +204,7 @@ class Dynamics:
         left, mean = decay_with_mean(towards * moved * (0.5 / before + 0.5 / limit))
         return towards * (limit - (limit - before) * mean) + (z - towards * before) * left, limit
 
-    def _bent(self, begin: Triple, arrived: tuple[Number, Number], turn: Number, h: float) -> Number:
+    def _bent(self, begin: Triple, arrived: tuple[Number, Number], turn: Number, h: Number) -> Number:
         """The bristle at the end of a step. turn: how much the acceleration fell in it.
 
         Where the limit changes with the speed, a step in one and in two halves together cancel the error of second
@@ -238,7 +238,7 @@ class Dynamics:
         """Positive once the membrane's state changes (membrane.py)."""
         return self.membrane.transition(at.load_position, at.pierced)
 
-    def load_on_motor(self, at: Motion, time: float, forces: tuple[Number, Number]) -> tuple[Number, Number]:
+    def load_on_motor(self, at: Motion, time: Number, forces: tuple[Number, Number]) -> tuple[Number, Number]:
         """Where friction is set-valued and the motor at rest: what acts on it but friction, and the most friction (N).
 
         In the frame of the floor, whose acceleration acts on the motor as well.
@@ -261,7 +261,9 @@ class Dynamics:
             hold = hold * (1.0 + _sinusoids(self._varying, at.position, still)[1])
         return net, hold
 
-    def _along(self, at: Motion, time: float, forces: tuple[Number, Number], h: float) -> tuple[Triple, Triple, Triple]:
+    def _along(
+        self, at: Motion, time: Number, forces: tuple[Number, Number], h: Number
+    ) -> tuple[Triple, Triple, Triple]:
         """At a step's beginning, middle and end each: what pulls on the motor whatever it does (N), the scale of its
         dry friction, and the floor's acceleration (m/s^2).
         """
@@ -297,7 +299,7 @@ class Dynamics:
         onward = direction(moved)
         return onward + (at.cable - onward) * decay(abs(moved) / self.structure.cable_reach)
 
-    def step(self, at: Motion, time: float, forces: tuple[Number, Number], sign: Number, h: float) -> Motion:
+    def step(self, at: Motion, time: Number, forces: tuple[Number, Number], sign: Number, h: Number) -> Motion:
         """The state h seconds later: one classical Runge-Kutta step. time: s, of its beginning. forces: N, external and
         commanded. sign: of the velocity where friction is set-valued (0.0: held).
         """
@@ -365,7 +367,7 @@ class Dynamics:
         return a, b
 
     def _arrived(
-        self, at: Motion, state: tuple[Number, Number, Number, Number, Number], command: Number, h: float
+        self, at: Motion, state: tuple[Number, Number, Number, Number, Number], command: Number, h: Number
     ) -> Motion:
         """The whole state after a step that ends at (q, q', y, y', z)."""
         q, v, y, u, bristle = state
@@ -375,7 +377,7 @@ class Dynamics:
         played = self._play(at, y, u, h) if self.has_backlash else y
         return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked)
 
-    def _play(self, at: Motion, y: Number, u: Number, h: float) -> Number:
+    def _play(self, at: Motion, y: Number, u: Number, h: Number) -> Number:
         """The load's position behind the backlash: it follows the load at half of it, by way of its turning point."""
         half, played, u0 = 0.5 * self.structure.backlash, at.played, at.load_velocity
         turned = u0 * u < 0.0

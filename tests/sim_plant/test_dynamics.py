@@ -279,3 +279,61 @@ def test_a_braked_axis_with_presliding_stays_and_comes_free_again() -> None:
     stage.clamp(0.0)
     stage.advance(100 * MS, [0.0])
     assert stage.velocities[0] < -0.5
+
+
+class Driven(Reference):
+    """The same axis with forces along the travel and in time as well, as one stiff system with the cable's state."""
+
+    def __init__(self, plant: PlantConfig) -> None:
+        super().__init__(plant)
+        self.y = np.append(self.y, [0.0, 0.0])  # the cable's state, and time
+        self.plant = plant
+
+    def slope(self, force: float, y: np.ndarray) -> list[float]:
+        q, v, z, _, _, _, strained, time = y
+        p, turn = self.plant, 2 * math.pi
+        rate = v - abs(v) * z / self.reach
+        scale = 1 + float(p.friction_variation) * math.sin(turn * q / float(p.friction_period))  # type: ignore[arg-type]
+        friction = scale * (self.s0 * z + self.s1 * rate) + self.viscous * v
+        pull = sum(line.amplitude * math.sin(turn * q / line.period + line.phase) for line in p.cogging)
+        pull -= float(p.cable_stiffness) * q + float(p.cable_hysteresis) * strained  # type: ignore[arg-type]
+        floor = sum(line.acceleration * math.sin(turn * line.frequency_hz * time) for line in p.vibration)
+        bent = (v - abs(v) * strained) / float(p.cable_reach)  # type: ignore[arg-type]
+        return [v, (force + float(p.bias) + pull - friction) / self.m - floor, rate, 0.0, 0.0, 0.0, bent, 1.0]  # type: ignore[arg-type]
+
+    def advance(self, seconds: float, force: float) -> None:
+        atol = [1e-14, 1e-12, 1e-15, 1.0, 1.0, 1.0, 1e-10, 1e-12]
+        system = solve_ivp(lambda _t, y: self.slope(force, y), (0, seconds), self.y, "Radau", rtol=1e-9, atol=atol)
+        self.y = system.y[:, -1]
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"cogging": [{"amplitude": 0.1, "period": 1e-3, "phase": 0.4}, {"amplitude": 0.03, "period": 4e-4}]},
+        {"friction_variation": 0.3, "friction_period": 1e-3},
+        {"cable_stiffness": 500.0, "cable_hysteresis": 0.05, "cable_reach": 2e-4},
+        {"vibration": [{"acceleration": 0.3, "frequency_hz": 40.0}]},
+        {"bias": 0.2},
+    ],
+    ids=lambda effect: next(iter(effect)),
+)
+def test_forces_along_the_travel_and_in_time_agree_with_an_implicit_integrator(effect: dict[str, Any]) -> None:
+    """In motion, through two reversals, to a nanometre or 1e-4 of the travel; and however time is divided."""
+    plant = PlantConfig(**X, presliding=1e-5, **effect)
+    truth = Truth.from_config(plant, 1, ["x"])
+    stage, fine, reference, plain = Stage(truth), Stage(truth), Driven(plant), stage_of(**X, presliding=1e-5)
+    told, travel = 0.0, 0.0
+    for i in range(50):
+        force = 1.4 * math.sin(2 * math.pi * i / 40)
+        stage.advance(MS, [force])
+        plain.advance(MS, [force])
+        for _ in range(4):
+            fine.advance(MS // 4, [force])
+        reference.advance(1e-3, force)
+        told = max(told, abs(stage.positions[0] - plain.positions[0]))
+        travel = max(travel, abs(stage.positions[0]))
+        assert abs(stage.positions[0] - reference.y[0]) < max(1e-9, 1e-4 * travel)
+        assert abs(stage.positions[0] - fine.positions[0]) < max(1e-9, 1e-4 * travel)
+    assert travel > 5e-5
+    assert told > 1e-7  # the effect shows

@@ -8,12 +8,10 @@ from shutil import copy
 import numpy as np
 import pytest
 import tomlkit
-from typer.testing import CliRunner
 
-from hil.cli.app import build_app
 from hil.control.gain import Knob, knobs
 from hil.control.law_registry import LAWS, law_class
-from hil.control.stability import check_stability, refuse_unstable
+from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
@@ -24,7 +22,7 @@ from hil.studies.tune.objective import (
     margins_of,
     trials,
 )
-from hil.studies.tune.search import front, rounded, search, write_gains
+from hil.studies.tune.search import front, rounded_to, search, write_gains
 from hil.studies.tune.search_space import knob_scale, space_of
 from hil.virtual.batch import BatchRun
 from hil.virtual.invariants import Invariants
@@ -33,6 +31,7 @@ from hil.virtual.sim import simulate
 from sim_plant.physics.stage import Truth
 from tests.support.paths import RIGS
 
+SHORT = ["rate_hz=200", "task.kind=point_to_point", "task.target=[0.001, 0.001]", "task.move_s=0.5"]
 ALL = {law: knobs(law_class(LawConfig(name=law)).GAINS, plan=False) for law in LAWS}
 SPACE = {law: found for law, found in ALL.items() if found}  # the laws that declare something to search
 STRUCTURED = LawConfig(name="structured-kalman")
@@ -127,7 +126,7 @@ def test_a_search_lowers_the_cost_and_never_loses_its_start() -> None:
     assert all(one[0] < two[0] and one[1] > two[1] for one, two in pairwise(trade))
     again, _ = search(bench, 8, 3, 1, lambda outcome: None)
     assert np.array_equal(again, best)
-    assert rounded([bench.gains(best[None])] * 2)["kp"][0] == pytest.approx(bench.gains(best[None])["kp"][0], 1e-3)
+    assert rounded_to(4, 12345.6) == 12350.0
 
 
 def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:
@@ -221,70 +220,6 @@ def test_found_gains_are_not_hidden_by_gains_that_were_there_before(tmp_path: Pa
     assert load_rig(target).law.effective_gains() == {"kp": [1.0, 2.0], "kd": [0.5, 0.25], "beta": 50.0}
     write_gains(target, "pid", {"beta": [1.0, 2.0]}, [])
     assert load_rig(target).law.gains == {"beta": 50.0}
-
-
-SHORT = ["rate_hz=200", "task.kind=point_to_point", "task.target=[0.001, 0.001]", "task.move_s=0.5"]
-
-
-def tuned(rig_file: Path, *words: str) -> tuple[int, str]:
-    settings = [word for change in SHORT for word in ("--set", change)]
-    size = ["--population", "5", "--generations", "1"]
-    result = CliRunner().invoke(build_app("tune"), ["tune", str(rig_file), *size, *settings, *words])
-    return result.exit_code, result.output
-
-
-@pytest.fixture
-def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Searches are as long as their trials: these look at less than half a second."""
-    monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 0.2)
-    monkeypatch.setattr("hil.studies.tune.objective.WINDOW_S", 0.2)
-
-
-@pytest.mark.usefixtures("short_trials")
-def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: Path) -> None:
-    """And the rig that it writes loads, says where its gains came from, and is one that `hil run` does not refuse."""
-    target = tmp_path / "rig.toml"
-    copy(PAPER, target)
-    words = ["--law", "pid", "--seed", "3", "--margin", "1", "--phase-margin", "0"]
-    code, output = tuned(target, *words)
-    assert code == 0, output
-    first = load_rig(target).law.tuned["pid"]
-    assert set(first) == set(SPACE["pid"])
-    assert "--law pid --population 5 --generations 1 --seed 3 --margin 1" in target.read_text()
-    assert "--set task.kind=point_to_point" in target.read_text()
-    refuse_unstable(load_rig(target, ["law.name=pid", "rate_hz=200"]))
-    write_gains(target, "pid", {"kp": [1.0, 2.0]}, ["not found by anything"])
-    tuned(target, *words)
-    assert load_rig(target).law.tuned["pid"] == first
-    assert target.read_text().count("[law.tuned.pid]") == 1
-    code, output = tuned(target, *words, "--start", "rig")
-    assert code == 0, output
-    assert "--start rig" in target.read_text()
-
-
-@pytest.mark.usefixtures("short_trials")
-def test_a_search_of_some_knobs_leaves_the_others_alone(tmp_path: Path) -> None:
-    target = tmp_path / "rig.toml"
-    copy(PAPER, target)
-    write_gains(target, "pid", {"kp": [40.0, 20.0], "kd": [1.0, 0.5], "ki": [123.4, 56.78]}, [])
-    code, output = tuned(target, "--law", "pid", "--margin", "1", "--phase-margin", "0", "--only", "kp,kd")
-    assert code == 0, output
-    found = load_rig(target).law.tuned["pid"]
-    assert found["ki"] == [123.4, 56.78]
-    assert found["kp"] != [40.0, 20.0]
-    assert "--only kp,kd" in target.read_text()
-    code, output = tuned(target, "--law", "pid", "--only", "kq")
-    assert code != 0
-
-
-@pytest.mark.usefixtures("short_trials")
-def test_gains_without_the_margins_asked_for_are_not_written(tmp_path: Path) -> None:
-    target = tmp_path / "rig.toml"
-    copy(PAPER, target)
-    code, output = tuned(target, "--law", "pd-feedforward", "--margin", "20", "--phase-margin", "80")
-    assert code != 0
-    assert target.read_text() == PAPER.read_text()
-    assert "kp = [" in output  # shown all the same
 
 
 @pytest.mark.usefixtures("short_trials")

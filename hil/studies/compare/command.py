@@ -61,10 +61,11 @@ def compare(
         console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
     print_plant_notes(console, rig)
     if velocity:
-        from hil.studies.compare.velocity_estimators import compare_velocity, velocity_table
+        from hil.studies.compare.velocity_estimators import compare_velocity, velocity_tables
 
         rows = compare_velocity(usable(rig, rig_file), rig_file.parent, seconds)
-        console.print(velocity_table(rig, rows))
+        for table in velocity_tables(rig, rows):
+            console.print(table)
     else:
         chosen = [name.strip() for name in laws.split(",") if name.strip()] or list(LAWS)
         work = cases(rig_file, chosen, changes, _numbers(rates), corners, disturbed, seconds)

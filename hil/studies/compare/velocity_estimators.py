@@ -1,14 +1,9 @@
 """Velocity estimators on the same quantised positions, against the stage's true velocity (`hil compare --velocity`).
 
-One lockstep run gives the data; every estimator then sees the same samples and forces. Kalman filters are filterpy's,
-run to their steady state; Simon, Optimal State Estimation (2006), chapter 5. The last one is the structured filter of
-hil/control/laws/structured_kalman.py with the rig's gains for it, watching.
-
-An independent study (docs/paper.md) has 112 um/s for model, input and disturbance state. On paper.toml with Delta = 0.3
-ours has 124 / 133: 103 / 102 between reversals, the rest (a third of the squared error) within ten ticks of one, where
-Delta flips by 0.6 N at once and a random walk has to find it again. Stamps are not the cause (121 / 134 on a wire whose
-commands arrive to the nanosecond), nor is the noise assumed (121 / 133 at the best). Without Delta it is 104 / 104.
-What helps is to know that friction flips where the reference does: the structured filter.
+Lockstep runs give the data (velocity_cases.py); every estimator then sees the same samples and forces. Kalman filters
+are filterpy's, run to their steady state; Simon, Optimal State Estimation (2006), chapter 5. "structured" is the filter
+of hil/control/laws/structured_kalman.py with the rig's gains for it, watching; the last two rows are what the cycle
+itself had: its filter, which laws see, and the velocity shown in telemetry (hil/control/estimator).
 """
 
 from collections.abc import Callable
@@ -17,73 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.estimator.gains import filter_parameters
-from hil.control.laws import make_law
-from hil.control.laws.base import Array, Model
-from hil.control.laws.coupled import gather
-from hil.control.laws.structured_kalman import StructuredKalman
-from hil.control.nominal_model import rig_model
-from hil.rig.schema import LawConfig, RigConfig
-from hil.virtual.lockstep import LockstepRun
-from hil.virtual.sim import steady_from
+from hil.control.laws.base import Array
+from hil.rig.schema import RigConfig
+from hil.studies.compare.velocity_cases import Data, cases_of
 
 DERIVATIVE_CORNER_HZ = 400.0  # of 20 to 400 Hz the best on the paper's circle: lag costs more there than noise
 JERKY = 300.0  # m/s^2/sqrt(Hz), white acceleration of the constant-velocity filter on q: it must follow the task
 ERROR_ACCELERATION = 3.0  # likewise on the error, which hardly accelerates
 MODEL_ACCELERATION = 0.3  # m/s^2/sqrt(Hz), of the model without a disturbance state
+ALPHA, BETA = 0.6, 0.26  # of the alpha-beta filters: shares of the innovation
+PLL_HZ, PLL_DAMPING = 80.0, 0.7  # of the tracking loop
 JERK = 300.0  # m/s^3/sqrt(Hz), white jerk of the constant-acceleration filter
-
-
-class Data:
-    """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity, true
-    velocity, net force (applied force less nominal friction) and length (s) of the interval before each sample;
-    velocity as the structured filter has it.
-
-    The length is by the samples' stamps: stuff bits alone move a command by a microsecond, and at 3 m/s that is 3 um.
-    """
-
-    def __init__(self, rig: RigConfig, base_dir: Path, seconds: float) -> None:
-        run = LockstepRun(rig, base_dir)
-        model = rig_model(rig)
-        watcher = _structured_filter(rig)
-        rows: list[Array] = []
-        for _ in range(round(seconds * rig.rate_hz)):
-            run.tick()
-            inputs = gather(run.cycle.inputs)
-            if run.index - 1 <= run.activated_at or run.activated_at < 0:
-                watcher.reset(inputs.position.copy(), model.gravity)
-            if run.activated_at >= 0:
-                watcher.force(inputs)
-            rows.append(
-                np.stack(
-                    [inputs.position, inputs.sample.position, inputs.sample.velocity, run.true_velocity,
-                     inputs.force_before, inputs.sample_interval, inputs.sample.velocity + watcher.error_rate]
-                )
-            )  # fmt: skip
-        first = steady_from(run, len(rows))
-        columns = np.moveaxis(np.array(rows[first:]), 1, 0)
-        self.position, self.setpoint, self.reference, self.truth, force, self.interval, self.structured = columns
-        self.period = rig.period_ns * 1e-9
-        self.net = force - _nominal_friction(model, self.reference) - model.gravity
-        self.model = model
-        self.parameters = filter_parameters(rig)
-
-
-def _structured_filter(rig: RigConfig) -> StructuredKalman:
-    config = LawConfig(name="structured-kalman", tuned=rig.law.tuned)
-    limit = np.array([axis.limits.force for axis in rig.axes.values()])
-    law = make_law(config, rig_model(rig), rig.period_ns * 1e-9, limit)
-    assert isinstance(law, StructuredKalman)
-    return law
-
-
-def _nominal_friction(model: Model, velocity: Array) -> Array:
-    before = np.vstack([velocity[:1], velocity[:-1]])
-    total = np.abs(before) + np.abs(velocity)
-    sign = (before + velocity) / np.maximum(total, 1e-300)
-    mean = 0.5 * (before + velocity)
-    friction: Array = model.coulomb * sign + model.viscous * mean + model.quadratic * mean * np.abs(mean)
-    return friction
 
 
 def finite_difference(data: Data, axis: int) -> Array:
@@ -218,39 +157,97 @@ def structured(data: Data, axis: int) -> Array:
     return velocity
 
 
+def _alpha_beta(measured: Array, interval: Array, gains: tuple[float, float], rate: float) -> Array:
+    """Velocity by the alpha-beta filter (Kalata, IEEE TAES 20(2), 1984), from the first sample and `rate` m/s on."""
+    alpha, beta = gains
+    position, out = float(measured[0]), np.empty(len(measured))
+    for k, (z, t) in enumerate(zip(measured.tolist(), interval.tolist(), strict=True)):
+        ahead = position + rate * t if k else position
+        position = ahead + alpha * (z - ahead)
+        rate = rate + beta * (z - ahead) / t
+        out[k] = rate
+    return out
+
+
+def alpha_beta(data: Data, axis: int) -> Array:
+    """On the position."""
+    start = float(data.reference[0, axis])
+    return _alpha_beta(data.position[:, axis], data.interval[:, axis], (ALPHA, BETA), start)
+
+
+def alpha_beta_error(data: Data, axis: int) -> Array:
+    """On the error; the reference's own velocity is known."""
+    error = data.position[:, axis] - data.setpoint[:, axis]
+    velocity: Array = _alpha_beta(error, data.interval[:, axis], (ALPHA, BETA), 0.0) + data.reference[:, axis]
+    return velocity
+
+
+def tracking_loop(data: Data, axis: int) -> Array:
+    """A phase-locked loop, as resolver converters have it: two integrators that follow the position."""
+    step = 2.0 * np.pi * PLL_HZ * data.period
+    gains = 2.0 * PLL_DAMPING * step, step * step
+    return _alpha_beta(data.position[:, axis], data.interval[:, axis], gains, float(data.reference[0, axis]))
+
+
+def for_laws(data: Data, axis: int) -> Array:
+    """The cycle's own filter."""
+    velocity: Array = data.for_laws[:, axis]
+    return velocity
+
+
+def shown(data: Data, axis: int) -> Array:
+    """What telemetry shows."""
+    velocity: Array = data.shown[:, axis]
+    return velocity
+
+
 ESTIMATORS: dict[str, Callable[[Data, int], Array]] = {
     "finite difference": finite_difference,
     "filtered derivative": filtered_derivative,
+    "alpha-beta": alpha_beta,
+    "alpha-beta of the error": alpha_beta_error,
+    "phase-locked loop": tracking_loop,
     "Kalman, constant velocity": constant_velocity,
     "Kalman, constant velocity of the error": constant_velocity_error,
     "Kalman, constant acceleration of the error": constant_acceleration,
     "Kalman, model and input": model_input,
     "Kalman, model, input and disturbance": model_input_disturbance,
     "Kalman, structured": structured,
+    "the rig's own, for laws": for_laws,
+    "the rig's own, shown": shown,
 }
 
 
 def compare_velocity(rig: RigConfig, base_dir: Path, seconds: float) -> list[dict[str, Any]]:
-    """Rows {estimator, axes.<name>.rms_error} over the second half of the steady window, m/s."""
-    data = Data(rig, base_dir, seconds)
-    half = len(data.truth) // 2
+    """Rows {case, state, estimator, axes.<name>.rms_error} over the second half of the steady window, m/s; state: in
+    which the run ended.
+    """
     rows = []
-    for name, estimator in ESTIMATORS.items():
-        axes = {}
-        for axis, axis_name in enumerate(rig.axis_names):
-            error = (estimator(data, axis) - data.truth[:, axis])[half:]
-            axes[axis_name] = {"rms_error": float(np.sqrt(np.mean(error**2)))}
-        rows.append({"estimator": name, "axes": axes})
+    for case, changed in cases_of(rig).items():
+        data = Data(changed, base_dir, seconds)
+        half = len(data.truth) // 2
+        for name, estimator in ESTIMATORS.items():
+            axes = {}
+            for axis, axis_name in enumerate(rig.axis_names):
+                error = (estimator(data, axis) - data.truth[:, axis])[half:]
+                axes[axis_name] = {"rms_error": float(np.sqrt(np.mean(error**2)))}
+            rows.append({"case": case, "state": data.state, "estimator": name, "axes": axes})
     return rows
 
 
-def velocity_table(rig: RigConfig, rows: list[dict[str, Any]]) -> Any:
-    """RMS errors in um/s (urad/s)."""
+def velocity_tables(rig: RigConfig, rows: list[dict[str, Any]]) -> list[Any]:
+    """One table an axis: RMS errors in um/s (urad/s), a column a case."""
     from rich.table import Table
 
-    table = Table("estimator", title=f"{rig.name}, {rig.law.name}: error of the velocity at the sample, RMS")
+    states = {row["case"]: row["state"] for row in rows}
+    tables = []
     for name, axis in rig.axes.items():
-        table.add_column(f"{name}, {'µm/s' if axis.kind == 'linear' else 'µrad/s'}", justify="right")
-    for row in rows:
-        table.add_row(row["estimator"], *(f"{row['axes'][name]['rms_error'] * 1e6:.4g}" for name in rig.axes))
-    return table
+        unit = "µm/s" if axis.kind == "linear" else "µrad/s"
+        table = Table("estimator", title=f"{rig.name} {name}, {rig.law.name}: RMS error of the velocity, {unit}")
+        for case, state in states.items():
+            table.add_column(case if state == "ACTIVE" else f"{case} ({state})", justify="right")
+        for estimator in ESTIMATORS:
+            errors = [row["axes"][name]["rms_error"] for row in rows if row["estimator"] == estimator]
+            table.add_row(estimator, *(f"{error * 1e6:.3g}" for error in errors))
+        tables.append(table)
+    return tables

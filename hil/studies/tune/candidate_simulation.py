@@ -6,7 +6,8 @@ worked out once and serve every generation of a search.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from hil.control.trajectories.base import Times
 from hil.cycle.limits import force_limits
 from hil.rig.schema import LawConfig, RigConfig
 from hil.virtual.batch import Bounds
+from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Truth
 from sim_plant.user_stage import stage_of
 
@@ -36,7 +38,8 @@ class Trial(NamedTuple):
     task: overrides of the rig's own. mass, friction: scales of the plant's; error: on top of its friction, as a part of
     the force limit.
     jitter: s, delay of a command, uniform in [0, 2 jitter]. loss: part of commands that never arrive. good: error in
-    encoder counts, the largest one met or, with `rms`, its RMS.
+    encoder counts, the largest one met or, with `rms`, its RMS. plant: overrides of [plant]. step: N, a constant force
+    that begins in the middle of what is judged. brief: judged over the window of its own task alone.
     """
 
     name: str
@@ -48,6 +51,9 @@ class Trial(NamedTuple):
     jitter: float = 0.0
     loss: float = 0.0
     rms: bool = False
+    plant: Mapping[str, Any] = MappingProxyType({})
+    step: float = 0.0
+    brief: bool = False
 
 
 class Figures(NamedTuple):
@@ -85,6 +91,12 @@ def _first_alike(values: Array) -> Any:
     """For each of (n,) values, where the first one equal to it is."""
     _, first, alike = np.unique(values, return_index=True, return_inverse=True)
     return first[alike]
+
+
+def validated_plant(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of [plant]'s keys, of the types that a rig file would give them."""
+    plant = PlantConfig.model_validate(dict(changes))
+    return {name: getattr(plant, name) for name in changes}
 
 
 class _Table:
@@ -133,10 +145,15 @@ class CandidateSimulation:
         origin = np.rint(initial / self._resolution) * self._nominal_resolution
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
         paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns) for task in tasks]
-        self._window = (
-            np.array([path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]),
-            np.array([(path.duration_ns or 0) // rig.period_ns + 1 if last is None else last for path in paths]),
-        )
+        begins = [path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]
+        once = [(path.repeat_ns or 0) // rig.period_ns for path in paths]  # of a task that has no end
+        ends = [
+            last or (path.duration_ns // rig.period_ns + 1 if path.duration_ns else begin + ticks)
+            for path, begin, ticks in zip(paths, begins, once, strict=True)
+        ]
+        self._window = np.array(begins), np.array(ends)
+        self.steps = np.array([trial.step for trial in trials])  # N
+        self.steps_at = np.where(self.steps != 0.0, (self._window[0] + self._window[1]) // 2, -1)  # ticks
         self._ticks = ticks = int(self._window[1].max())
         self.schedule = schedule = Schedule(trials, ticks, rig.period_ns, seed)
         # Instants of the samples, and the regular grid on which forces are expected to begin, from one tick before the
@@ -152,6 +169,7 @@ class CandidateSimulation:
             "mass_scale": plant.mass_scale * trial.mass,
             "friction_scale": plant.friction_scale * trial.friction,
             "modelling_error": np.add(plant.modelling_error, trial.error * self.limit[0]).tolist(),
+            **validated_plant(trial.plant),
         }
         whole = Truth.from_config(plant.model_copy(update=change), len(self._rig.axes), self._rig.axis_names)
         return Truth(**{name: getattr(whole, name)[pick] for name in Truth.__dataclass_fields__})
@@ -168,8 +186,10 @@ class CandidateSimulation:
         return instants
 
     def run(self, law: LawConfig, gains: Mapping[str, Array], fixed: Mapping[str, Any] | None = None) -> Figures:
-        """gains: (candidates,) each; fixed: words, and what all candidates share. Figures (candidates, trials)."""
-        candidates = next(iter(gains.values())).size
+        """gains: (candidates,) each, none: one candidate with the law's defaults; fixed: words, and what all candidates
+        share. Figures (candidates, trials).
+        """
+        candidates = next(iter(gains.values())).size if gains else 1
         shape = (candidates, len(self._truths), 1)
         columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
         each = law_on_arrays(law)(self.model, self._period, self.limit, **columns, **(fixed or {}))
@@ -187,12 +207,17 @@ class _Plants:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
             self._stages.append(stage_of(of._rig.plant, truth, np.full(truth.shape, of._initial)))
         self._arrival = of.schedule.arrival
+        self._steps, self._steps_at = of.steps, of.steps_at
         self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true
         self.shown: Array = self.position.copy()  # by the encoders
 
     def advance(self, tick: int, force: Array) -> None:
         """From the arrival of command tick - 1 to that of command tick, under `force` (N)."""
         for group, stage in zip(self._groups, self._stages, strict=True):
+            begun = self._steps_at[group] == tick
+            if begun.any():
+                step = np.where(begun, self._steps[group], 0.0)[:, None]
+                stage.change(replace(stage.truth, bias=stage.truth.bias + step))
             duration = int(self._arrival[tick, group[0]] - self._arrival[tick - 1, group[0]])
             stage.advance(duration, force[:, group])
             self.position[:, group], self.shown[:, group] = stage.position, stage.read()

@@ -6,6 +6,7 @@ batch through the cycle's own arithmetic. The margins are those of `hil check`.
 
 import math
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,19 +17,37 @@ from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
 from hil.control.stability import AxisStability, check_stability
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
-from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
+from hil.studies.tune.candidate_simulation import CandidateSimulation, Figures, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
+from hil.studies.tune.stage_trials import FRICTION, MASS, StageTrials
 
 CORNERS = ((1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3))  # scales of mass and friction
 SETTLE_S = 4.0
 WINDOW_S = 4.0
 PLAN_DWELL_S = 0.3  # of the injection plan's dwells, where they need not be as long as they are
 PLAN_COUNTS, FAR_COUNTS = 4.0, 30.0  # RMS over the plan, encoder counts: near the rig's own plant, and in its corners
+UNSEEN_SEED = 20_000  # of the plants found gains are judged on: no option, so that nobody searches for a lucky one
 SMALLER = 0.05  # from one repeat of the figures to the next
 QUIET = 0.03  # of the force limit: RMS change of force from tick to tick that costs nothing
 PER_DB = 3.0  # cost of a decibel of gain margin too few: what an error e times as large in every trial costs
 ANSWER = 1000  # ticks of the loops' answers: what a candidate is worth; the gains found are checked as by `hil check`
 DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: each as dear as the other
+
+
+class Kind(StrEnum):
+    """On what candidates are tried: the rig's task and its like alone; forces, cogging, a Stribeck peak and small moves
+    as well; or friction by distance, lag and mode, too.
+    """
+
+    TASK = "task"
+    IDEAL = "ideal"
+    STAGE = "stage"
+
+
+def kind_for(rig: RigConfig) -> Kind:
+    """What the rig says its stage is like."""
+    real = any(StageTrials(rig, axis).is_real for axis in range(len(rig.axes)))
+    return Kind.STAGE if real else Kind.IDEAL
 
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
@@ -45,6 +64,28 @@ def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
     if task.kind == "injection" and task.injection is not None:
         return _plan_trials(task.injection)
     return [Trial("own task", {}, 4.0)]
+
+
+def trials_of(rig: RigConfig, axis: int, kind: Kind, repeats: int = 1) -> list[Trial]:
+    """What one axis' candidates are searched on. Raises RigError as `trials`."""
+    found, stage = trials(rig, repeats), StageTrials(rig, axis)
+    found += stage.ideal() if kind is not Kind.TASK else []
+    return found + (stage.real() if kind is Kind.STAGE else [])
+
+
+def unseen_trials(rig: RigConfig, axis: int, kind: Kind, count: int) -> list[Trial]:
+    """As many plants as `count`, none of which is among `trials_of`: the rig's own task, and moves, on plants drawn
+    from a seed of their own.
+    """
+    if kind is not Kind.TASK:
+        return StageTrials(rig, axis).unseen(count, UNSEEN_SEED, real=kind is Kind.STAGE)
+    random, known = np.random.default_rng([UNSEEN_SEED, axis]), trials(rig)
+    return [
+        known[index % len(known)]._replace(
+            name=f"unseen {index}", mass=float(random.uniform(*MASS)), friction=float(random.uniform(*FRICTION))
+        )
+        for index in range(count)
+    ]
 
 
 def _figure_trials(rig: RigConfig, whole: float) -> list[Trial]:
@@ -131,11 +172,13 @@ def margins_of(axis: AxisStability) -> Margins:
 
 class Outcome(NamedTuple):
     """Per candidate: error in the trial that did worst by its own measure (m), and as a multiple of what is good there;
-    chatter (N); gain margin (dB, NO_MARGINS' where unstable) and phase margin (degrees); cost.
+    the median of those multiples; chatter (N); gain margin (dB, NO_MARGINS' where unstable) and phase margin (degrees);
+    cost.
     """
 
     error: Array
     ratio: Array
+    median: Array
     chatter: Array
     gain_db: Array
     phase_deg: Array
@@ -165,13 +208,19 @@ class Bench:
         first = last = None
         if rig.task.kind != "injection":
             first, last = (round(seconds * rig.rate_hz) for seconds in (SETTLE_S, SETTLE_S + WINDOW_S))
+        # Trials of the rig's task together, and those of the stage, which are much shorter.
+        self.trials.sort(key=lambda trial: trial.brief)
         self._law = law_of(rig, law)
         ahead = law_class(self._law).preview
-        self._simulation = CandidateSimulation(rig, axis, self.trials, first, last, 1, preview=ahead)
+        self._simulations = []
+        for brief, window in ((False, (first, last)), (True, (None, None))):
+            if together := [trial for trial in self.trials if trial.brief is brief]:
+                self._simulations.append(CandidateSimulation(rig, axis, together, *window, 1, preview=ahead))
+        model, self._limit = self._simulations[0].model, self._simulations[0].limit
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [
-            float(knob_scale(knob, self._simulation.model, rig.period_ns * 1e-9, self._simulation.limit, resolution)[0])
+            float(knob_scale(knob, model, rig.period_ns * 1e-9, self._limit, resolution)[0])
             for knob in self.space.values()
         ]
         defaults: dict[str, Any] = {key: gain.default for key, gain in declared(law_class(self._law).GAINS).items()}
@@ -205,28 +254,37 @@ class Bench:
         """The point (knobs,) of the rig file's gains for this law."""
         return self.point(self._known)
 
+    def known_gains(self) -> dict[str, Array]:
+        """The same gains as they are, (1,) each, within the ranges or not; without those that the file has not."""
+        return {name: per_axis(value, len(self.rig.axes))[[self.axis]] for name, value in self._known.items()}
+
     def run(self, points: Array) -> Outcome:
         """Every trial of every point (candidates, knobs)."""
-        gains = self.gains(points)
-        figures = self._simulation.run(self._law, gains, self._fixed)
+        return self.judge(self.gains(points))
+
+    def judge(self, gains: Mapping[str, Array]) -> Outcome:
+        """Every trial of every candidate; gains: (candidates,) each, of a knob that is not named the law's default."""
+        found = [simulation.run(self._law, gains, self._fixed) for simulation in self._simulations]
+        figures = Figures(*(np.concatenate(parts, axis=1) for parts in zip(*found, strict=True)))
         by_rms = np.array([trial.rms for trial in self.trials])
         errors = np.where(by_rms, figures.rms, figures.largest)
         ratios = errors / self._good
         worst = ratios.argmax(axis=1)
-        rows = np.arange(len(points))
+        rows = np.arange(len(errors))
         # Noise that shakes the drives is no price for accuracy: chatter counts beyond a few per cent of the limit.
         chatter = figures.chatter.max(axis=1)
-        loud = np.log(np.maximum(chatter / (QUIET * self._simulation.limit), 1.0))
+        loud = np.log(np.maximum(chatter / (QUIET * self._limit), 1.0))
         logs = np.log(ratios)
         margins = self.margins(gains)
         short = np.array([PER_DB * each.short(self._least) for each in margins])
         cost = logs.mean(axis=1) + 2.0 * logs.max(axis=1) + 2.0 * loud + short
         gain_db, phase_deg = np.array(margins).T
-        return Outcome(errors[rows, worst], ratios[rows, worst], chatter, gain_db, phase_deg, cost)
+        median = np.median(ratios, axis=1)
+        return Outcome(errors[rows, worst], ratios[rows, worst], median, chatter, gain_db, phase_deg, cost)
 
     def margins(self, gains: Mapping[str, Array]) -> list[Margins]:
         """One per candidate: `hil check` on a rig that has one copy of the axis for every candidate."""
-        rig, count = self.rig, next(iter(gains.values())).size
+        rig, count = self.rig, next(iter(gains.values())).size if gains else 1
         lists = {name: values.tolist() for name, values in gains.items()}
         law = self._law.model_copy(update={"gains": {**self._fixed, **lists}, "tuned": {}})
         noises = ("disturbance_noise", "acceleration_noise")

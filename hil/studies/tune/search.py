@@ -17,9 +17,10 @@ from hil.control.laws.base import Array
 from hil.control.stability import check_stability
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.candidate_simulation import LOST
-from hil.studies.tune.objective import Bench, Margins, Outcome, margins_of, trials
+from hil.studies.tune.objective import Bench, Kind, Margins, Outcome, margins_of, trials_of, unseen_trials
 
 DIGITS = 4
+UNSEEN = 12  # plants that no search has seen
 SLACK = Margins(0.05, 0.3)  # beyond the margins asked for: the gains are rounded to DIGITS
 
 
@@ -66,9 +67,9 @@ def search(
     return result.x, np.concatenate(met)
 
 
-def rounded(axes: Sequence[Mapping[str, Array]]) -> dict[str, list[float]]:
-    """Gains of one candidate for every axis, with DIGITS significant digits."""
-    return {name: [float(f"{float(gains[name][0]):.{DIGITS}g}") for gains in axes] for name in axes[0]}
+def rounded_to(digits: int, value: float) -> float:
+    """The value with so many significant digits."""
+    return float(f"{float(value):.{digits}g}")
 
 
 def write_gains(path: Path, law: str, gains: Mapping[str, Any], notes: Sequence[str]) -> None:
@@ -103,27 +104,79 @@ def front(met: Array) -> list[tuple[float, float]]:
     return chosen
 
 
+class Judged(NamedTuple):
+    """What one candidate's gains give: in the trials of the search, and on plants that no search has seen."""
+
+    searched: Outcome
+    unseen: Outcome
+
+
 class Found(NamedTuple):
-    """One axis: what the rig file's gains (first) and the best ones (second) give; every stable candidate's error (m),
-    chatter (N) and gain margin (dB), (met, 3).
+    """One axis: the rig file's gains and the best ones of the search; every stable candidate's error (m), chatter (N)
+    and gain margin (dB), (met, 3); the gains to have from now on, (1,) each, and whether they are the rig file's.
     """
 
-    outcome: Outcome
+    before: Judged
+    best: Judged
     met: Array
     gains: dict[str, Array]
+    kept: bool
+
+    @property
+    def now(self) -> Judged:
+        """Of the gains to have."""
+        return self.before if self.kept else self.best
 
 
-def tune_axis(
-    rig: RigConfig, law: str, axis: int, size: tuple[int, int], seed: int, least: Margins, start: Start,
-    *, report: Callable[[Outcome], None], only: Sequence[str] = (), repeats: int = 1,
-) -> Found:  # fmt: skip
-    """Search one axis' gains; size: candidates per generation, generations; only: of these knobs, all if empty;
-    repeats: of the trials.
+def is_better(new: Judged, old: Judged, least: Margins) -> bool:
+    """Whether new gains should replace those there are, one candidate each: with the margins asked for where the old
+    ones have not; else of less cost on plants that no search has seen, where the worst must not be worse, nor in the
+    trials of the search.
     """
+    lacking = [Margins(float(each.gain_db[0]), float(each.phase_deg[0])).short(least) for each in (new[0], old[0])]
+    if (lacking[0] > 0.0) != (lacking[1] > 0.0):
+        return lacking[1] > 0.0
+    not_worse = all(one.ratio[0] <= other.ratio[0] for one, other in zip(new, old, strict=True))
+    return bool(not_worse and new.unseen.cost[0] < old.unseen.cost[0])
+
+
+class Choice(NamedTuple):
+    """What to search, and on what. size: candidates per generation, and generations. only: these knobs, all if empty.
+    unseen: plants to judge by at the end.
+    """
+
+    size: tuple[int, int]
+    seed: int
+    least: Margins
+    start: Start
+    only: Sequence[str] = ()
+    repeats: int = 1
+    trials: Kind = Kind.IDEAL
+    unseen: int = UNSEEN
+
+
+def tune_axis(rig: RigConfig, law: str, axis: int, choice: Choice, report: Callable[[Outcome], None]) -> Found:
+    """Search one axis' gains, and hold what is found against the rig file's own."""
+    least = choice.least
     wanted = Margins(*(value + slack if value else 0.0 for value, slack in zip(least, SLACK, strict=True)))
-    bench = Bench(rig, law, axis, trials(rig, repeats), wanted, only)
-    best, met = search(bench, *size, seed, report, start)
-    return Found(bench.run(np.stack([bench.known(), best])), met, bench.gains(best[None]))
+    chosen = trials_of(rig, axis, choice.trials, choice.repeats)
+    bench = Bench(rig, law, axis, chosen, wanted, choice.only)
+    best, met = search(bench, *choice.size, choice.seed, report, choice.start)
+    found = {name: np.array([rounded_to(DIGITS, value)]) for name, (value,) in bench.gains(best[None]).items()}
+    others = Bench(rig, law, axis, unseen_trials(rig, axis, choice.trials, choice.unseen), wanted, choice.only)
+    new, old = (Judged(bench.judge(gains), others.judge(gains)) for gains in (found, bench.known_gains()))
+    kept = not is_better(new, old, least)
+    return Found(old, new, met, bench.known_gains() if kept else found, kept)
+
+
+def all_or_none(found: Sequence[Found]) -> list[Found]:
+    """Of a file that does not state every gain that was searched no axis can keep its own while another changes: all
+    keep theirs then, unless every one found better.
+    """
+    whole = all(axis.gains.keys() == found[0].gains.keys() for axis in found)
+    if whole or not any(axis.kept for axis in found):
+        return list(found)
+    return [axis._replace(kept=True) for axis in found]
 
 
 class AxisSearch(NamedTuple):
@@ -132,21 +185,13 @@ class AxisSearch(NamedTuple):
     rig: str
     law: str
     axis: int
-    size: tuple[int, int]
-    seed: int
-    least: Margins
-    start: str
-    only: tuple[str, ...]
-    repeats: int
+    choice: Choice
 
 
 def run_search(job: AxisSearch) -> Found:
     """As tune_axis, on whatever machine this is."""
     rig = RigConfig.model_validate_json(job.rig)
-    return tune_axis(
-        rig, job.law, job.axis, job.size, job.seed, job.least, Start(job.start),
-        report=lambda outcome: None, only=job.only, repeats=job.repeats,
-    )  # fmt: skip
+    return tune_axis(rig, job.law, job.axis, job.choice, lambda outcome: None)
 
 
 def refuse_short_margins(rig: RigConfig, least: Margins) -> None:
