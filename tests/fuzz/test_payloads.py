@@ -35,7 +35,7 @@ def test_the_page_follows_a_status_with_other_axes() -> None:
     lists_missing = status()
     lists_missing.ClearField("force")
     messages = [status(), fewer, lists_missing, status(), status()]
-    client = SimpleNamespace(status=lambda: messages.pop(0), close=lambda: None)
+    client = SimpleNamespace(status=lambda: messages.pop(0), events=list, close=lambda: None)
     document = Document()
     page = dashboard.Page(document, client)  # type: ignore[arg-type]
     while messages:
