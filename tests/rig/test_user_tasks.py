@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import json
+import pickle
 import shutil
 from pathlib import Path
 
@@ -118,6 +119,10 @@ def test_the_path_is_part_of_the_rig_and_travels_without_the_file(rig_file: Path
     other = build_rig(json.loads(json.dumps(document)), ["task.parameters.radius=1e-3"])  # made again from its text
     assert max(abs(row[1]) for row in other.task.samples) < 1.1e-3
     assert load_rig(rig_file).task.source == ""
+
+
+def test_a_refusal_comes_back_whole_from_another_process() -> None:
+    assert pickle.loads(pickle.dumps(RigError(["one: 1", "two: 2"]))).problems == ["one: 1", "two: 2"]
 
 
 def test_a_recording_replays_without_the_file(rig_file: Path, tmp_path: Path) -> None:

@@ -71,7 +71,8 @@ def ran(command: str, options: list[str], tmp_path: Path, name: str) -> str:
 
 
 BROUGHT = ["--set", "law.name=./lqr.py:Lqr", "--set", "task.kind=./rose.py:Rose", "--set", "task.axes=['x', 'y']",
-           "--set", "plant.stage=./leaning.py:Leaning", "--set", "task.approach_s=0.2"]  # fmt: skip
+           "--set", "plant.stage=./leaning.py:Leaning", "--set", "task.approach_s=0.2",
+           "--set", "plant.parameters.stiffness=0.1"]  # fmt: skip
 COMMANDS = {
     "compare": ["--laws", "pd-feedforward,./lqr.py:Lqr", "--seconds", "1", "--undisturbed"],
     "faults": ["--stride", "97", *BROUGHT],
