@@ -5,7 +5,7 @@ import pytest
 from tests.fuzz.__main__ import MOST_MB, tried
 from tests.fuzz.kinds import KINDS
 
-FEW, MANY = 60, 10_000
+FEW, MANY = 60, 600  # 10 000 of a kind: python -m tests.fuzz KIND --files 10000
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -17,7 +17,7 @@ def test_a_few_damaged_files_are_read_or_refused(kind: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_ten_thousand_damaged_files_are_read_or_refused_in_little_memory(kind: str) -> None:
+def test_many_damaged_files_are_read_or_refused_in_little_memory(kind: str) -> None:
     counts = tried(kind, MANY, seed=2)
     assert counts["read"] + counts["refused"] == MANY
     assert counts["grown_mb"] < MOST_MB

@@ -8,7 +8,7 @@ import pytest
 from hil.operate import dashboard
 from tests.fuzz.payloads import batches, requests, status, statuses
 
-FEW, MANY = 2_000, 100_000
+FEW, MANY = 2_000, 20_000
 TRIED = pytest.mark.parametrize("tried", [statuses, batches, requests])
 
 
@@ -21,7 +21,7 @@ def test_a_few_damaged_payloads_harm_nobody(tried: Callable[[int, int], dict[str
 
 @pytest.mark.slow
 @TRIED
-def test_a_hundred_thousand_damaged_payloads_harm_nobody(tried: Callable[[int, int], dict[str, int]]) -> None:
+def test_many_damaged_payloads_harm_nobody(tried: Callable[[int, int], dict[str, int]]) -> None:
     assert sum(tried(MANY, 2).values()) == MANY
 
 
