@@ -100,7 +100,7 @@ KINDS: Final[dict[Kind, KindText]] = {
         "ticks overwritten in the ring",
         "ticks",
         "the sidecar was held up longer than the ring lasts",
-        "give the sidecar time or telemetry.ring_slots; what these ticks held is lost to the recording",
+        "give the sidecar time or a longer telemetry.blackbox_s; what these ticks held is lost to the recording",
     ),
     Kind.DRIVE: KindText(
         "drive",
