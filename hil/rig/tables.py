@@ -133,7 +133,7 @@ class LawConfig(BaseModel):
         "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
     )
     learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
-    learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded")
+    learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded", "1")
     source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
 
     def effective_gains(self) -> dict[str, Any]:

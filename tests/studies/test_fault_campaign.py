@@ -2,6 +2,7 @@
 cannot tell; and proof that a broken safety core makes it fail.
 """
 
+import json
 import os
 from collections.abc import Callable
 
@@ -59,7 +60,8 @@ OTHERS = [chunk for layout in ("stage_classic", "cia402") for chunk in thin(layo
 
 
 def name_of(chunk: Chunk) -> str:
-    return f"{chunk.document['name']}, {chunk.document['bus']['protocol']}, {chunk.point.name}"
+    rig = json.loads(chunk.document)
+    return f"{rig['name']}, {rig['bus']['protocol']}, {chunk.point.name}"
 
 
 @pytest.mark.parametrize("chunk", CHUNKS + OTHERS, ids=map(name_of, CHUNKS + OTHERS))

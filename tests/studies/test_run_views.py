@@ -140,7 +140,7 @@ def test_a_report_needs_nothing_else_and_tells_the_run(run: hil.Simulation, tmp_
     assert page.tags.count("img") == len(run.axes)
     assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert not {"script", "link", "iframe"} & set(page.tags)
-    for text in ("state ACTIVE", "pd-feedforward", run.trace_sha256, "radius", "max error", "500 ticks"):
+    for text in ("READY -> ACTIVE", "pd-feedforward", run.trace_sha256, "radius", "max error", "500 ticks"):
         assert text in page.words
     assert "width=device-width" in first
 

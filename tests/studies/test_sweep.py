@@ -7,7 +7,8 @@ import pytest
 
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
-from hil.studies.sweep.plants import Job, jobs, plant_rig, processes, reproduce, run_chunk, save_worst
+from hil.studies.crew import crew
+from hil.studies.sweep.plants import Job, jobs, plant_rig, reproduce, run_chunk, save_worst
 from tests.support.paths import RIGS
 
 PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
@@ -18,8 +19,10 @@ def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
     rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
     document = rig.model_dump_json()
     whole = run_chunk(Job(document, 5, 0, 6, 500, 320, True))
-    with processes(2) as crew:
-        parts = list(crew.run([Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)]))
+    with crew(2) as found:
+        parts = list(
+            found.run(run_chunk, [Job(document, 5, 0, 4, 500, 320, True), Job(document, 5, 4, 2, 500, 320, True)])
+        )
     for together, first, second in zip(whole, *parts, strict=True):
         assert np.array_equal(together, np.concatenate([first, second]))
 
