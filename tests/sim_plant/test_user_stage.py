@@ -173,6 +173,7 @@ def test_a_sweep_varies_its_masses_and_reproduces_singly(rig_file: Path, tmp_pat
     assert reproduce(path, 0.8, figures.max_error[1])
 
 
+@pytest.mark.slow
 def test_tune_tries_its_candidates_on_it(rig_file: Path) -> None:
     rig = load_rig(rig_file, ["plant.stage=./leaning.py:Leaning", "task.radius=1e-3"])
     bench = Bench(rig, "pd-feedforward", 0, [Trial("own", {"approach_s": 0.2}, 4.0)])

@@ -89,6 +89,7 @@ def test_a_law_that_keeps_something_in_every_tick_is_found_out(rig_file: Path) -
     assert "memory that grows for ever" in text
 
 
+@pytest.mark.slow
 def test_a_law_slower_than_half_the_period_is_found_out(rig_file: Path) -> None:
     """Its loop takes several periods on any machine."""
     overrides = own(rig_file, "sum(range(200_000)) if 0.2e9 < inputs.task_ns < 0.21e9 else None")
