@@ -98,9 +98,7 @@ def whole_until_now(path: Path) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize(
-    "ends", [pytest.param(3, id="3 ends"), pytest.param(20, id="20 ends", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("ends", [pytest.param(3, id="3 ends"), pytest.param(20, id="20 ends", marks=pytest.mark.slow)])
 def test_a_sidecar_ends_cleanly_at_any_moment_whatever_becomes_of_the_control_process(bench: Bench, ends: int) -> None:
     """Control processes start, end and are killed around it; its own end is status 0, without a word on stderr."""
     moments = random.Random(52)
