@@ -178,6 +178,7 @@ def test_section_7_a_fault_is_read():
         {
             "systemctl status": says('Status: "FAULT'),
             "journalctl": says(f"hil run: stage at 20 Hz on {CHANNEL}"),
+            "hil events": says("fault latched: interface_down"),
             "hil monitor": CtrlC("INTERFACE_DOWN"),
             "hil blackbox": says("nothing to save"),  # the sidecar has recorded everything
         },
