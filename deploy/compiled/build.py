@@ -54,7 +54,7 @@ sim_plant/physics: events real_axis single_axis single_stage
 """
 
 OTHERS = """
-hil/control/trajectories: base blends displaced figures minimum_jerk paths segments
+hil/control/trajectories: base blends chosen_axes displaced figures minimum_jerk paths segments
 hil/cycle: record
 hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length

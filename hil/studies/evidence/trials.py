@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.control.laws.base import Array
-from hil.control.trajectories.base import Times, Trajectory
+from hil.control.trajectories.base import Trajectory
+from hil.control.trajectories.chosen_axes import ChosenAxes
 from hil.control.trajectories.figures import Figure, Oscillation, rational_hz
 from hil.control.trajectories.injection import injection
 from hil.control.trajectories.segments import Segment, Segments, move, rest
@@ -75,22 +76,6 @@ def jobs(rig: RigConfig, axes: Sequence[str], stages: int, seed: int, modes: Seq
     ]
 
 
-class _Some(Trajectory):
-    """Some axes of a trajectory."""
-
-    def __init__(self, whole: Trajectory, kept: Sequence[int]) -> None:
-        super().__init__(len(kept))
-        self._whole, self._kept = whole, list(kept)
-        self.repeat_ns, self.repeat_from_ns = whole.repeat_ns, whole.repeat_from_ns
-
-    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
-        """See Trajectory."""
-        return self._whole.at(self._kept[axis], t_ns)
-
-    def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
-        return self._whole.sample_axis(self._kept[axis], t_ns)
-
-
 def trajectory_of(rig: RigConfig, trial: Trial) -> Trajectory:
     """The trial's reference for all axes, from position 0."""
     n, zero = len(rig.axes), [0.0] * len(rig.axes)
@@ -138,7 +123,7 @@ def run(job: Job) -> dict[str, Array]:
     kept = [i for i, name in enumerate(whole.axes) if name in job.axes]
     rig, trial, period = only(whole, job.axes), job.trial, whole.period_ns * 1e-9
     drawn = [columns(stage_of(whole, job.seed, number, job.mode_hz), kept) for number in range(job.stages)]
-    trajectory = _Some(trajectory_of(whole, trial), kept)
+    trajectory = ChosenAxes(trajectory_of(whole, trial), kept)
     learns = rig.law.iterative_learning
     from_s, repeat_s = trajectory.repeat_from_ns / S, (trajectory.repeat_ns or 0) / S
     seconds = from_s + (WARM_REPEATS + LEARNING_REPEATS) * repeat_s if learns else trial.seconds
