@@ -162,8 +162,8 @@ def test_a_slice_of_the_fault_campaign_passes_with_a_users_task(rig_file: Path) 
     ["check", "--json", "-"],
     ["sim", "--seconds", "0.6"],
     ["compare", "--laws", "pd-feedforward", "--seconds", "1"],
-    pytest.param(["tune", "--law", "pd-feedforward", "--dry-run", "--population", "5", "--generations", "1",
-                  "--repeats", "1"], marks=pytest.mark.slow),
+    pytest.param(["tune", "--law", "pd-feedforward", "--trials", "task", "--dry-run", "--population", "5",
+                  "--generations", "1", "--repeats", "1"], marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_commands_take_a_users_task(words: list[str], rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rig_file.parent)
