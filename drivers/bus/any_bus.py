@@ -6,7 +6,7 @@ in user space waits, allocates and locks when it likes.
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from threading import Event, Thread
 from time import monotonic_ns
 from typing import Any
@@ -56,7 +56,8 @@ class AnyPort:
         self._bus = bus
         self.refused = 0
         self.failed = 0
-        self._frames: SimpleQueue[Frame] = SimpleQueue()
+        # No SimpleQueue: a signal at the end of its time-out makes CPython 3.11 wait for ever (a negative time left).
+        self._frames: Queue[Frame] = Queue()
         self._closing = Event()
         self._reader = Thread(target=self._read, daemon=True, name=f"read {bus.channel_info}")
         self._reader.start()

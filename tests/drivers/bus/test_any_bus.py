@@ -3,6 +3,8 @@
 `virtual`, python-can's own bus within a process, stands for an adapter's.
 """
 
+import signal
+import threading
 import time
 from collections.abc import Iterator
 
@@ -44,6 +46,19 @@ def test_every_kind_of_frame_goes_through_it(ports: tuple[AnyPort, AnyPort]) -> 
     assert [frame._replace(timestamp_ns=0) for frame in received] == FRAMES
     assert all(before <= frame.timestamp_ns <= time.monotonic_ns() for frame in received)
     assert one.wait(0.0) is None
+
+
+def test_a_signal_at_the_end_of_a_wait_does_not_make_it_endless(ports: tuple[AnyPort, AnyPort]) -> None:
+    port, other = ports
+    before = signal.signal(signal.SIGALRM, lambda *_: time.sleep(0.05))  # beyond the time that was left
+    rescue = threading.Timer(5.0, other.send, [Frame(0x123, b"")])
+    rescue.start()
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.005)
+        assert port.wait(0.02) is None
+    finally:
+        rescue.cancel()
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_error_frames_are_no_traffic(ports: tuple[AnyPort, AnyPort]) -> None:
