@@ -1,6 +1,6 @@
 """Recordings of the earlier layout (Telemetry, Traffic), and what it shares with today's (cycle_codec.py)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,6 +122,21 @@ class RecordedTick(NamedTuple):
     sent: list[Frame]
 
 
+def tick_of(times: tuple[int, int, int], port: Sequence[int], commands: Iterable[pb.Command], flags: int) -> Tick:
+    """A step's tick as recorded. times: index, scheduled_ns, now_ns. port: its counters, the bus state last."""
+    *counts, bus_state = port
+    return Tick(
+        *times,
+        PortCounters._make((*counts, BusState(bus_state))),
+        tuple(map(taken_command, commands)),
+        stop=bool(flags & STOP),
+        recorder_ok=bool(flags & RECORDER_OK),
+        realtime_ok=bool(flags & REALTIME_OK),
+        rig_ok=bool(flags & RIG_OK),
+        estop=bool(flags & ESTOP),
+    )
+
+
 def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
     """The steps in a traffic message, in order. Raises ValueError for more than any recorder puts into one."""
     _refuse_too_many("ticks in a message", len(message.index), LONGEST_BATCH)
@@ -129,19 +144,11 @@ def recorded_ticks(message: pb.Traffic) -> Iterator[RecordedTick]:
     _refuse_too_many("frames sent in a tick", max(message.sent_count, default=0), MAX_SENT)
     received, sent, commands = _take_frames(message.received), _take_frames(message.sent), iter(message.commands)
     for place in range(len(message.index)):
-        *counts, bus_state = message.port[place * N_PORT : (place + 1) * N_PORT]
-        flags = message.flags[place]
-        tick = Tick(
-            index=message.index[place],
-            scheduled_ns=message.scheduled_ns[place],
-            now_ns=message.now_ns[place],
-            port=PortCounters._make((*counts, BusState(bus_state))),
-            commands=tuple(taken_command(next(commands)) for _ in range(message.command_count[place])),
-            stop=bool(flags & STOP),
-            recorder_ok=bool(flags & RECORDER_OK),
-            realtime_ok=bool(flags & REALTIME_OK),
-            rig_ok=bool(flags & RIG_OK),
-            estop=bool(flags & ESTOP),
+        tick = tick_of(
+            (message.index[place], message.scheduled_ns[place], message.now_ns[place]),
+            message.port[place * N_PORT : (place + 1) * N_PORT],
+            [next(commands) for _ in range(message.command_count[place])],
+            message.flags[place],
         )
         inputs = [next(received) for _ in range(message.received_count[place])]
         outputs = [next(sent) for _ in range(message.sent_count[place])]

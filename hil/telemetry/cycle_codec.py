@@ -13,19 +13,13 @@ from numpy.typing import NDArray
 
 from drivers.frame import Frame
 from hil.cycle.record import FRAME, MAX_RECEIVED
-from hil.cycle.tick import BusState, PortCounters, Tick
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import (
-    ESTOP,
     LONGEST_BATCH,
     N_PORT,
-    REALTIME_OK,
-    RECORDER_OK,
-    RIG_OK,
-    STOP,
     RecordedTick,
     counters,
-    taken_command,
+    tick_of,
 )
 
 Records = NDArray[np.void]
@@ -138,20 +132,8 @@ def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
     received = _decode_frames(message.received, sum(message.received_count))
     sent, commands = _decode_frames(message.sent, sum(message.sent_count)), iter(message.commands)
     for place, (number, due_ns) in enumerate(zip(index.tolist(), scheduled_ns.tolist(), strict=True)):
-        *counts, bus_state = ports[place]
-        flags = message.flags[place]
-        tick = Tick(
-            index=number,
-            scheduled_ns=due_ns,
-            now_ns=now_ns[place],
-            port=PortCounters._make((*counts, BusState(bus_state))),
-            commands=tuple(taken_command(next(commands)) for _ in range(message.command_count[place])),
-            stop=bool(flags & STOP),
-            recorder_ok=bool(flags & RECORDER_OK),
-            realtime_ok=bool(flags & REALTIME_OK),
-            rig_ok=bool(flags & RIG_OK),
-            estop=bool(flags & ESTOP),
-        )
+        taken = [next(commands) for _ in range(message.command_count[place])]
+        tick = tick_of((number, due_ns, now_ns[place]), ports[place], taken, message.flags[place])
         inputs = [next(received) for _ in range(message.received_count[place])]
         outputs = [next(sent) for _ in range(message.sent_count[place])]
         yield RecordedTick(message.first + place, tick, inputs, outputs)
