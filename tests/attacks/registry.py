@@ -56,24 +56,38 @@ def attack(name: str, expected: str, *, moving: bool = False, last: bool = False
 
 def tried(listed: Listed, target: Target) -> list[Result]:
     """The attack, and the press of stop during it."""
-    results = []
-    if listed.moving:
-        target.active()
-    else:
-        target.ready()
+    results = _made_ready(listed, target)
     course = listed.body(target)
     try:
-        results.append(result(listed.name, listed.expected, next(course), held=True))
-        if listed.moving:
-            results.append(_pressed(listed, target))
+        try:
+            results.append(result(listed.name, listed.expected, next(course), held=True))
+            if listed.moving:
+                results.append(_pressed(listed, target))
+        finally:
+            for _ in course:  # the attack is over
+                pass
     except Exception as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        seen = f"{type(error).__name__}: {error} ({last.name}, line {last.lineno})"
-        results.append(result(listed.name, listed.expected, seen, held=False))
-    finally:
-        for _ in course:  # the attack is over
-            pass
+        results.append(result(listed.name, listed.expected, _told(error), held=False))
     return results
+
+
+def _made_ready(listed: Listed, target: Target) -> list[Result]:
+    """Empty; or, where the rig does not come back by itself, that, and a rig begun anew: the next attacks are tried."""
+    begin = target.active if listed.moving else target.ready
+    try:
+        begin()
+    except (AssertionError, OSError) as error:
+        target.close()
+        target.begin()
+        begin()
+        expected = "the rig comes back to READY by reset"
+        return [result(f"{listed.name}: what came before it is over", expected, _told(error), held=False)]
+    return []
+
+
+def _told(error: Exception) -> str:
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({last.name}, line {last.lineno})"
 
 
 def _pressed(listed: Listed, target: Target) -> Result:
