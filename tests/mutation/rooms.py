@@ -53,7 +53,7 @@ ROOMS = {
     "stability": Room(
         ("hil/control",),
         ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/control/test_loop_corners.py",
-         "tests/control/test_start_ranges.py", "tests/virtual/test_microscope.py"),
+         "tests/control/test_start_ranges.py", "tests/virtual/test_ideal_microscope.py"),
     ),
     "live": Room(
         ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),

@@ -163,7 +163,7 @@ def note(frame, event, argument):
         seen[f"{frame.f_code.co_filename}:{frame.f_code.co_qualname}"] += 1
 
 sys.setprofile(note)
-run_hash("microscope.toml", (), ticks)
+run_hash("microscope-ideal.toml", (), ticks)
 sys.setprofile(None)
 print([name for name, calls in seen.items() if calls > ticks // 10])  # at a change of state there may be some
 """

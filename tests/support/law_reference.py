@@ -50,7 +50,7 @@ def models() -> dict[str, Model]:
 def laws() -> dict[str, LawConfig]:
     """Every law with its own gains and with those of both rigs, and one inside iterative learning."""
     configured = {name: LawConfig(name=name) for name in LAWS} | {"learning": LawConfig(iterative_learning=True)}
-    for rig in ("paper", "microscope"):
+    for rig in ("paper", "microscope-ideal"):
         for name, gains in load_rig(RIGS / f"{rig}.toml").law.tuned.items():
             two = {key: value[:2] if isinstance(value, list) else value for key, value in gains.items()}
             configured[f"{name}, gains of {rig}.toml"] = LawConfig(name=name, gains=two)

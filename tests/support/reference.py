@@ -27,7 +27,7 @@ LEARNING = (
     "presliding-kalman",
 )  # laws also run inside iterative learning, on a figure that repeats
 REPEATS = ["task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]"]
-RIG_NAMES = ("microscope", "paper")
+RIG_NAMES = ("microscope-ideal", "paper")
 CELL = (
     "rig", "layout", "checkpoint", "trial", "axis", "passed", "fault", "reaction", "detection_ticks",
     "peak_force_after", "end",

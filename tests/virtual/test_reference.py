@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.reference import RIG_NAMES, campaign, known, runs, trace_hash
 
-EVERY_TIME = ("microscope, structured-kalman", "paper, robust-pd", "paper, pd-feedforward, learning")
+EVERY_TIME = ("microscope-ideal, structured-kalman", "paper, robust-pd", "paper, pd-feedforward, learning")
 
 
 def test_there_is_a_hash_for_every_law_on_both_rigs() -> None:
