@@ -15,7 +15,8 @@ MODES = (0.0, 150.0, 200.0, 300.0)
 
 
 def rig(law: str = "presliding-kalman", mode_hz: float = 0.0) -> RigConfig:
-    return nominal(load_rig(RIGS / "microscope-ideal.toml", [f"law.name={law}", "law.iterative_learning=true"]), mode_hz)
+    changes = [f"law.name={law}", "law.iterative_learning=true"]
+    return nominal(load_rig(RIGS / "microscope-ideal.toml", changes), mode_hz)
 
 
 @pytest.mark.parametrize("mode_hz", MODES)

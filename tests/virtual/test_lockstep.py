@@ -166,7 +166,8 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
 
 @pytest.mark.parametrize("skipped", [1, 2, 5])
 def test_the_filter_stays_with_the_axes_when_slots_are_skipped_all_the_time(lockstep: MakeRun, skipped: int) -> None:
-    rig = load_rig(RIGS / "microscope-ideal.toml", ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"])
+    changes = ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"]
+    rig = load_rig(RIGS / "microscope-ideal.toml", changes)
     run = lockstep(rig, operator=commands({}))
     run_until(run, State.READY)
     for _ in range(300):

@@ -1,4 +1,4 @@
-"""The microscope as it is shipped: crossed-roller guides, cables, a tool that rings, amplifiers and encoders with noise."""
+"""The microscope as it is shipped: crossed-roller guides, cables, a tool that rings, noise."""
 
 import pytest
 

@@ -196,8 +196,8 @@ def test_no_response_on_the_wire_exceeds_its_bound_in_1200_random_sets() -> None
 def run_check(tmp_path: Path, *options: str) -> tuple[int, dict[str, object], Path]:
     picture = tmp_path / "tick.png"
     report = tmp_path / "check.json"
-    arguments = ["check", str(RIGS / "microscope-ideal.toml"), "--json", str(report), "--picture", str(picture), *options]
-    result = CliRunner().invoke(build_app("check"), arguments)
+    arguments = ["--json", str(report), "--picture", str(picture), *options]
+    result = CliRunner().invoke(build_app("check"), ["check", str(RIGS / "microscope-ideal.toml"), *arguments])
     return result.exit_code, json.loads(report.read_text()), picture
 
 

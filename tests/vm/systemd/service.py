@@ -16,9 +16,9 @@ PATIENCE_S = 900.0  # software emulation on a busy machine, where installing too
 PACKAGES = Path("/share/packages")
 RIGS = Path("/etc/hil/rigs")
 
-# The edit of the rig file: this guest is fifty times slower than a rig's PC and promises no timing at all. At 20 Hz no law
-# damps a mode of 200 Hz: the stage is an ideal one, under PD. Answers that were held up come in a heap, too old for the few
-# sequence numbers of classic CAN: they are no flood here.
+# The edit of the rig file: this guest is fifty times slower than a rig's PC and promises no timing at all. At 20 Hz no
+# law damps a mode of 200 Hz: the stage is an ideal one, under PD. Answers that were held up come in a heap, too old for
+# the few sequence numbers of classic CAN: they are no flood here.
 EDIT = {
     r"^rate_hz = .*$": "rate_hz = 20",
     r'^name = "presliding-kalman"$': 'name = "pd-feedforward"\n'
