@@ -5,10 +5,12 @@ from numpy.typing import NDArray
 
 from drivers.bus.counters import BusState
 from hil.cycle.event import Event
+from hil.cycle.event_notes import event_of
 from hil.cycle.event_storm import TOLD
 from hil.cycle.event_table import REFUSED_ACTION, Kind, Severity
 from hil.cycle.events import EventStream
 from hil.cycle.fault_table import Fault
+from hil.cycle.note import Note
 from hil.cycle.record import EVERY_AXIS, RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -167,3 +169,11 @@ def test_records_that_were_lost_are_told_once_and_make_no_lost_ticks() -> None:
         489.0,
         0.0,
     )
+
+
+def test_words_of_the_cycle_are_an_event_of_their_tick() -> None:
+    refused = event_of(Note(Kind.DRIVE, "axis x: 6502h has no CST", 3, 77), PERIOD)
+    assert (refused.kind, refused.name, refused.cause) == (Kind.DRIVE, "not ready", "axis x: 6502h has no CST")
+    assert (refused.tick, refused.time_ns, refused.run_ns) == (3, 77, 3 * PERIOD)
+    assert event_of(Note(Kind.LAW, "my_law.py:7: no", 5, 78), PERIOD).name == "failed"
+    assert event_of(Note(Kind.LAW, "my_law.py:7: no", -1, 78), PERIOD).run_ns == 0
