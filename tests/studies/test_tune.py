@@ -10,9 +10,10 @@ import pytest
 import tomlkit
 
 from hil.control.gain import Knob, knobs
-from hil.control.law_registry import LAWS, law_class
+from hil.control.law_registry import law_class
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import (

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.law_registry import LAWS
 from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import Array, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
 from tests.support.paths import RIGS, ROOT
 

@@ -38,7 +38,7 @@ CELL = (
 
 def runs() -> dict[str, tuple[str, list[str]]]:
     """Rig and overrides of every reference run, by name."""
-    from hil.control.law_registry import LAWS
+    from hil.rig.law_names import LAWS
 
     plain = {f"{rig}, {law}": (rig, [f"law.name={law}"]) for rig in IDEAL_RIGS for law in LAWS}
     learning = {
