@@ -83,6 +83,7 @@ class Emergency(IntEnum):
     PDO_TOO_SHORT = 0x8210
     SYNC_LENGTH = 0x8240
     RPDO_TIMEOUT = 0x8250
+    FOLLOWING = 0x8611
 
 
 class DriveState(Enum):
