@@ -1,6 +1,7 @@
 """How a CiA 402 drive comes to rest: 605Ah to 605Eh, the decelerations, the torque slope; following error; inputs."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -63,34 +64,44 @@ def milliseconds_until(line: Line, state: DriveState) -> int:
 
 SLOWLY, QUICKLY = RUN * 1000 // SLOW, RUN * 1000 // QUICK  # ms from RUN to rest
 
-STOPS = [  # object, value, controlword, state meanwhile, state at the end, ms
-    (0x605A, 0, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
-    (0x605A, 1, QUICK_STOP, S.QUICK_STOP, S.SWITCH_ON_DISABLED, SLOWLY),
-    (0x605A, 2, QUICK_STOP, S.QUICK_STOP, S.SWITCH_ON_DISABLED, QUICKLY),
-    (0x605A, 3, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
-    (0x605A, 4, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
-    (0x605B, 0, SHUTDOWN, S.READY_TO_SWITCH_ON, S.READY_TO_SWITCH_ON, 0),
-    (0x605B, 1, SHUTDOWN, S.OPERATION_ENABLED, S.READY_TO_SWITCH_ON, SLOWLY),
-    (0x605C, 0, DISABLE, S.SWITCHED_ON, S.SWITCHED_ON, 0),
-    (0x605C, 1, DISABLE, S.OPERATION_ENABLED, S.SWITCHED_ON, SLOWLY),
+
+class Case(NamedTuple):
+    """A value of an option, the controlword that it is for, the states then and at the end, and ms until that."""
+
+    index: int
+    value: int
+    word: int
+    meanwhile: DriveState
+    end: DriveState
+    passes: int
+
+
+STOPS = [
+    Case(0x605A, 0, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
+    Case(0x605A, 1, QUICK_STOP, S.QUICK_STOP, S.SWITCH_ON_DISABLED, SLOWLY),
+    Case(0x605A, 2, QUICK_STOP, S.QUICK_STOP, S.SWITCH_ON_DISABLED, QUICKLY),
+    Case(0x605A, 3, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
+    Case(0x605A, 4, QUICK_STOP, S.SWITCH_ON_DISABLED, S.SWITCH_ON_DISABLED, 0),
+    Case(0x605B, 0, SHUTDOWN, S.READY_TO_SWITCH_ON, S.READY_TO_SWITCH_ON, 0),
+    Case(0x605B, 1, SHUTDOWN, S.OPERATION_ENABLED, S.READY_TO_SWITCH_ON, SLOWLY),
+    Case(0x605C, 0, DISABLE, S.SWITCHED_ON, S.SWITCHED_ON, 0),
+    Case(0x605C, 1, DISABLE, S.OPERATION_ENABLED, S.SWITCHED_ON, SLOWLY),
 ]
 
 
-@pytest.mark.parametrize(("index", "value", "word", "meanwhile", "end", "expected"), STOPS)
+@pytest.mark.parametrize("case", STOPS, ids=lambda case: f"{case.index:X}h = {case.value}")
 @pytest.mark.parametrize("mode", [PV, CSV])
-def test_a_motion_ends_in_the_time_and_state_that_the_option_says(
-    mode: int, index: int, value: int, word: int, meanwhile: DriveState, end: DriveState, expected: int, line: Line
-) -> None:
+def test_a_motion_ends_in_the_time_and_state_that_the_option_says(mode: int, case: Case, line: Line) -> None:
     running(line, mode)
-    assert line.write(index, value, 2) == line.write(0x6040, word, 2) == 0
-    assert line.drive.state is meanwhile
+    assert line.write(case.index, case.value, 2) == line.write(0x6040, case.word, 2) == 0
+    assert line.drive.state is case.meanwhile
     line.pass_time(1)
-    lets_go = value == 0
-    if expected:
-        assert line.speed == pytest.approx(RUN * (1 - 1 / expected), abs=2)
+    lets_go = case.value == 0
+    if case.passes:
+        assert line.speed == pytest.approx(RUN * (1 - 1 / case.passes), abs=2)
     else:
         assert line.speed == (pytest.approx(RUN, rel=0.01) if lets_go else 0)
-    assert milliseconds_until(line, end) == pytest.approx(max(0, expected - 1), abs=1)
+    assert milliseconds_until(line, case.end) == pytest.approx(max(0, case.passes - 1), abs=1)
     if not lets_go:
         assert line.speed == 0
 
