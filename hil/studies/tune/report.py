@@ -22,7 +22,7 @@ def announced(rig: RigConfig, law: str, choice: Choice) -> str:
     slow = "" if quick else "; with elementwise = True your law is searched faster (docs/laws.md)"
     return (
         f"{generations + 1} generations of {population} candidates for each of {axes}, every one in {tried} trials; a "
-        f"first look: --population 8 --generations 4 --trials task --dry-run{slow}"
+        f"first look: --population 8 --generations 4 --dry-run{slow}"
     )
 
 
