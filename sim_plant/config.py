@@ -198,7 +198,7 @@ class PlantConfig(BaseModel):
         "./file.py:Class beside the rig file",
     )
     parameters: dict[str, Any] = key({}, "of a stage of your own: what its class takes")
-    source: str = key("", "text of such a stage's file; filled in when the rig is loaded")
+    source: str = key("", "of such a stage: its file's text, or its package's digest; filled in when the rig is loaded")
     presliding: Distance | list[Distance] = key(
         0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
     )

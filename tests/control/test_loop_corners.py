@@ -101,7 +101,7 @@ def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(mo
             f"{model}.mode_frequency_hz={mode_hz}",
             f"{model}.torque_lag=2e-4",
         ]
-    rig = load_rig(RIGS / "microscope.toml", changes)
+    rig = load_rig(RIGS / "microscope-ideal.toml", changes)
     found = [finding for finding in check_corners(rig) if finding.axis != "theta"]
     assert len(found) >= 3 * (5 + 13)
     assert [finding.lacks() for finding in found if finding.lacks()] == []

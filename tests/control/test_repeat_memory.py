@@ -64,6 +64,36 @@ def test_learning_that_harms_is_undone_within_three_repeats() -> None:
     assert 0 < longest <= 3
 
 
+def test_learning_pauses_only_after_two_repeats_in_a_row_that_were_worse_than_without_it() -> None:
+    def paused(*sizes: float) -> list[bool]:
+        """Before each repeat, by the errors seen in it."""
+        learnt, found = memory(), []
+        for tick in range(len(sizes) * COUNT):
+            learnt.note(tick, 0.0, sizes[tick // COUNT] * 1e-6, 1.0)
+            learnt.force(tick)
+            if tick % COUNT == COUNT - 1:
+                found.append(learnt.frozen == 0.0)
+        return found
+
+    begun = [1.0] * (WARM_REPEATS + 1)
+    assert not any(paused(*begun, 1.2, 1.0, 1.2, 1.0, 1.2, 1.0)[len(begun) :])
+    assert paused(*begun, 1.2, 1.2, 1.0, 1.0)[len(begun) :] == [False, False, True, False]
+    assert not any(paused(*begun, 1.05, 1.05, 1.05, 1.05)[len(begun) :])
+
+
+def test_the_best_of_a_run_is_what_the_next_one_begins_with() -> None:
+    first, again = memory(), memory()
+    play(first, wave(1.0), 12)
+    best = first.best()
+    assert len(best) == COUNT
+    again.begin_with(best)
+    best[0] = 99.0  # a list of its own
+    assert first.best()[0] != 99.0
+    assert play(again, wave(1.0), 1)[0] < 0.02
+    with pytest.raises(ValueError, match=r"law\.learnt: it has 99 ticks of a repeat, the task 100"):
+        again.begin_with(best[1:])
+
+
 def test_a_spoilt_sample_teaches_nothing() -> None:
     learnt = memory()
     for tick in range((WARM_REPEATS + 3) * COUNT):

@@ -45,6 +45,27 @@ def test_a_reversal_between_ticks_is_solved_as_stiction_plays_it() -> None:
     assert position == pytest.approx(0.5 * (v0 + v1) * PERIOD + shift, abs=1e-8)
 
 
+def test_what_a_reversal_takes_of_the_way_is_that_of_its_pieces() -> None:
+    """From v0 to rest at a constant rate, then on to v1, or, where friction holds it, nowhere."""
+    random = np.random.default_rng(8)
+    early = late = 0
+    for v0, v1, coulomb in 0.01 * random.uniform((-1.0, -1.0, 0.0), (1.0, 1.0, 200.0), (200, 3)):
+        if v0 * v1 >= 0.0:
+            continue
+        sign, stuck, shift = sign_float(v0, v1, PERIOD, 0.02, coulomb)
+        if stuck:
+            late += 1
+            to_rest = abs(v0) / (abs(v0) + abs(v1))  # of the interval: where the reference turns
+            assert 0.5 * PERIOD * v0 + shift == pytest.approx(0.5 * PERIOD * v0 * to_rest, abs=1e-12)
+            assert (stuck, sign) == (pytest.approx(0.02 * v1 / PERIOD), np.sign(v0))
+        else:
+            early += 1
+            to_rest = 0.5 * (1.0 - sign * np.sign(v1))
+            way = 0.5 * PERIOD * (v0 * to_rest + v1 * (1.0 - to_rest))
+            assert 0.5 * PERIOD * (v0 + v1) + shift == pytest.approx(way, abs=1e-12)
+    assert min(early, late) > 10
+
+
 def test_reversals_are_the_same_for_floats_and_arrays() -> None:
     random = np.random.default_rng(5)
     v0, v1 = 0.01 * random.standard_normal((2, 500))

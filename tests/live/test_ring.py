@@ -33,6 +33,15 @@ def test_what_is_written_is_read_in_order_and_bit_for_bit(tmp_path: Path) -> Non
     assert [bytes(record) for record in batch.records] == [bytes(record) for record in written]
 
 
+@pytest.mark.parametrize("text", ["", "x", "long" * 4000])
+def test_a_reader_learns_what_run_it_is(text: str, tmp_path: Path) -> None:
+    metadata = {"rig": text, "version": 3}
+    with RingWriter(tmp_path / "ring", 16, metadata=metadata) as writer, RingReader(tmp_path / "ring") as reader:
+        writer.append(_record(0))
+        assert reader.metadata == metadata
+        assert [bytes(record) for record in reader.read().records] == [bytes(_record(0))]
+
+
 def test_a_few_fields_can_be_read_alone(tmp_path: Path) -> None:
     with RingWriter(tmp_path / "ring", 16) as writer, RingReader(tmp_path / "ring") as reader:
         for index in range(20):

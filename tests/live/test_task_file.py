@@ -6,10 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.cycle.state_machine import State
 from hil.cycle.task_loading import loaded_task
 from hil.live.task_file import PIECES, TaskIntake, task_bytes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from tests.live.test_loop import NO_ACK, UnpoweredDrives, loop_beside
 from tests.support.paths import RIGS
 
 AXES = "task.axes=['x', 'y']"
@@ -29,7 +31,7 @@ TASKS = {
 
 def rig_with(name: str) -> RigConfig:
     if name == "injection":
-        return load_rig(RIGS / "microscope.toml")
+        return load_rig(RIGS / "microscope-ideal.toml")
     return load_rig(RIGS / "paper.toml", TASKS[name])
 
 
@@ -92,8 +94,48 @@ def test_the_task_of_another_number_or_rig_is_not_taken(tmp_path: Path) -> None:
     rig = rig_with("hold")
     data = task_bytes(7, loaded_task(rig), rig)
     assert taken_in(tmp_path / "task", data, rig, number=8)[0].task is None
-    assert taken_in(tmp_path / "task", data, load_rig(RIGS / "microscope.toml"))[0].task is None
+    assert taken_in(tmp_path / "task", data, load_rig(RIGS / "microscope-ideal.toml"))[0].task is None
     missing = TaskIntake(tmp_path / "none", 7, rig)
     missing.work()
     assert missing.done
     assert missing.task is None
+
+
+class Box:
+    """A mailbox in which somebody has posted task 7."""
+
+    task_posted = 7
+
+    def __init__(self) -> None:
+        self.answers: list[tuple[int, bool]] = []
+
+    def answer_task(self, number: int, *, ready: bool) -> None:
+        self.answers.append((number, ready))
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.parametrize("name", ["circle", "waypoints"])
+def test_the_loop_takes_a_task_in_piece_by_piece_while_no_axis_is_under_torque(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with loop_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch) as loop:
+        rig, box = rig_with(name), Box()
+        loop.parts.task_file.write_bytes(task_bytes(7, loaded_task(rig), rig))
+        monkeypatch.setattr(loop, "_mailbox", box)
+        loop._look_for_task()
+        intake = loop._intake
+        assert intake is not None
+        machine = loop._cycle.supervisor.machine
+        with monkeypatch.context() as moving:
+            moving.setattr(machine, "state", State.ACTIVE)
+            for _ in range(100):
+                loop._take_task_in(intake)
+            assert not intake.done
+        for _ in range(100):
+            if loop._intake is not None:
+                loop._take_task_in(loop._intake)
+        assert box.answers == [(7, True)]
+        assert loop._task is intake.task is not None
+        loop._look_for_task()
+        assert loop._intake is None, "it is the same one"
+        loop.parts.ring.close()

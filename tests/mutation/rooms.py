@@ -39,12 +39,14 @@ ROOMS = {
          "hil/control/nominal_model.py"),
         ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
          "tests/control/test_structured_filter.py",
-         "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py", *_RUNS,
+         "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
+         "tests/control/test_repeat_memory.py", *_RUNS,
          "tests/control/test_laws.py", _PAGES),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_task_paths.py", *_RUNS, *_LOCKSTEP),
+        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_task_paths.py",
+         *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
         ("hil/control/estimator",),
@@ -52,8 +54,10 @@ ROOMS = {
     ),
     "stability": Room(
         ("hil/control",),
-        ("tests/control/test_stability.py", "tests/control/test_feasibility.py", "tests/control/test_loop_corners.py",
-         "tests/control/test_start_ranges.py", "tests/virtual/test_microscope.py"),
+        ("tests/control/test_stability.py", "tests/control/test_measures.py", "tests/control/test_feasibility.py",
+         "tests/control/test_loop_corners.py",
+         "tests/control/test_start_ranges.py", "tests/control/test_learning_check.py",
+         "tests/virtual/test_ideal_microscope.py"),
     ),
     "live": Room(
         ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),
@@ -64,7 +68,8 @@ ROOMS = {
     "layouts": Room(
         ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py"),
         ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/protocols",
-         "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS),
+         "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,
+         "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py"),
     ),
     "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
@@ -77,7 +82,7 @@ ROOMS = {
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
          "tests/control/test_task_paths.py", *_RUNS,
-         "tests/drivers/protocols/test_mounting.py"),
+         "tests/drivers/protocols/test_mounting.py", "tests/drivers/protocols/test_drive_profiles.py"),
     ),
 }  # fmt: skip
 

@@ -1,7 +1,7 @@
 """A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
 
-    python -m tests.mutation [--seed S] [--count N] [--minutes M] [--room R ...] [--match TEXT] [--workers W]
-                             [--json OUT] [--all]
+    python -m tests.mutation [--seed S] [--skip K] [--count N] [--minutes M] [--room R ...] [--match TEXT]
+                             [--workers W] [--json OUT] [--all]
     python -m tests.mutation --hollow     tests that cannot fail: hollow.py
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
@@ -26,6 +26,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,16 +93,14 @@ def all_cases(rooms: Sequence[str], match: str) -> list[Case]:
     return cases
 
 
-def draw(cases: list[Case], seed: str, count: int) -> list[Case]:
-    """`count` of the cases, each as likely as any other; those that change nothing but the layout are passed over."""
+def draw(cases: list[Case], seed: str, count: int, skip: int = 0) -> list[Case]:
+    """`count` of the cases, each as likely as any other; those that change nothing but the layout are passed over.
+
+    skip: so many of the seed's first ones are left out, so that a long sample can be tried in parts.
+    """
     random.Random(seed).shuffle(cases)
-    chosen: list[Case] = []
-    for case in cases:
-        if len(chosen) == count:
-            break
-        if differs(case.mutant, (ROOT / case.mutant.path).read_bytes()):
-            chosen.append(case)
-    return chosen
+    different = (case for case in cases if differs(case.mutant, (ROOT / case.mutant.path).read_bytes()))
+    return list(islice(different, skip, skip + count))
 
 
 def most_survivors(tried: int, demanded: float = DEMANDED) -> int:
@@ -146,6 +145,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__.splitlines()[0])
     parser.add_argument("--seed", default="", help="any text; default: the commit's hash")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--skip", type=int, default=0, help="leave the seed's first so many out: a sample in parts")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no mutant after so many")
     parser.add_argument("--room", action="append", choices=list(ROOMS))
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
@@ -162,7 +162,7 @@ def main() -> int:
     if not arguments.room and not arguments.match:
         for line in Explained().stale(cases):
             print(f"explained, but no longer there: {line}")
-    chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count)
+    chosen = draw(cases, seed, len(cases) if arguments.all else arguments.count, arguments.skip)
     until = time.monotonic() + 60.0 * arguments.minutes
     print(f"seed {seed}: {len(chosen)} of {len(cases)} mutants", flush=True)
     scratch = tempfile.mkdtemp(prefix="m")

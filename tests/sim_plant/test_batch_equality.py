@@ -85,6 +85,32 @@ def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effec
     assert hash_of(shown) == KNOWN[effect]
 
 
+def with_numbers_of_its_own(number: int) -> PlantConfig:
+    """A plant none of whose numbers is another's, in need of more steps than those before it."""
+    grown, axis = 1.0 + 0.07 * number, {"axis": "x"}
+    cell = {"surface": 2e-6 * grown, "stiffness": 1e14 / grown, "puncture_depth": 1e-5 * grown, "drag": grown}
+    return PlantConfig(
+        mass=[0.5 * grown, 0.3 / grown],
+        coulomb=[0.3 * grown, 0.4],
+        viscous=[1.0, 2.0 * grown],
+        quadratic=[0.1, 0.0],
+        initial_position=[9e-6, 0.0],
+        presliding=[1e-5 / 2**number, 1e-5 / grown],
+        torque_lag=[1e-3 / grown, 2e-4],
+        stribeck_scale=[0.1 * grown, 0.2],
+        cable_stiffness=[0.1, 5.0 * grown],
+        cells=[axis | cell],
+        cogging=[axis | {"amplitude": 0.02 * grown, "period": 0.024 * grown}],
+        friction_variation=[0.1 * grown, 0.3],
+        vibration=[axis | {"acceleration": 0.05 * grown, "frequency_hz": 31.0 * grown}],
+    )
+
+
+def test_members_that_need_different_steps_keep_their_own_numbers() -> None:
+    """They are sorted by how many steps they need, and taken out of the batch when they are through."""
+    equal_step_by_step([with_numbers_of_its_own(number) for number in range(10)], THERE_AND_BACK[:6], copies=1)
+
+
 def test_there_is_a_hash_for_every_effect() -> None:
     assert set(KNOWN) == set(EFFECTS)
     assert set(EFFECTS) <= set(PlantConfig.model_fields)

@@ -39,6 +39,16 @@ class OdriveBench:
         self.send(0x0E, struct.pack("<f", torque))
 
 
+def test_odrive_heartbeat_is_told_byte_for_byte() -> None:
+    """Axis_Error, Axis_State, Procedure_Result, Trajectory_Done_Flag."""
+    bench = OdriveBench()
+    (frame,) = bench.send(0x01, remote=True)
+    assert (frame.can_id, frame.data) == (NODE << 5 | 0x01, bytes.fromhex("00000000 01 00 00 00"))
+    bench.torque_control()
+    (frame,) = bench.send(0x01, remote=True)
+    assert frame.data == bytes.fromhex("00000000 08 00 00 00")
+
+
 def test_odrive_applies_torque_in_closed_loop_torque_control_alone() -> None:
     bench = OdriveBench()
     bench.send(0x0E, struct.pack("<f", 1.0))

@@ -47,6 +47,16 @@ class Bench:
         return self.send(self.client.make_stop(query=True))
 
 
+@pytest.mark.parametrize(("kind", "least"), [(0, "80"), (1, "00 80"), (2, "00 00 00 80"), (3, "00 00 c0 7f")])
+def test_a_number_that_is_none_is_the_least_integer_of_its_type(kind: int, least: str) -> None:
+    bench = Bench()
+    bench.torque(0.5)
+    (frame,) = bench.raw(bytes((0x10 | kind << 2 | 1, 0x20)))  # the position that is commanded: none
+    head = bytes((0x20 | kind << 2 | 1, 0x20))
+    assert frame.data.rstrip(b"\x50") == head + bytes.fromhex(least)
+    assert math.isnan(client.parse_registers(frame.data).response[0x20])
+
+
 def test_torque_is_the_feedforward_of_position_mode_without_a_loop() -> None:
     bench = Bench()
     told = bench.torque(0.5)

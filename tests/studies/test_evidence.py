@@ -13,7 +13,7 @@ MILLISECOND = 1_000_000  # ns
 
 
 def rig(law: str = "presliding-kalman") -> RigConfig:
-    return load_rig(RIGS / "microscope.toml", [f"law.name={law}"])
+    return load_rig(RIGS / "microscope-ideal.toml", [f"law.name={law}"])
 
 
 def job(trial: Trial, *, axes: tuple[str, ...] = ("x",), law: str = "presliding-kalman", mode_hz: float = 0.0) -> Job:
@@ -77,7 +77,7 @@ def test_figures_at_rest_are_what_the_errors_say() -> None:
 
 
 def test_some_of_the_axes_are_tried_with_their_own_gains() -> None:
-    whole = load_rig(RIGS / "microscope.toml", ["law.gains.integral=[0.1, 0.2, 0.3, 0.4]"])
+    whole = load_rig(RIGS / "microscope-ideal.toml", ["law.gains.integral=[0.1, 0.2, 0.3, 0.4]"])
     some = only(whole, ["y", "z"])
     assert list(some.axes) == ["y", "z"]
     assert some.law.gains == {"integral": [0.2, 0.3]}

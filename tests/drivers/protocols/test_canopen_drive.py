@@ -10,6 +10,7 @@ from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.protocols.canopen.profile import MASTER_ID, rated_torque
 from sim_plant.drives.canopen_drive import Cia402Drive
+from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.power_states import TRANSITIONS
 from tests.support.canopen_bench import MS, Bench, make_drive
 
@@ -248,3 +249,13 @@ def test_a_reset_fault_clears_the_error_register_and_says_so() -> None:
     assert drive.state is DriveState.SWITCH_ON_DISABLED
     assert sdo(drive, read(0x1001))[4] == 0
     assert [frame.data[:3] for frame in frames if frame.can_id == 0x085] == [bytes(3)]
+
+
+@pytest.mark.parametrize(("force", "shown"), [(5.3, 32767), (-5.3, -32768)])
+def test_a_torque_beyond_what_its_object_holds_stays_at_its_end(bench: Bench, force: float, shown: int) -> None:
+    drive = bench.drives[0]
+    bench.enable, bench.force[0] = 0b1111, force
+    bench.tick(5)
+    assert drive.servo.force == pytest.approx(force, rel=1e-2)
+    drive.dictionary.values[key_of(0x6076)] = 1  # mN m, of which 6077h shows thousandths
+    assert int.from_bytes(sdo(drive, read(0x6077))[4:6], "little", signed=True) == shown

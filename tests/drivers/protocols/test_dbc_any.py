@@ -122,6 +122,20 @@ def test_a_file_of_many_messages_is_read_as_far_as_it_is_used() -> None:
     assert "read as far as it is used" in host.warnings[0]
 
 
+@pytest.mark.parametrize(("broken", "told_one_by_one"), [(5, 5), (6, 5), (9, 5)])
+def test_of_many_broken_messages_that_nobody_binds_the_first_are_named(broken: int, told_one_by_one: int) -> None:
+    overlapping = "".join(
+        f'BO_ {number} Broken{number}: 8 X\n SG_ A : 0|16@1+ (1,0) [0|0] "" Y\n SG_ B : 8|16@1+ (1,0) [0|0] "" Y\n\n'
+        for number in range(900, 900 + broken)
+    )
+    host, _ = ends(TEXT + overlapping, bound())
+    named = [warning for warning in host.warnings if "message Broken" in warning]
+    assert [f"message Broken{900 + k}" in line for k, line in enumerate(named)] == [True] * told_one_by_one
+    rest = [warning for warning in host.warnings if warning not in named]
+    left = broken - told_one_by_one
+    assert [f": {left} more messages that are not used" in line for line in rest] == [True] * (left > 0)
+
+
 # pages of one identifier, as many motors have them: the first byte is the command ------------------------------------
 
 TEXT = """VERSION ""

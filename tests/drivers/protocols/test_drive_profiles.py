@@ -322,11 +322,29 @@ def test_the_schedule_follows_the_mapping(tmp_path: Path) -> None:
         ("service", 0x609, 8),
     ]
     assert {m.can_id for m in messages if m.name.startswith("emergency")} == {0x83, 0x89}
+    assert [(m.name, m.period_ns, m.deadline_ns) for m in messages if m.period_ns != MS or m.deadline_ns != MS] == [
+        ("service", 2 * MS, 2 * MS),
+        ("answer", 2 * MS, 100 * MS),
+        *((f"{what} {axis}", 100 * MS, 100 * MS) for what in ("emergency", "heartbeat") for axis in (0, 1)),
+    ]
 
 
 # SDO answers ----------------------------------------------------------------------------------------------------------
 
 READ = Step(0x6502, 0, 0, width=2)
+
+
+def test_requests_are_those_of_the_standard_byte_for_byte() -> None:
+    assert Transfer(READ).request() == bytes.fromhex("40 02 65 00 00 00 00 00")
+    for size, command in ((1, "2f"), (2, "2b"), (3, "27"), (4, "23")):
+        written = Transfer(Step(0x1017, 2, 0x5A, size)).request()
+        assert written == bytes.fromhex(f"{command} 17 10 02 5a 00 00 00")
+    assert Transfer(READ).abort(cia301.Abort.TIMEOUT) == bytes.fromhex("80 02 65 00 00 00 04 05")
+    segmented = Transfer(READ)
+    assert segmented.answer(bytes.fromhex("41 02 65 00 08 00 00 00")) is Progress.CONTINUE
+    assert segmented.request() == bytes.fromhex("60 00 00 00 00 00 00 00")
+    assert segmented.answer(bytes.fromhex("00 01 02 03 04 05 06 07")) is Progress.CONTINUE
+    assert segmented.request() == bytes.fromhex("70 00 00 00 00 00 00 00")
 
 
 @pytest.mark.parametrize(("command", "value"), [(0x43, 0x44332211), (0x4B, 0x2211), (0x4F, 0x11), (0x42, 0x2211)])

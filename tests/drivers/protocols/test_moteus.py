@@ -185,6 +185,33 @@ def test_a_torque_arrives_in_any_type(share: list[float], kind: str) -> None:
     assert command.force == pytest.approx(force, abs=device.force_resolution * min(RATED) * 1.001 + 1e-6)
 
 
+@pytest.mark.parametrize(
+    ("told", "heard"),
+    [
+        (DriveStatus(0), DriveStatus(0)),
+        (DriveStatus.ENABLED, DriveStatus.ENABLED),
+        (DriveStatus.WATCHDOG, DriveStatus.WATCHDOG),
+        (DriveStatus.ENABLED | DriveStatus.FAULT, DriveStatus.FAULT),
+        (DriveStatus.ENCODER_FAULT, DriveStatus.ENCODER_FAULT | DriveStatus.FAULT),
+    ],
+)
+def test_a_status_arrives_as_it_was_meant(told: DriveStatus, heard: DriveStatus) -> None:
+    host, device = ends()
+    if told & DriveStatus.ENABLED:
+        host.encode(Command(0, [0.0, 0.0], 0b11, False))
+    sample = host.decode(device.encode_feedback(Sample(1, 5, int(told), -1, 0)))
+    assert isinstance(sample, Sample)
+    assert sample.status == heard
+
+
+def test_the_answers_of_nodes_from_8_on_have_extended_identifiers() -> None:
+    for node, can_id in ((7, 0x700), (8, EXTENDED | 0x800), (127, EXTENDED | 0x7F00)):
+        host, device = ends(nodes=[1, node])
+        frame = device.encode_feedback(Sample(1, 5, 0, -1, 0))
+        assert frame.can_id == can_id
+        assert isinstance(host.decode(frame), Sample)
+
+
 def test_each_drive_samples_when_it_has_its_own_frame() -> None:
     host, _ = ends()
     frames = host.encode(Command(0, [0.0, 0.0], 0b11, False))

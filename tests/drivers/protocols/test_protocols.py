@@ -39,6 +39,37 @@ def ends(protocol: str, n_axes: int = 4) -> tuple[Any, Any]:
     return host_protocol(bus, n_axes, RATED[:n_axes], ROOT), device_protocol(bus, n_axes, RATED[:n_axes], ROOT)
 
 
+# what a layout says of itself -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", STAGES)
+def test_a_stage_layout_carries_positions_of_32_bits_on_every_axis(protocol: str) -> None:
+    for n_axes in (1, 4):
+        host, _ = ends(protocol, n_axes)
+        assert host.positions == [(-(2**31), 2**31 - 1)] * n_axes
+
+
+def test_a_force_arrives_within_the_resolution_that_is_stated_and_no_finer() -> None:
+    host, device = ends("stage_classic")
+    worst = 0.0
+    for part in range(-1000, 1001):
+        force = [rated * part / 1000.0 for rated in RATED]
+        command = device.decode_command(host.encode(Command(0, force, 0b1111, False))[0])
+        errors = [abs(a - b) / r for a, b, r in zip(command.force, force, RATED, strict=True)]
+        worst = max(worst, *errors)
+    assert 0.9 * device.force_resolution < worst <= device.force_resolution * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("protocol", STAGES)
+def test_what_is_not_the_command_is_unknown_to_a_device_whatever_its_identifier(protocol: str) -> None:
+    _, device = ends(protocol)
+    known = BusConfig(protocol=protocol).host_id
+    for can_id in (0, 1, known + 1, 0x7FF, EXTENDED, EXTENDED | (known + 1)):
+        assert device.decode_command(Frame(can_id, bytes(8))) is Reject.UNKNOWN_ID
+    assert device.decode_command(Frame(EXTENDED | known, bytes(8))) is Reject.WRONG_FORMAT
+    assert device.decode_command(Frame(ERROR, bytes(8))) is Reject.ERROR_FRAME
+
+
 # the contracts --------------------------------------------------------------------------------------------------------
 
 

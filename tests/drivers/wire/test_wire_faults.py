@@ -204,3 +204,14 @@ def test_a_fault_of_an_unknown_node_names_those_there_are() -> None:
     rig = Rig(WireFault(FaultKind.DOWN, node="drive9"))
     with pytest.raises(ValueError, match="no node 'drive9'; there are host, drive0"):
         rig.ticks(1)
+
+
+def test_a_bit_that_is_not_named_is_drawn_anywhere_in_the_frame() -> None:
+    ends = set()
+    for seed in range(40):
+        rig = Rig(WireFault(FaultKind.CORRUPT, can_id=COMMAND.can_id, count=1), drives=1, seed=seed)
+        rig.ticks(1)
+        (heard,) = rig.at_drive["drive0"]  # the repetition, behind the error frame
+        ends.add(heard.timestamp_ns // BIT)
+    assert len(ends) > 20
+    assert max(ends) - min(ends) > bits(COMMAND) // 2

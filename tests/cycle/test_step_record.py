@@ -1,0 +1,34 @@
+"""A tick's record says what its cycle knows: the newest command, the drives, the counters, from the first tick on."""
+
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.rig.file import load_rig
+from hil.virtual.lockstep import LockstepRun
+from tests.support.paths import RIGS
+
+
+def test_from_the_first_tick_on_a_record_says_what_the_cycle_knows() -> None:
+    def operator(run: LockstepRun, index: int) -> list[CommandKind]:
+        return [CommandKind.HOME if index == 5 else CommandKind.ACTIVATE] if index in (5, 60) else []
+
+    run = LockstepRun(load_rig(RIGS / "paper.toml"), RIGS, operator=operator)
+    refused, states = 0, set()
+    for index in range(120):
+        record, cycle = run.tick().record, run.cycle
+        n = len(cycle.inbox.samples)
+        status = [0 if sample is None else int(sample.status) for sample in cycle.inbox.samples]
+        assert record["drive_status"].tolist() == status + [0] * (4 - n)
+        assert record["age_ticks"].tolist()[:n] == cycle.inbox.age
+        assert int(record["sequence"]) == max(cycle.sent_sequence, 0)
+        assert int(record["state"]) == int(cycle.state)
+        commands = record["commands"][: int(record["n_commands"])]
+        refused += int((commands["accepted"] == 0).sum())
+        assert int(record["commands_refused"]) == refused
+        assert int(record["task_ns"]) == cycle.setpoints.task_ns
+        states.add(cycle.state)
+        if index == 0:
+            assert (int(record["sequence"]), status, int(record["n_received"])) == (0, [0] * n, 0)
+    assert refused == 1  # HOME, before the axes are ready
+    assert State.ACTIVE in states
+    assert int(record["sequence"]) > 100
+    assert all(record["drive_status"].tolist()[:n])

@@ -1,0 +1,69 @@
+"""CANopen's own traffic in words, for whoever watches a bus."""
+
+import struct
+
+import pytest
+
+from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocols.base import Command
+from drivers.protocols.canopen.emergency import emergency_words
+from drivers.protocols.frame_text import command_text, service_text
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "says"),
+    [
+        (0x000, "01 00", "NMT start, all nodes"),
+        (0x000, "81 05", "NMT reset node, node 5"),
+        (0x000, "33 05", "NMT command 0x33, node 5"),
+        (0x080, "", "SYNC"),
+        (0x080, "f0", "SYNC 240"),
+        (0x705, "05", "node 5: operational"),
+        (0x705, "85", "node 5: operational"),
+        (0x705, "33", "node 5: state 0x33"),
+        (0x085, "30 81 11 00 00 00 00 00", "node 5: emergency 8130h: heartbeat or life guarding"),
+        (0x685, "00 00 00 00 00 00 00 00", "node 5: emergency 0000h: no error any more"),
+        (0x605, "40 41 60 00 00 00 00 00", "to node 5: SDO read 6041h:00"),
+        (0x585, "4b 41 60 00 37 02 00 00", "node 5: SDO "),
+    ],
+)
+def test_canopens_own_frames_are_told_and_no_other_is(can_id: int, data: str, says: str) -> None:
+    frame = Frame(can_id, bytes.fromhex(data), 0, 0)
+    assert service_text(frame).lower().startswith(says.lower())
+    for bit in (EXTENDED, REMOTE, ERROR):
+        assert service_text(frame._replace(can_id=can_id | bit)) == ""
+    assert service_text(frame._replace(flags=FD | BRS)) == ""
+
+
+@pytest.mark.parametrize(
+    ("can_id", "length"), [(0x000, 1), (0x185, 8), (0x205, 8), (0x585, 7), (0x605, 4), (0x680, 8), (0x705, 2)]
+)
+def test_process_data_and_what_has_another_length_are_no_service(can_id: int, length: int) -> None:
+    assert service_text(Frame(can_id, bytes(length), 0, 0)) == ""
+
+
+CLASSES = {
+    0x54: "power section", 0x61: "internal software", 0x62: "user software", 0x63: "data set", 0x71: "power unit",
+    0x73: "sensor", 0x81: "communication", 0x82: "protocol", 0x90: "external error", 0xFF: "device specific",
+    0x10: "generic error", 0x21: "current", 0x33: "voltage", 0x44: "temperature", 0x51: "hardware of the device",
+    0x6F: "software of the device", 0x70: "additional modules", 0x80: "monitoring", 0xF0: "additional functions",
+    0xA0: "unknown code",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("high", "words"), CLASSES.items())
+def test_a_code_that_has_no_words_of_its_own_has_those_of_its_class(high: int, words: str) -> None:
+    for low in (0x01, 0x02, 0xFE):
+        data = struct.pack("<HB5s", high << 8 | low, 0, bytes(5))
+        assert emergency_words(data) == f"emergency {high << 8 | low:04X}h: {words}; error register none"
+
+
+def test_an_emergency_names_the_bits_of_the_register_and_shows_the_makers_bytes() -> None:
+    said = emergency_words(struct.pack("<HB5s", 0x7320, 0x21, b"\0\0\x12\0\xab"))
+    assert said == "emergency 7320h: position sensor; error register generic, profile; maker's bytes 00 00 12 00 ab"
+
+
+def test_a_command_says_each_axis_force_and_what_is_disabled() -> None:
+    said = command_text(Command(7, [0.5, -1.25], 0b01, True), ["x", "y"])
+    assert said == "force x +0.5, y -1.25 (disabled), reset"
+    assert command_text(Command(7, [0.0, 0.0], 0b11, False), ["x", "y"]) == "force x +0, y +0"
