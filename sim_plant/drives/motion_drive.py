@@ -73,8 +73,9 @@ class MotionDrive(Cia402Drive):
         self._restore()
 
     def emulates(self, mode: int) -> bool:
-        """The EDS offers the mode, and it is emulated; a drive without 6502h is taken to offer CST."""
-        offered = self.dictionary.number(_MODES, cia301.TORQUE_MODE_BIT)
+        """The EDS offers the mode, and it is emulated; a drive with 6071h and without 6502h is taken to offer CST."""
+        has_target = key_of(cia301.TORQUE) in self.dictionary.entries
+        offered = self.dictionary.number(_MODES, cia301.TORQUE_MODE_BIT if has_target else 0)
         return mode in EMULATED and bool(offered >> (mode - 1) & 1)
 
     def reboot(self) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,8 @@ from hil.cli.app import build_app
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drive_double import DoubleSettings, DriveDouble, make_drive, stated_inputs
 from tests.support.foreign_drive import MOTION_DRIVE, eds_text
+from tests.support.foreign_master import NODE, PATIENCE_S, eventually, patient
 from tests.support.paths import ROOT
-
-NODE = 3
-PATIENCE_S = 30.0  # only a failing test waits this long
 
 
 class Double:
@@ -94,17 +92,10 @@ def double(eds: Path) -> Iterator[Double]:
 def client(double: Double, network: canopen.Network, eds: Path) -> Any:
     node = BaseNode402(NODE, str(eds))
     network.add_node(node)
-    node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    patient(node)
     node.nmt.state = "RESET COMMUNICATION"
     assert node.sdo[0x1001].raw == 0  # frames keep their order: its boot-up message came before this answer
     return node
-
-
-def eventually(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 @pytest.mark.live
