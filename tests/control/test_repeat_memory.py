@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hil.control.laws import make_axis_laws, make_law
+from hil.control.laws.presliding_kalman import KEPT
 from hil.control.laws.repeat_memory import LAG, WARM_REPEATS, RepeatMemory
 from hil.rig.schema import LawConfig
 from tests.control.test_laws import LIMIT, PERIOD, model
@@ -92,6 +93,21 @@ def test_the_best_of_a_run_is_what_the_next_one_begins_with() -> None:
     assert play(again, wave(1.0), 1)[0] < 0.02
     with pytest.raises(ValueError, match=r"law\.learnt: it has 99 ticks of a repeat, the task 100"):
         again.begin_with(best[1:])
+
+
+def test_a_law_begins_with_the_weights_and_tables_of_an_earlier_run() -> None:
+    law = make_law(
+        LawConfig(name="presliding-kalman", iterative_learning=True), model(), PERIOD, LIMIT, repeat=(REPEAT_NS, 0)
+    )
+    fresh = law.learnt_state()
+    state = [value + 1e-4 * (number + 1) for number, value in enumerate(fresh)]
+    law.begin_learnt(state)
+    assert np.array_equal(law.learnt_state()[0], fresh[0])  # from the next start on
+    law.reset(np.zeros(2), model().gravity)
+    for kept, wanted in zip(law.learnt_state()[:KEPT], state, strict=False):
+        assert np.array_equal(kept, wanted)
+    with pytest.raises(ValueError, match=r"law\.learnt: it has 3 values"):
+        law.begin_learnt(state[:3])
 
 
 def test_a_spoilt_sample_teaches_nothing() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.control.laws.structured_filter import sign_array, sign_float, slide
+from hil.control.laws.structured_filter import keep_disturbance, sign_array, sign_float, slide, standing
 from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
@@ -74,6 +74,16 @@ def test_reversals_are_the_same_for_floats_and_arrays() -> None:
     for k in range(500):
         one = sign_float(float(v0[k]), float(v1[k]), PERIOD, 0.02, float(coulomb[k]))
         assert one == tuple(float(values[k]) for values in many)
+
+
+def test_the_covariance_of_the_disturbance_is_kept_entry_by_entry() -> None:
+    before, after = tuple(float(number) for number in range(21)), tuple(100.0 + number for number in range(21))
+    assert standing(before, 7.0) == (7.0, *[0.0] * 10, *before[11:])  # type: ignore[arg-type]
+    assert keep_disturbance(after, before, True) == (*after[:11], *before[11:])  # type: ignore[arg-type]
+    assert keep_disturbance(after, before, False) == after  # type: ignore[arg-type]
+    arrays = [tuple(np.array([value, value]) for value in p) for p in (after, before)]
+    both = keep_disturbance(*arrays, np.array([True, False]))  # type: ignore[arg-type]
+    assert [tuple(float(value[k]) for value in both) for k in (0, 1)] == [(*after[:11], *before[11:]), after]
 
 
 def slid(velocity: float, push: float, dry: float, time: float, mass: float) -> tuple[float, float]:

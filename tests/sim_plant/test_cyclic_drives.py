@@ -85,6 +85,15 @@ def test_odrive_latches_errors_until_they_are_cleared(error: int, provoke: str) 
     assert bench.servo.force == 1.0
 
 
+def test_an_estop_is_told_beside_an_expired_watchdog() -> None:
+    bench = OdriveBench()
+    bench.torque_control()
+    bench.now += 10 * MS
+    bench.servo.trip(bench.now)
+    bench.send(0x02)
+    assert bench.heartbeat() == (WATCHDOG | ESTOP, IDLE, 3)
+
+
 def test_odrive_restarts_in_position_control() -> None:
     bench = OdriveBench()
     bench.torque_control()

@@ -47,6 +47,13 @@ class Bench:
         return self.send(self.client.make_stop(query=True))
 
 
+@pytest.mark.parametrize(("node", "can_id"), [(7, 0x700), (8, EXTENDED | 0x800), (127, EXTENDED | 0x7F00)])
+def test_answers_that_fit_no_standard_identifier_are_extended(node: int, can_id: int) -> None:
+    drive = Moteus(node, ServoDrive(0, 2.0, 1e-7, 100 * MS, False, 0), lambda: -0.5, 0)
+    (answer,) = drive.on_frame(Frame(EXTENDED | 0x8000 | node, b"\x11\x00\x50\x50", FD | BRS, MS))
+    assert answer.can_id == can_id
+
+
 @pytest.mark.parametrize(("kind", "least"), [(0, "80"), (1, "00 80"), (2, "00 00 00 80"), (3, "00 00 c0 7f")])
 def test_a_number_that_is_none_is_the_least_integer_of_its_type(kind: int, least: str) -> None:
     bench = Bench()

@@ -1,5 +1,6 @@
 """Recordings: what goes in comes out, cut short or not; a full disk is counted and hurts nobody."""
 
+import errno
 import json
 import os
 from pathlib import Path
@@ -241,6 +242,21 @@ def test_a_full_disk_is_counted_and_never_raises() -> None:
     recorder.close()
     assert not recorder.ok
     assert recorder.errors > 0
+
+
+@pytest.mark.parametrize("messages", [0, 3])
+def test_of_a_disk_that_fills_a_recording_that_has_no_tick_yet_goes(
+    messages: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    recorder = _write(tmp_path / "run.mcap", messages)
+    assert (tmp_path / "run.mcap").exists()
+    monkeypatch.setattr(recorder._writer, "add_message", full)
+    recorder.write("status", 0, b"")
+    assert (recorder.ok, recorder.errors, recorder.problem) == (False, 1, "No space left on device")
+    assert not (tmp_path / "run.mcap").exists()
 
 
 def test_a_directory_that_cannot_be_written_is_counted_and_never_raises() -> None:

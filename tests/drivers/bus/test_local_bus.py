@@ -1,5 +1,6 @@
 """The local bus: everyone but the sender hears a frame; who dies vanishes; who stops reading harms only himself."""
 
+import contextlib
 import os
 import select
 import signal
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from drivers.bus import local_channel
 from drivers.bus.local_channel import channel_dir
 from drivers.bus.local_link import FIRST_DEPTH, Link
+from drivers.bus.local_medium import LocalMedium
 from drivers.bus.port import Port, PortCounters, PortError, open_port
 from drivers.config import BusConfig
 from drivers.frame import BRS, FD, Frame, to_bytes
@@ -294,3 +296,15 @@ def test_a_local_bus_can_be_rebound(join: OpenPort) -> None:
     host.send(Frame(1, b""))
     assert take(device) == [(1, b"")]
     assert host.counters() == PortCounters(sent=1)
+
+
+def test_a_member_whose_descriptor_another_thread_has_closed_is_left_out(join: OpenPort) -> None:
+    with contextlib.closing(LocalMedium("can0", depth=8)) as medium:
+        port = join()
+        port.send(Frame(0x10, b"here", FD))
+        assert medium.transmit(to_bytes(Frame(0x11, b"here", FD)))
+        (link,) = medium._links
+        link.close()  # while a sending thread still has it in hand
+        medium._part(link)
+        assert medium._links == ()
+        assert medium.transmit(to_bytes(Frame(0x12, b"gone", FD))) is False

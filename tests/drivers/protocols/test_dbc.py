@@ -143,6 +143,13 @@ def test_a_command_with_a_lost_part_is_not_obeyed() -> None:
         ({"torque": signals("TorqueDemand", "TorqueDemand", scale=0.001)}, "check its scale"),
         ({"torque": signals("TorqueDemand", "TorqueDemand")[:1]}, "1 signals for 2 axes"),
         ({"position": [signals("MotorFeedback", "ShaftPosition")[0]] * 2}, "message"),
+        (
+            {"enable": signals("TorqueDemand", "DriveMode") + signals("TorqueDemand", "DriveMode")[:1]},
+            "enable has 3 signals for 2",
+        ),
+        ({"start": [{"message": "TorqueDemandA"}] * 3}, "start has 3 frames for 2 axes; it may also have one or none"),
+        ({"stop": [{"message": "TorqueDemandA"}] * 4}, "stop has 4 frames for 2 axes"),
+        ({"status": signals("MotorFeedback", "StateBits")[:1]}, "status has 1 signals for 2 axes; it may also be left"),
         ({"command_counter": []}, "both or neither"),
         ({"feedback_counter": signals("MotorFeedback", "StateBits")}, "different lengths"),
         ({"checksum": signals("TorqueDemand", "AliveCounter")}, "not one whole byte"),
