@@ -12,12 +12,13 @@ import hil
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
-from hil.control.law_registry import LAWS, law_class
+from hil.control.law_registry import law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
 from hil.cycle.event_table import FAULT_TEXTS, KINDS
 from hil.cycle.fault_table import RULES, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.reference import Table, json_schema, tables
 from hil.rig.schema import LawConfig
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities

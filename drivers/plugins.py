@@ -1,9 +1,10 @@
 """Where classes come from: laws, tasks, stages and frame layouts, our own and everybody else's.
 
 A rig names a class by a name of our own table, by a name that an installed package registers (an entry point), as
-`package.module:Class`, or as `./file.py:Class` of a file beside the rig. Of a file, the rig carries the text (key
-`source` of the same table), so that it is part of the rig's hash, of the recording, and of the work sent to other
-processes. Packages are looked for where Python does, and in FOLDER, as long as that is root's alone.
+`package.module:Class`, or as `./file.py:Class` of a file beside the rig. Key `source` of the same table has the text of
+a file, or of a package the digest of its code (package_digest.py), so that it is part of the rig's hash, of the
+recording, and of the work sent to other processes. Packages are looked for where Python does, and in FOLDER, as long as
+that is root's alone.
 """
 
 import difflib
@@ -19,6 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+DIGEST = "sha256:"  # the digest of a package's code begins with it, and no Python text does
 FOLDER = Path("/usr/local/lib/hil/plugins")  # of this machine: `pip install --target`, or plain files, by root
 
 
@@ -42,19 +44,36 @@ class Kind(NamedTuple):
 
 
 def find(kind: Kind, name: str, source: str = "") -> Any:
-    """What a name stands for; source: the text of its file, for './file.py:Class'.
+    """What a name stands for; source: what the rig carries of it, the text of './file.py:Class' or a package's digest.
 
-    Raises ValueError naming key, value and what is allowed; and whatever the plug-in's own module raises, as a
-    ValueError with its file and line.
+    Raises ValueError naming key, value and what is allowed, also where the installed package is another than that; and
+    whatever the plug-in's own module raises, as a ValueError with its file and line.
     """
     if name in kind.ours:
         return load(kind.ours[name])
-    if ":" not in name:
-        return _checked(kind, load(_registered(kind, name), kind), name)
-    module, _, attribute = name.rpartition(":")
-    if module.endswith(".py"):
-        return _checked(kind, getattr(_from_source(kind, module, source), attribute, None), name)
-    return _checked(kind, load(name, kind), name)
+    if file := file_of(name):
+        attribute = name.rpartition(":")[2]
+        return _checked(kind, getattr(_from_source(kind, file, source), attribute, None), name, attribute)
+    target = _target(kind, name)
+    if not target:
+        raise ValueError(unknown(kind, name))
+    module, _, attribute = target.partition(":")
+    found = _checked(kind, load(target, kind), name, attribute)
+    if source and source != (own := _digest_of(module)):
+        raise ValueError(
+            f"{kind.path} = {name!r}: the installed package is another than this rig's ({source[:15]}, installed "
+            f"{own[:15] or 'without a file'}): install that version; a rig file without {kind.table}.source takes any"
+        )
+    return found
+
+
+def package_digest(kind: Kind, name: str) -> str:
+    """The digest of the installed package that a name stands for; empty for our own, for files, and for what is not to
+    be had. Raises OSError where it cannot be read.
+    """
+    if name in kind.ours or file_of(name):
+        return ""
+    return _digest_of(_target(kind, name).partition(":")[0])
 
 
 def known(kind: Kind, name: str) -> bool:
@@ -120,19 +139,26 @@ def code_file(made: type) -> str:
     return str(getattr(sys.modules.get(made.__module__), "__file__", None) or "")
 
 
-def _registered(kind: Kind, name: str) -> str:
+def _digest_of(module: str) -> str:
+    from drivers.package_digest import digest_of  # few rigs have one
+
+    digest = digest_of(module)
+    return DIGEST + digest if digest else ""
+
+
+def _target(kind: Kind, name: str) -> str:
+    """`package.module:Class` of a name that is not ours: itself, or what a package registers; empty where none does."""
     _open_folder()
-    for entry in entry_points(group=kind.group):
-        if entry.name == name:
-            return entry.value
-    raise ValueError(unknown(kind, name))
+    if ":" in name:
+        return name
+    found = [entry for entry in entry_points(group=kind.group) if entry.name == name]
+    return f"{found[0].module}:{found[0].attr}" if found else ""
 
 
-def _checked(kind: Kind, found: Any, target: str) -> Any:
+def _checked(kind: Kind, found: Any, name: str, attribute: str) -> Any:
     if isinstance(found, type) and all(callable(getattr(found, method, None)) for method in kind.methods):
         return found
-    attribute = target.rpartition(":")[2]
-    raise ValueError(f"{kind.path} = {target!r}: {attribute!r} is no class with {' and '.join(kind.methods)}")
+    raise ValueError(f"{kind.path} = {name!r}: {attribute!r} is no class with {' and '.join(kind.methods)}")
 
 
 @cache

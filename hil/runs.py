@@ -317,8 +317,8 @@ class Recording(Run):
     """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
 
     exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
-    the cycle is run again, as `hil replay` does; where ticks are missing, or this version comes to other frames, the
-    rounded values stay.
+    the cycle is run again, as `hil replay` does; where ticks are missing, this version comes to other frames, or the
+    run's law is not installed, the rounded values stay.
 
     Raises RecordingError where the file is none.
     """

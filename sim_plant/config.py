@@ -123,8 +123,10 @@ class EmulatedDriveConfig(BaseModel):
     aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
     answer_delay_s: Interval = key(0.0, "cia402: delay of its SDO answers", "s")
     dummy_mapping: bool = key(True, "cia402: RPDOs may map dummy objects, where the EDS says so")
-    answers: Literal["expedited", "unsized", "segmented"] = key(
-        "expedited", "cia402: how it answers SDO reads of numbers; unsized: expedited, without telling the size"
+    answers: Literal["expedited", "unsized", "segmented", "block"] = key(
+        "expedited",
+        "cia402: how it answers SDO reads; unsized: expedited, without telling the size; block: what is longer than "
+        "four bytes by block transfer alone",
     )
     status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)
 
@@ -196,7 +198,7 @@ class PlantConfig(BaseModel):
         "./file.py:Class beside the rig file",
     )
     parameters: dict[str, Any] = key({}, "of a stage of your own: what its class takes")
-    source: str = key("", "text of such a stage's file; filled in when the rig is loaded")
+    source: str = key("", "of such a stage: its file's text, or its package's digest; filled in when the rig is loaded")
     presliding: Distance | list[Distance] = key(
         0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
     )

@@ -1,6 +1,7 @@
 """CiA 402 drives alone on a bus, without a stage: test doubles for masters, in real time, that say what they do."""
 
 import os
+import re
 import select
 import time
 from collections.abc import Callable, Sequence
@@ -20,7 +21,9 @@ from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.process import StopSignals
 
 _SWITCHES = {"limit-": NEGATIVE_LIMIT, "limit+": POSITIVE_LIMIT, "limits-off": 0}
-ORDERS = ("fault", "reboot", "off", "mute", "unmute", *_SWITCHES)
+_INPUTS = re.compile(r"inputs=(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,9})")
+_WORDS = ("fault", "reboot", "off", "mute", "unmute", "block", "unblock", *_SWITCHES)
+ORDERS = (*_WORDS, "inputs=VALUE")
 _WAIT_S = 0.002  # how late a heartbeat or an expiry may be
 
 
@@ -46,6 +49,15 @@ def make_drive(eds: Path, node: int, settings: DoubleSettings, now_ns: int) -> M
     servo = ServoDrive(0, settings.rated_torque, resolution, watchdog_ns, False, 0)
     motor = Motor(settings.inertia, settings.friction, resolution, now_ns)
     return MotionDrive(node, servo, motor, eds=eds, quirks=stated_quirks(settings.quirks))
+
+
+def stated_inputs(word: str) -> int | None:
+    """60FDh that an order asks for; None for another order."""
+    if word in _SWITCHES:
+        return _SWITCHES[word]
+    stated = _INPUTS.fullmatch(word)
+    value = int(stated[1], 0) if stated else -1
+    return value if 0 <= value <= 0xFFFFFFFF else None
 
 
 class Reporter:
@@ -127,13 +139,17 @@ class DriveDouble:
 
     def order(self, word: str) -> None:
         """One of ORDERS, to every drive: what their surroundings do to them."""
-        if word not in ORDERS:
-            self._say(f"{word!r} is no order; there are {', '.join(ORDERS)}")
+        inputs = stated_inputs(word)
+        if inputs is not None:
+            for drive in self.drives:
+                drive.inputs = inputs
+        elif word not in _WORDS:
+            self._say(f"{word!r} is no order; there are {', '.join(ORDERS)} of 0 to 0xFFFFFFFF")
         elif word in ("mute", "unmute"):
             self._muted = word == "mute"
-        elif word in _SWITCHES:
+        elif word in ("block", "unblock"):
             for drive in self.drives:
-                drive.inputs = _SWITCHES[word]
+                drive.blocked = word == "block"
         else:
             for drive in self.drives:
                 {"fault": drive.servo.fail, "reboot": drive.reboot, "off": drive.switch_off}[word]()

@@ -199,7 +199,7 @@ class EmulatedStage:
         self._run_physics()
         truth, before = self._stage.truth.changed(axis, key, value)
         self._stage.change(truth)
-        return before
+        return float(before)
 
     def advance(self, now_ns: int) -> list[Frame]:
         """Let time pass to now_ns, through everything that falls due on the way; a time already past changes nothing.

@@ -43,8 +43,8 @@ def paper(filterpy_loaded: None) -> RigConfig:
 
 
 @pytest.fixture
-def microscope(filterpy_loaded: None) -> RigConfig:
-    return load_rig(RIGS / "microscope.toml")
+def ideal_microscope(filterpy_loaded: None) -> RigConfig:
+    return load_rig(RIGS / "microscope-ideal.toml")
 
 
 @pytest.fixture

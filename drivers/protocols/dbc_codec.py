@@ -31,6 +31,8 @@ _SIZES = (
     ("multiplexer value", re.compile(r"\bSG_MUL_VAL_\s+\d+\s+\w+\s+\w+([^;]*)"), 65535),
 )
 
+LONGEST_CLASSIC = 8  # bytes of a frame
+
 _OF_DAMAGED_TEXT = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError)
 
 
@@ -86,6 +88,21 @@ def _refuse_sizes(text: str) -> None:
         for number in (digits for found in pattern.finditer(bare) for digits in re.findall(r"\d+", found[1])):
             if len(number) > 9 or int(number) > most:
                 raise UnsuitableFileError(f"{what} {short(number)}: allowed 0 to {most}")
+
+
+def is_fd(message: Message) -> bool:
+    """Whether a message is one of CAN FD: its file says so, or leaves it open and no other frame is so long."""
+    return bool(message.is_fd) or (message.length > LONGEST_CLASSIC and not _states_format(message))
+
+
+def fd_by_length(message: Message) -> bool:
+    """Whether its length alone says that it is."""
+    return is_fd(message) and not message.is_fd
+
+
+def _states_format(message: Message) -> bool:
+    """The file gives this very message a frame format."""
+    return message.dbc is not None and "VFrameFormat" in message.dbc.attributes
 
 
 def compile_codec(message: Message, expected: Sequence[str] | None = None) -> Codec:

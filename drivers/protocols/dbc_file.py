@@ -13,7 +13,14 @@ from cantools.database.errors import Error as CantoolsError
 
 from drivers.frame import FD_LENGTHS
 from drivers.protocols.base import LayoutError
-from drivers.protocols.dbc_codec import load_dbc, parse_dbc, read_dbc
+from drivers.protocols.dbc_codec import (
+    LONGEST_CLASSIC,
+    fd_by_length,
+    is_fd,
+    load_dbc,
+    parse_dbc,
+    read_dbc,
+)
 from drivers.toml_file import short
 
 _MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+(\d+)[ \t]+(\w+)[ \t]*:[^\n]*(?:\n[ \t]*SG_[ \t][^\n]*)*", re.M)
@@ -38,8 +45,10 @@ def load_used(path: Path, names: Collection[str]) -> tuple[Database, list[str]]:
         if not used:
             raise
         database = parse_dbc(used, path)
-        return database, [f"{path.name}: read as far as it is used, not whole: {short(str(error), 200)}"]
-    return database, _unfit(database, path.name, names)
+        unfit = [f"{path.name}: read as far as it is used, not whole: {short(str(error), 200)}"]
+    else:
+        unfit = _unfit(database, path.name, names)
+    return database, _guessed(database, path.name, names) + unfit
 
 
 def _only(text: str, names: Collection[str]) -> str:
@@ -54,13 +63,20 @@ def _only(text: str, names: Collection[str]) -> str:
     return 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_:\n\n' + "\n\n".join(kept) + "\n"
 
 
+def _guessed(database: Database, file: str, names: Collection[str]) -> list[str]:
+    """Which bound messages are taken as CAN FD for their length alone."""
+    longer = [message for message in database.messages if message.name in names and fd_by_length(message)]
+    said = ", ".join(f"{message.name} ({message.length} bytes)" for message in longer)
+    return [f"{file}: taken as CAN FD, as no classic frame is so long: {said}"] if longer else []
+
+
 def _unfit(database: Database, file: str, names: Collection[str]) -> list[str]:
     """Messages that nobody binds and no frame could carry, or whose signals overlap."""
     problems = []
     for message in database.messages:
         if message.name in names:
             continue
-        longest = FD_LENGTHS[-1] if message.is_fd else 8
+        longest = FD_LENGTHS[-1] if is_fd(message) else LONGEST_CLASSIC
         if message.length > longest:
             problems.append(f"{file}: message {message.name} has {message.length} bytes, more than a frame")
             continue

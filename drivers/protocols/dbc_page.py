@@ -15,7 +15,7 @@ from drivers.config import SignalBinding
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import LayoutError, Reject
 from drivers.protocols.checksum import ALGORITHMS
-from drivers.protocols.dbc_codec import Codec, compile_signals
+from drivers.protocols.dbc_codec import LONGEST_CLASSIC, Codec, compile_signals, is_fd
 
 Selection = Mapping[str, frozenset[int]]  # multiplexer -> the values with which a signal is there
 
@@ -65,9 +65,9 @@ class BoundMessage:
         self.selection = dict(selection or {})
         self.name = str(message.name)
         self.can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        self.fd = bool(message.is_fd)
+        self.fd = is_fd(message)
         self.length = message.length
-        if self.length not in FD_LENGTHS or (self.length > 8 and not self.fd):
+        if self.length not in FD_LENGTHS or (self.length > LONGEST_CLASSIC and not self.fd):
             raise LayoutError(
                 f"message {self.name} has {self.length} bytes, which no {'FD' if self.fd else 'classic'} frame has"
             )

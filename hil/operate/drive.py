@@ -48,7 +48,7 @@ def drive(
     answer_delay_s: Annotated[float, typer.Option(min=0, max=10, help="of its SDO answers")] = 0.0,
     enable_delay_s: Annotated[float, typer.Option(min=0, max=10, help="from the command to OPERATION ENABLED")] = 0.0,
     answers: Annotated[
-        Literal["expedited", "unsized", "segmented"], typer.Option(help="how it answers SDO reads of numbers")
+        Literal["expedited", "unsized", "segmented", "block"], typer.Option(help="how it answers SDO reads")
     ] = "expedited",
     status_bits: Annotated[
         int, typer.Option(parser=_whole, help="its own bits of the statusword, always set: 8, 14, 15, as 0x8000")

@@ -18,6 +18,7 @@ from hil.cli.output import writable, write_json
 from hil.operate.bringup.command import JogAsked, bring_up
 
 _REFUSED = 1  # exit status
+_HERE = "here: --rated-torque"
 
 
 def drives(
@@ -128,7 +129,12 @@ def _show(plan: DrivePlan, eds: Eds) -> None:
             table.add_row(object_name(step.object_index, step.subindex), value, item.need, why)
         console.print(table)
     else:
-        console.print("[bold]cannot be used:[/bold]")
+        remedies = [reason.remedy for reason in plan.reasons]
+        if all(remedies):
+            stated = f"{' and '.join(remedies)} in the rig file ({_HERE})"
+            console.print(f"[bold]can be used once you state[/bold] {stated}:", soft_wrap=True)
+        else:
+            console.print("[bold]cannot be used:[/bold]")
         for reason in plan.reasons:
             console.print(f"  {reason.object} {escape(reason.text)}", soft_wrap=True)
     for warning in plan.warnings:

@@ -55,7 +55,7 @@ def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
         f"<p>and {len(story.events) - MOST_EVENTS} more</p>" if len(story.events) > MOST_EVENTS else "",
         "<h2>Law</h2>",
         _table([], [["law", rig.law.name], *([key, value] for key, value in rig.law.effective_gains().items())]),
-        f"<pre>{_text(rig.law.source)}</pre>" if rig.law.source else "",
+        f"<pre>{_text(rig.law.source)}</pre>" if rig.law.source else "",  # of a package, the digest of its code
         "<h2>Rig</h2>",
         f"<pre>{_text(_document(rig))}</pre></body></html>\n",
     ]

@@ -1,4 +1,4 @@
-"""What a rig file brings with it: the texts of its plug-ins' files, the samples of its task, what its law has learnt.
+"""What a rig file brings with it: its plug-ins' texts or digests, the samples of its task, what its law has learnt.
 
 A document that has them already (a recording's, or work sent to another process) keeps them, unless something else was
 chosen: it needs no file, and runs no code.
@@ -8,16 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.plugins import file_of, known
+from drivers.plugins import DIGEST, Kind, file_of, known, package_digest
 from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import shown
+from hil.rig import law_names
 from hil.rig.schema import RigConfig
 from hil.rig.task_file import TaskFileError, read_task_file
 from hil.rig.task_kinds import KIND, is_users, run_task
+from sim_plant.config import STAGE_KIND
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-# Tables whose key may name a file's class; `source` is its text.
-PLUGINS = (("law", "name"), ("task", "kind"), ("plant", "stage"))
+PLUGINS = (law_names.KIND, KIND, STAGE_KIND)
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
@@ -30,8 +31,8 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
 
     Raises BroughtError.
     """
-    for table, key in PLUGINS:
-        _read_source(document, table, key, folder, chosen=[table, key] in overridden)
+    for plugin in PLUGINS:
+        _read_source(document, plugin, folder, chosen=[plugin.table, plugin.key] in overridden)
     _read_learnt(document, folder, chosen=["law", "learnt"] in overridden)
     task = document.get("task")
     if not isinstance(task, dict):
@@ -49,7 +50,7 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
 
 def named_files(rig: RigConfig) -> dict[str, str]:
     """The files that a rig names, by key: their paths, as the rig has them."""
-    named = {f"{table}.{key}": file_of(getattr(getattr(rig, table), key)) for table, key in PLUGINS}
+    named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key)) for plugin in PLUGINS}
     kind, _, dbc = rig.bus.protocol.partition(":")
     named["bus.protocol"] = dbc if kind == "dbc" else ""
     named["task.file"] = rig.task.file
@@ -57,22 +58,29 @@ def named_files(rig: RigConfig) -> dict[str, str]:
     return {key: name for key, name in named.items() if name}
 
 
-def _read_source(document: dict[str, Any], table: str, key: str, folder: Path, *, chosen: bool) -> None:
-    """Put the text of a plug-in's file into `source` of its table, so that it is part of the rig."""
-    named = document.get(table)
-    if not isinstance(named, dict):
+def _read_source(document: dict[str, Any], plugin: Kind, folder: Path, *, chosen: bool) -> None:
+    """Put the text of a plug-in's file, or the digest of its package, into `source` of its table: part of the rig."""
+    table = document.get(plugin.table)
+    if not isinstance(table, dict):
         return
-    file = file_of(named.get(key))
-    if not file:
-        named.pop("source", None)
-    elif chosen or not named.get("source"):
-        path = folder / file
-        try:
-            named["source"] = read_bounded(path, LARGEST_PLUGIN).decode().replace("\r\n", "\n")
-        except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
-            no_text = isinstance(error, UnicodeDecodeError)
-            text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
-            raise BroughtError(f"{table}.{key} = {shown(named[key])}: {path}: {text}") from None
+    name, source = table.get(plugin.key), table.pop("source", "")
+    if not isinstance(name, str) or name in plugin.ours:
+        return
+    file = file_of(name)
+    try:
+        if chosen or not source or str(source).startswith(DIGEST) == bool(file):
+            source = _text_of(folder / file) if file else package_digest(plugin, name)
+    except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
+        no_text = isinstance(error, UnicodeDecodeError)
+        text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
+        place = folder / file if file else getattr(error, "filename", "")
+        raise BroughtError(f"{plugin.path} = {shown(name)}: {place}: {text}") from None
+    if source:
+        table["source"] = source
+
+
+def _text_of(path: Path) -> str:
+    return read_bounded(path, LARGEST_PLUGIN).decode().replace("\r\n", "\n")
 
 
 def _read_learnt(document: dict[str, Any], folder: Path, *, chosen: bool) -> None:

@@ -55,7 +55,7 @@ def rig_text(sketch: Sketch) -> str:
     names = ", ".join(f'"{axis.name}"' for axis in sketch.axes)
     brake = ", ".join(str(axis.vertical).lower() for axis in sketch.axes)
     move = [_rounded(MOVE_SHARE * axis.travel) for axis in sketch.axes]
-    noise = [_rounded(max(2.0 * axis.friction, 1e-3 * axis.force)) for axis in sketch.axes]
+    noise = [_rounded(max(4.0 * axis.friction, 1e-3 * axis.force)) for axis in sketch.axes]
     protocol = f"dbc:{sketch.dbc}" if sketch.layout == "dbc" else sketch.layout
     parts = [
         f"""\
@@ -133,10 +133,12 @@ coulomb = {_rounded(axis.friction)!r}{gravity}
 
 
 def _move_s(axes: tuple[AxisSketch, ...]) -> float:
-    """Duration of the first move that keeps every axis within its shares of force and speed, s."""
+    """Duration of a move that keeps every axis within its shares of force and speed, s: also of the first one, which
+    may begin at an end of the travel.
+    """
     slowest = 0.5
     for axis in axes:
-        distance = MOVE_SHARE * axis.travel
+        distance = (0.5 + MOVE_SHARE) * axis.travel
         by_force = math.sqrt(JERK_FREE_ACCELERATION * distance * axis.mass / (FORCE_SHARE * axis.force))
         by_speed = JERK_FREE_SPEED * distance / (SPEED_SHARE * 2.0 * axis.travel)
         slowest = max(slowest, by_force, by_speed)

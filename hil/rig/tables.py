@@ -134,7 +134,9 @@ class LawConfig(BaseModel):
     )
     learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
     learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded", "1")
-    source: str = key("", "text of the law's file, where `name` is './file.py:Class'; filled in when the rig is loaded")
+    source: str = key(
+        "", "of a law of your own: its file's text, or its package's digest; filled in when the rig is loaded"
+    )
 
     def effective_gains(self) -> dict[str, Any]:
         """Tuned gains of the named law, overridden by `gains`."""
@@ -187,7 +189,7 @@ class TaskConfig(BaseModel):
         "./file.py:Class beside the rig file",
     )
     parameters: dict[str, Any] = key({}, "of a task of your own: what its class takes")
-    source: str = key("", "text of such a task's file; filled in when the rig is loaded")
+    source: str = key("", "of such a task: its file's text, or its package's digest; filled in when the rig is loaded")
     axes: list[str] = key([], f"{', '.join(TWO_AXES)}: the two axes; others: those that move")
     radius: Positive = key(1.0, "circle: radius; lissajous: amplitude; spiral: radius at its end", "m (rad)")
     frequency_hz: float = key(0.5, "frequency of the first axis", "Hz", ge=1e-6, le=1e4)

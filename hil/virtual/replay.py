@@ -193,14 +193,18 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
 def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
     """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record.
 
-    None where the cycle did not come to the same frames: another version, or ticks that are missing. Raises
-    RecordingError, RigError.
+    None where no cycle comes to the same frames: another version of it or of the rig's law, or ticks that are missing.
+    Raises RecordingError, RigError.
     """
     recording = Recording(path)
     kept: list[bytes] = []
     with rig_of_run(recording.metadata) as (rig, base_dir):
-        cycle = new_cycle(rig, base_dir)
+        try:
+            cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
+        except RigError:  # its law is not installed
+            return None
         for step in steps(recording):
+            step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
             if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
                 return None

@@ -3,20 +3,25 @@
 The node (canopen_node.py) is the protocol in front of a `ServoDrive`: here are the power state machine and the drive's
 objects. Force, latches and the watchdog on commands stay in the servo, the same as under the other layouts. Without an
 EDS it is the project's own drive, cia402.eds. In any other mode than cyclic synchronous torque it applies no torque:
-loops of the drive's own are not emulated, nor are ramps (605Ah to 605Eh): torque ends at once.
+loops of the drive's own are not emulated. stopping.py says how it comes to rest; faults that the servo latches (its
+own, its encoder's, the watchdog's) end the torque at once whatever 605Eh says, for the power stage is off.
 """
 
 from collections.abc import Callable
+from functools import partial
+from math import inf
 from pathlib import Path
 
 from drivers.protocols.base import DriveStatus
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtState
+from sim_plant.drives import stopping
 from sim_plant.drives.canopen_node import COMMUNICATION, GENERIC, CanopenNode
 from sim_plant.drives.object_dictionary import SdoAbort, key_of
-from sim_plant.drives.power_states import TRANSITIONS, power_command
+from sim_plant.drives.power_states import TRANSITIONS, PowerCommand, power_command
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
+from sim_plant.drives.stopping import Ramp, Stop, TorqueRamp
 
 # As plain integers: arithmetic on an enumeration costs a microsecond.
 _WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
@@ -29,13 +34,14 @@ _TORQUE_RATED = key_of(cia301.TORQUE_RATED)
 _MODE = key_of(cia301.MODE)
 _ERROR_REGISTER = key_of(0x1001)
 _ERROR_CODE = key_of(0x603F)
-_QUICK_STOP_OPTION = key_of(0x605A)
 _CONNECTION_OPTION = key_of(0x6007)  # what to do without the host: nothing, fault, disable voltage, quick stop
 _POLARITY = key_of(0x607E)
 _SERVO_DRIVE = 0x00020192  # 1000h: type 2 of profile 402
 _MODES_OF_TARGETS = {_TORQUE: 0x208, key_of(0x607A): 0x081, key_of(0x60FF): 0x104}  # 6502h: TQ, CST; PP, CSP; PV, CSV
 _POSITION_TURNED, _TORQUE_TURNED = 0x80, 0x20  # 607Eh; torque's bit is the makers'
-_LAST_TRANSIT_OPTION = 4  # 605Ah: up to it the drive leaves QUICK STOP ACTIVE by itself
+_RESTS = {PowerCommand.SWITCH_ON: stopping.DISABLE, PowerCommand.SHUTDOWN: stopping.SHUTDOWN}
+"""Out of OPERATION ENABLED: the option that says how."""
+_COMMUNICATION_ERRORS = (0x81, 0x82)  # high bytes of emergency error codes
 
 
 class Cia402Drive(CanopenNode):
@@ -65,6 +71,8 @@ class Cia402Drive(CanopenNode):
         self._limited = False
         self._fresh_target = False
         self._enabling_ns = NEVER_NS  # when the power stage will be on
+        self._ramp = TorqueRamp()  # what is demanded of the servo, N
+        self._stop: Stop | None = None  # under way
         self._own = eds == cia301.EDS
         self._describe()
         self._install()
@@ -84,9 +92,9 @@ class Cia402Drive(CanopenNode):
 
     def switch_off(self) -> None:
         """Out of operation without a fault, as when the input that enables the power stage opens for a moment."""
-        if self.state is not DriveState.FAULT:
-            self.state = DriveState.SWITCH_ON_DISABLED
-            self._command_servo(0.0)
+        self._stop = None
+        self.state = DriveState.FAULT if self._failed() else DriveState.SWITCH_ON_DISABLED
+        self._command_servo(0.0)
 
     # hooks of the node ------------------------------------------------------------------------------------------------
 
@@ -95,19 +103,27 @@ class Cia402Drive(CanopenNode):
             self._enabling_ns = NEVER_NS
             self.state = DriveState.OPERATION_ENABLED
             self._command_servo(0.0)
-        if self.state is not DriveState.FAULT and self._defects():
+        if self._stop is not None or not self._ramp.arrived:
+            self._hand_over()
+            self._end_stop()
+        if self._defects() and not self._failed():
             self._fail(self._diagnosis())
 
     def _apply(self) -> None:
         if self._fresh_target:
             self._fresh_target = False
-            self._command_servo(self._target_force(), feed=True)
+            force = self._target_force()
+            if self._stop is None:
+                self._aim(force)
+            self._hand_over(feed=True)
+
+    def _aim(self, force: float) -> None:
+        """Demand a force, N: synchronous targets are applied as they are."""
+        self._ramp.jump(force)
 
     def _close(self) -> None:
         """The host ends cyclic operation (6007h = 2: disable voltage); that it sends nothing any more is no fault."""
-        if self.state is not DriveState.FAULT:
-            self.state = DriveState.SWITCH_ON_DISABLED
-        self._command_servo(0.0)
+        self.switch_off()
         self.servo.deadline_ns = NEVER_NS
         self._fresh_target = False
         self._enabling_ns = NEVER_NS
@@ -116,7 +132,7 @@ class Cia402Drive(CanopenNode):
     def _on_master_lost(self) -> None:
         """By 6007h. The project's own drive goes to FAULT, whose reason its host can read."""
         option = 1 if self._own else self.dictionary.number(_CONNECTION_OPTION, 1)
-        if option == 1 or self.state is DriveState.FAULT:
+        if option == 1 or self._failed():
             self._fail(Emergency.HEARTBEAT)
             return
         self._emergency.raise_error(Emergency.HEARTBEAT, GENERIC | COMMUNICATION)
@@ -156,6 +172,7 @@ class Cia402Drive(CanopenNode):
             _MODE: self._take_mode,
             _TORQUE: self._take_torque,
             _TORQUE_RATED: self._take_rated,
+            **{key: partial(self._take_option, key) for key in stopping.OPTIONS},
         }
 
     def _count(self) -> int:
@@ -179,7 +196,8 @@ class Cia402Drive(CanopenNode):
 
     def _mode_bits(self) -> int:
         """Bits of the statusword whose meaning goes with the mode."""
-        return cia301.FOLLOWS_COMMAND if self.state is DriveState.OPERATION_ENABLED else 0
+        follows = self.state is DriveState.OPERATION_ENABLED and self._stop is None
+        return cia301.FOLLOWS_COMMAND if follows else 0
 
     def _demands_torque(self) -> bool:
         """In the present mode 6071h is what it follows."""
@@ -203,52 +221,127 @@ class Cia402Drive(CanopenNode):
         sign = -1 if number(_POLARITY) & _TORQUE_TURNED else 1
         return float(sign * max(-limit, min(limit, raw)) * self._rated_torque()) * 1e-6
 
-    def _command_servo(self, force: float, *, feed: bool = False, reset: bool = False) -> None:
-        """Hand a force to the servo. Only SYNC with a new target torque feeds its watchdog."""
+    def _command_servo(self, force: float, *, reset: bool = False) -> None:
+        """Demand a force at once, N."""
+        self._ramp.jump(force)
+        self._hand_over(reset=reset)
+
+    def _hand_over(self, *, feed: bool = False, reset: bool = False) -> None:
+        """Give the servo what is demanded now. Only SYNC with a new target torque feeds its watchdog."""
         deadline_ns = self.servo.deadline_ns
-        enabled = self.state is DriveState.OPERATION_ENABLED
-        self.servo.on_command(force if enabled else 0.0, enabled, reset, 0, self.now_ns)
+        powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
+        if not powered:
+            self._ramp.jump(0.0)
+        self.servo.on_command(self._ramp.follow(self.now_ns), powered, reset, 0, self.now_ns)
         if not feed:
             self.servo.deadline_ns = deadline_ns
-        if self.state is not DriveState.FAULT and self._defects():
+        if self._defects() and not self._failed():
             self._fail(self._diagnosis())
 
+    def _failed(self) -> bool:
+        return self.state in (DriveState.FAULT, DriveState.FAULT_REACTION)
+
     def _fail(self, code: Emergency) -> None:
-        """Fault reaction: zero torque at once; FAULT REACTION ACTIVE takes no time."""
-        self.state = DriveState.FAULT
-        register = GENERIC | (COMMUNICATION if code >> 12 == 8 else 0)
+        """Fault reaction by 605Eh, then FAULT."""
+        register = GENERIC | (COMMUNICATION if code >> 8 in _COMMUNICATION_ERRORS else 0)
         self._enabling_ns = NEVER_NS
         self.dictionary.values[_ERROR_REGISTER] = register
         self.dictionary.values[_ERROR_CODE] = int(code)
-        self._command_servo(0.0)
         self._emergency.raise_error(code, register)
+        if self._failed():
+            return
+        if self._defects():
+            self._ramp.jump(0.0)
+        powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
+        ramp = stopping.option(self.dictionary, stopping.FAULT_REACTION).ramp if powered else Ramp.LET_GO
+        self._come_to_rest(Stop(ramp, DriveState.FAULT), DriveState.FAULT_REACTION)
+
+    def _come_to_rest(self, stop: Stop, meanwhile: DriveState) -> None:
+        """End the motion; the drive is in the state `meanwhile` until it stands."""
+        if stop.ramp is Ramp.LET_GO:
+            self._stop = None
+            self.state = stop.following
+            self._command_servo(0.0)
+            return
+        self._stop = stop
+        self.state = meanwhile
+        rated = self._rated_torque() * 1e-3
+        slope = inf if stop.ramp is Ramp.AT_ONCE else stopping.torque_slope(self.dictionary, rated)
+        self._ramp.head_for(0.0, slope, self.now_ns)
+        self._hand_over()
+        self._end_stop()
+
+    def _stands(self) -> bool:
+        """What was to come to rest has."""
+        return self._ramp.arrived
+
+    def _end_stop(self) -> None:
+        if self._stop is not None and self._stands():
+            self.state, self._stop = self._stop.following, None
+            self._command_servo(0.0)
+
+    def _go_on(self) -> None:
+        """The host takes back what it stopped for; a torque stays as it is until a new target."""
+        self._stop = None
+        self._ramp.jump(self._ramp.value)
 
     def _take_controlword(self, value: int) -> None:
         rising, self._controlword = value & ~self._controlword, value
-        if rising & cia301.HALT:
-            self._command_servo(0.0)
-        if self.state is DriveState.FAULT:
-            if rising & cia301.FAULT_RESET:
+        if self._failed():
+            if rising & cia301.FAULT_RESET and self.state is DriveState.FAULT:
                 self._reset_fault()
             return
-        following = TRANSITIONS.get((self.state, power_command(value)))
-        if following is None:
-            return
-        if following is DriveState.QUICK_STOP and 0 <= self._quick_stop_option() <= _LAST_TRANSIT_OPTION:
-            following = DriveState.SWITCH_ON_DISABLED
-        if following is DriveState.OPERATION_ENABLED and self._quirks.enable_delay_ns:
-            self._enabling_ns = min(self._enabling_ns, self.now_ns + self._quirks.enable_delay_ns)
-            following = DriveState.SWITCHED_ON
-        else:
-            self._enabling_ns = NEVER_NS
-        leaving = self.state is DriveState.OPERATION_ENABLED
-        self.state = following
-        if leaving or following is DriveState.OPERATION_ENABLED:
-            self._command_servo(0.0)
+        command = power_command(value)
+        following = TRANSITIONS.get((self.state, command))
+        if following is not None:
+            self._change_state(following, command)
+        elif command is PowerCommand.ENABLE and self._stop and self._stop.following is not self.state:
+            self._go_on()
+        if self.state is DriveState.OPERATION_ENABLED:
+            self._take_halt(bool(value & cia301.HALT))
 
-    def _quick_stop_option(self) -> int:
-        """605Ah; the project's own drive has none and stays in QUICK STOP ACTIVE."""
-        return self.dictionary.number(_QUICK_STOP_OPTION, _LAST_TRANSIT_OPTION + 2)
+    def _take_halt(self, halted: bool) -> None:
+        """605Dh. A drive that is on its way out of operation goes on with that."""
+        if halted and self._stop is None:
+            ramp = stopping.option(self.dictionary, stopping.HALT).ramp
+            self._come_to_rest(Stop(ramp, DriveState.OPERATION_ENABLED), DriveState.OPERATION_ENABLED)
+        elif not halted and self._stop and self._stop.following is DriveState.OPERATION_ENABLED:
+            self._go_on()
+
+    def _change_state(self, following: DriveState, command: PowerCommand) -> None:
+        """A transition that the host asks for."""
+        if self.state is DriveState.OPERATION_ENABLED and command in _RESTS:
+            ramp = stopping.option(self.dictionary, _RESTS[command]).ramp
+            self._come_to_rest(Stop(ramp, following), self.state)
+        elif following is DriveState.QUICK_STOP:
+            option = stopping.option(self.dictionary, stopping.QUICK_STOP)
+            end = following if option.stays else DriveState.SWITCH_ON_DISABLED
+            self._come_to_rest(Stop(option.ramp, end), following)
+        elif following is DriveState.OPERATION_ENABLED:
+            if self._may_enable():
+                self._enable()
+        else:
+            powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
+            self.state, self._stop, self._enabling_ns = following, None, NEVER_NS
+            if powered:
+                self._command_servo(0.0)
+
+    def _may_enable(self) -> bool:
+        """Not out of a quick stop that leads to SWITCH ON DISABLED."""
+        return self._stop is None or self._stop.following is DriveState.QUICK_STOP
+
+    def _enable(self) -> None:
+        self._stop = None
+        if self._quirks.enable_delay_ns:
+            self._enabling_ns = min(self._enabling_ns, self.now_ns + self._quirks.enable_delay_ns)
+            self.state = DriveState.SWITCHED_ON
+            return
+        self.state = DriveState.OPERATION_ENABLED
+        self._command_servo(0.0)
+
+    def _take_option(self, key: int, value: int) -> None:
+        if value not in stopping.OPTIONS[key]:
+            raise SdoAbort(Abort.VALUE_RANGE)
 
     def _reset_fault(self) -> None:
         self._command_servo(0.0)  # the servo wants to see its reset bit clear first

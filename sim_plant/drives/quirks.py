@@ -14,7 +14,7 @@ class Quirks(NamedTuple):
     read. answer_delay_ns: of every SDO answer. enable_delay_ns: from the command to OPERATION ENABLED. status_bits:
     manufacturer's bits of the statusword, always set (8, 14, 15). dummies: RPDOs may map dummy objects where the file
     says so. answers: how numbers are uploaded: expedited, unsized (expedited, without telling their size) or segmented;
-    CiA 301 leaves that to the drive.
+    CiA 301 leaves that to the drive. block: expedited, and what is longer than four bytes by blocks alone.
     """
 
     missing: frozenset[int] = frozenset()

@@ -72,7 +72,7 @@ class SdoServer:
         """Where the client bears it (its threshold, byte 5), short values go the plain way."""
         self._open(index, subindex)
         value = self._dictionary.read(index, subindex)
-        if len(value) <= data[1]:
+        if len(value) <= data[1] and self._answers != "block":
             return self._start_upload(index, subindex)
         self._block = BlockUpload(command, index, subindex, value, data[0])
         return self._block.first
@@ -121,6 +121,8 @@ class SdoServer:
     def _start_upload(self, index: int, subindex: int) -> bytes:
         self._open(index, subindex)
         data = self._dictionary.read(index, subindex)
+        if self._answers == "block" and len(data) > 4:
+            raise SdoAbort(Abort.COMMAND)
         if 1 <= len(data) <= 4 and self._answers != "segmented":
             command = 0x42 if self._answers == "unsized" else 0x43 | (4 - len(data)) << 2
             return SDO.pack(command, index, subindex, data)

@@ -118,14 +118,15 @@ class Stage:
             self._real_parts = [make.many(index, kind) for kind, index in groups if not is_ideal(kind)]
 
     def _carried(self, motion: Motion, structure: Structure) -> Motion:
-        """This state under other parameters: bristles keep their force as far as they can hold it; new ones slide with
-        the motion."""
+        """This state under other parameters: bristles keep their force as far as they can hold it, at most that of the
+        peak at rest; new ones slide with the motion."""
         presliding = structure.presliding
         has = presliding > 0.0
+        most = presliding * (1.0 + structure.stribeck / np.where(has, structure.coulomb, 1.0))
         stiffness = np.where(has, structure.coulomb / np.where(has, presliding, 1.0), 0.0)
         kept = motion.bristle.reshape(-1) * (self._stiffness / np.where(has, stiffness, 1.0))
         begun = presliding * np.sign(motion.velocity.reshape(-1))
-        bristle = np.where(self._stiffness > 0.0, np.clip(kept, -presliding, presliding), begun) * has
+        bristle = np.where(self._stiffness > 0.0, np.clip(kept, -most, most), begun) * has
         self._stiffness = stiffness
         return motion._replace(bristle=bristle.reshape(motion.bristle.shape))
 

@@ -1,6 +1,6 @@
 """What a stage is really like: [plant] as arrays, one value per axis, for one stage or for a batch."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,6 +15,15 @@ from sim_plant.stages import staged
 Array = NDArray[np.float64]
 
 SINUSOIDS = np.dtype([("amplitude", "f8", (LINES,)), ("wavenumber", "f8", (LINES,)), ("phase", "f8", (LINES,))])
+
+# What may be changed of an axis' first line: its array, its field, what the field holds of the value, and back.
+FIRST_LINE: dict[str, tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "cogging": ("cogging", "amplitude", np.positive, np.positive),
+    "cogging_period": ("cogging", "wavenumber", np.reciprocal, np.reciprocal),
+    "cogging_phase": ("cogging", "phase", lambda phase: phase / TURN, lambda turns: turns * TURN),
+    "vibration": ("vibration", "amplitude", np.positive, np.positive),
+    "vibration_frequency": ("vibration", "wavenumber", np.positive, np.positive),
+}
 
 
 @dataclass(frozen=True)
@@ -105,26 +114,28 @@ class Truth:
         """Batch of plants, arrays of shape (len(truths), ..., n_axes)."""
         return cls(**{field.name: np.stack([getattr(truth, field.name) for truth in truths]) for field in fields(cls)})
 
-    def changed(self, axis: int, key: str, value: float) -> tuple["Truth", float]:
-        """One stage's truth with another value of a key on an axis, and the value before.
+    def changed(self, axis: int, key: str, value: float) -> tuple["Truth", Array]:
+        """The truth with another value of a key on an axis, of one stage or of every one of a batch; and the values
+        before, (...).
 
-        key: a field; cogging and vibration: the amplitude of the axis' first line. What the axis has none of yet gets
-        what the rest of [plant] has by default: a mode 30 % of the mass and damping 0.02, a cogging line the ripple's
-        period, the floor 25 Hz.
+        key: a field, or one of FIRST_LINE. What the axis has none of yet gets what the rest of [plant] has by default:
+        a mode 30 % of the mass and damping 0.02, a cogging line the ripple's period, the floor 25 Hz.
         """
         arrays = {field.name: getattr(self, field.name).copy() for field in fields(self)}
-        if key in ("cogging", "vibration"):
-            lines = arrays[key]
-            if lines["wavenumber"][axis, 0] == 0.0:
-                lines["wavenumber"][axis, 0] = 1.0 / self.ripple_period[axis] if key == "cogging" else 25.0
-            target: NDArray[Any] = lines["amplitude"][axis]
-            place = 0
-        else:
-            if key == "mode_frequency" and self.mode_load[axis] == 0.0:
-                arrays["mode_load"][axis], arrays["mode_damping"][axis] = 0.3, 0.02
-            target, place = arrays[key], axis
-        before = float(target[place])
-        target[place] = value
+        if key not in FIRST_LINE:
+            if key == "mode_frequency":
+                new = self.mode_load[..., axis] == 0.0
+                arrays["mode_load"][..., axis][new], arrays["mode_damping"][..., axis][new] = 0.3, 0.02
+            target = arrays[key][..., axis]
+            before: Array = target.copy()
+            target[...] = value
+            return Truth(**arrays), before
+        name, field, stored, stated = FIRST_LINE[key]
+        first = {each: arrays[name][each][..., axis, 0] for each in SINUSOIDS.names or ()}
+        default = 1.0 / self.ripple_period[..., axis] if name == "cogging" else np.asarray(25.0)
+        first["wavenumber"][...] = np.where(first["wavenumber"] == 0.0, default, first["wavenumber"])
+        before = stated(first[field])
+        first[field][...] = stored(np.asarray(value))
         return Truth(**arrays), before
 
     @property

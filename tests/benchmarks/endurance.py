@@ -31,7 +31,7 @@ Sample = dict[str, float]
 
 
 def endurance(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     minutes: Annotated[float, typer.Option(min=0.2, help="how long the rig is ACTIVE")] = 15.0,
     every: Annotated[float, typer.Option(min=0.5, help="seconds between samples")] = 5.0,

@@ -32,7 +32,7 @@ WARM_UP_TICKS = 500
 
 
 def lockstep(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     laws: Annotated[
         str, typer.Option(help="laws to measure, separated by commas")

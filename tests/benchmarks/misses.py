@@ -31,7 +31,7 @@ LOST = ("own_misses", "host_misses")
 
 
 def misses(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 20,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 50_000,

@@ -62,7 +62,7 @@ Tick = Callable[[int], Awaitable[int]]  # number of the tick -> answers understo
 
 
 def peers(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,

@@ -17,7 +17,7 @@ WARM_UP_TICKS = 3000
 
 
 def profile(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     ticks: Annotated[int, typer.Option(min=100)] = 4000,
     rows: Annotated[int, typer.Option(min=1)] = 30,

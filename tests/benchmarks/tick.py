@@ -58,7 +58,7 @@ SUBJECT, REFERENCE = "hil run", "C program"
 
 
 def tick(
-    rig: RigFile = Path("microscope"),
+    rig: RigFile = Path("microscope-ideal"),
     overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1)] = 5,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 5000,

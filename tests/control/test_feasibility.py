@@ -26,13 +26,13 @@ from tests.support.paths import RIGS
 AXES = ("x", "y")
 
 
-@pytest.mark.parametrize("name", ["paper", "paper-dbc", "microscope"])
+@pytest.mark.parametrize("name", ["paper", "paper-dbc", "microscope-ideal"])
 def test_the_shipped_rigs_can_do_their_tasks(name: str) -> None:
     assert task_problems(load_rig(RIGS / f"{name}.toml")) == []
 
 
 def test_a_circle_of_twenty_metres_on_a_stage_of_millimetres_is_refused() -> None:
-    rig = load_rig(RIGS / "microscope.toml", ["task.kind=circle", 'task.axes=["x", "y"]', "task.radius=20"])
+    rig = load_rig(RIGS / "microscope-ideal.toml", ["task.kind=circle", 'task.axes=["x", "y"]', "task.radius=20"])
     problems = "\n".join(task_problems(rig))
     for word in ("axis x: position", "axis y: speed", "axes.x.limits.force = 15.0", "after the start", "[task]"):
         assert word in problems
@@ -40,7 +40,7 @@ def test_a_circle_of_twenty_metres_on_a_stage_of_millimetres_is_refused() -> Non
 
 def test_where_the_stage_stands_matters() -> None:
     sets = ["task.kind=point_to_point", 'task.axes=["x"]', "task.target=[0.02]", "task.move_s=1.0"]
-    rig = load_rig(RIGS / "microscope.toml", sets)
+    rig = load_rig(RIGS / "microscope-ideal.toml", sets)
     assert task_problems(rig) == []
     (note,) = [line for line in start_notes(rig) if "speed" in line]
     assert "from the lower ends of the travel: axis x: speed" in note
@@ -60,7 +60,7 @@ def test_where_the_stage_stands_matters() -> None:
     ],
 )
 def test_a_unit_that_is_off_by_thousands_is_asked_back(change: str, word: str) -> None:
-    (question,) = unit_questions(load_rig(RIGS / "microscope.toml", [change]))
+    (question,) = unit_questions(load_rig(RIGS / "microscope-ideal.toml", [change]))
     assert question.startswith("axes.x.")
     assert word in question
 
@@ -188,7 +188,7 @@ def test_five_hundred_of_each_kind() -> None:
 
 
 def test_the_corners_are_within_the_travel() -> None:
-    rig = load_rig(RIGS / "microscope.toml")
+    rig = load_rig(RIGS / "microscope-ideal.toml")
     for start in corner_starts(rig).values():
         for value, axis in zip(start, rig.axes.values(), strict=True):
             assert axis.limits.position[0] < value < axis.limits.position[1]

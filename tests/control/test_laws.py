@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.control.law_registry import LAWS
 from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import CORNERS

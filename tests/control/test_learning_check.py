@@ -15,7 +15,8 @@ MODES = (0.0, 150.0, 200.0, 300.0)
 
 
 def rig(law: str = "presliding-kalman", mode_hz: float = 0.0) -> RigConfig:
-    return nominal(load_rig(RIGS / "microscope.toml", [f"law.name={law}", "law.iterative_learning=true"]), mode_hz)
+    changes = [f"law.name={law}", "law.iterative_learning=true"]
+    return nominal(load_rig(RIGS / "microscope-ideal.toml", changes), mode_hz)
 
 
 @pytest.mark.parametrize("mode_hz", MODES)
@@ -38,7 +39,7 @@ def test_a_lag_that_is_too_long_is_refused_with_the_frequency(monkeypatch: pytes
 
 def test_other_laws_have_no_such_finding() -> None:
     assert check_learning(rig("structured-kalman")) == []
-    assert check_learning(rig().model_copy(update={"law": load_rig(RIGS / "microscope.toml").law})) == []
+    assert check_learning(rig().model_copy(update={"law": load_rig(RIGS / "microscope-ideal.toml").law})) == []
 
 
 @pytest.mark.parametrize("cycles", [2, 8])

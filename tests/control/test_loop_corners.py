@@ -90,9 +90,12 @@ def test_gains_for_motion_ring_on_a_stiff_guide() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode_hz", [0, 150, 200, 300])
-def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(mode_hz: int) -> None:
-    """6 dB and 30 degrees nominal, 3 dB and 15 degrees off it, 4.5 dB at rest; lag 0.2 ms."""
+@pytest.mark.parametrize("free_hz", [0, 150, 160, 175, 190, 210, 240, 300, 360])
+def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(free_hz: int) -> None:
+    """6 dB and 30 degrees nominal, 3 dB and 15 degrees off it, 4.5 dB at rest; lag 0.2 ms. Modes of the free axis, at
+    and between those that the gains are given for (hil/control/laws/presliding_gains.py).
+    """
+    mode_hz = free_hz * 0.7**0.5  # with a held motor, of 30 % load
     changes = ["law.name=presliding-kalman"]
     for axis in ("x", "y", "z"):
         model = f"axes.{axis}.model"
@@ -101,7 +104,7 @@ def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(mo
             f"{model}.mode_frequency_hz={mode_hz}",
             f"{model}.torque_lag=2e-4",
         ]
-    rig = load_rig(RIGS / "microscope.toml", changes)
+    rig = load_rig(RIGS / "microscope-ideal.toml", changes)
     found = [finding for finding in check_corners(rig) if finding.axis != "theta"]
     assert len(found) >= 3 * (5 + 13)
     assert [finding.lacks() for finding in found if finding.lacks()] == []

@@ -15,7 +15,7 @@ from tests.support.paths import RIGS
 HAIR = 1e-5  # of the travel: what a border may be off by
 
 
-@pytest.mark.parametrize("name", ["paper", "microscope"])
+@pytest.mark.parametrize("name", ["paper", "microscope-ideal"])
 def test_the_shipped_rigs_may_begin_wherever_the_margin_of_their_travel_is_kept(name: str) -> None:
     rig = load_rig(RIGS / f"{name}.toml")
     found = start_ranges(rig)
@@ -24,13 +24,13 @@ def test_the_shipped_rigs_may_begin_wherever_the_margin_of_their_travel_is_kept(
 
 
 def test_a_task_that_is_too_large_may_begin_nowhere() -> None:
-    rig = load_rig(RIGS / "microscope.toml", ["task.kind=circle", 'task.axes=["x", "y"]', "task.radius=20"])
+    rig = load_rig(RIGS / "microscope-ideal.toml", ["task.kind=circle", 'task.axes=["x", "y"]', "task.radius=20"])
     assert start_ranges(rig)[:2] == [NOWHERE, NOWHERE]
 
 
 def test_a_move_that_is_too_far_for_its_time_may_begin_near_its_target_only() -> None:
     sets = ["task.kind=point_to_point", 'task.axes=["x"]', "task.target=[0.02]", "task.move_s=0.1"]
-    rig = load_rig(RIGS / "microscope.toml", sets)
+    rig = load_rig(RIGS / "microscope-ideal.toml", sets)
     (low, high), *_ = start_ranges(rig)
     peak = 0.95 * 0.08 * 0.1 / 1.875  # of a minimum-jerk move, m
     assert low == pytest.approx(0.02 - peak, abs=2e-5)

@@ -32,7 +32,7 @@ PATH = TaskConfig(kind="path", axes=["y"], samples=[[0.0, 0.0], [0.5, 0.01], [1.
 
 
 def injection_task() -> TaskConfig:
-    return load_rig(RIGS / "microscope.toml").task
+    return load_rig(RIGS / "microscope-ideal.toml").task
 
 
 def trajectories() -> list[Trajectory]:

@@ -12,7 +12,7 @@ import pytest
 from drivers import call_limit, plugins
 from hil import Law
 from hil.control import law_registry
-from hil.control.law_registry import LAWS, law_class
+from hil.control.law_registry import law_class
 from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import axis_inputs
 from hil.control.laws.coupled import gather
@@ -22,7 +22,9 @@ from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.rig import law_names
 from hil.rig.file import build_rig, load_rig, rig_hash
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig, RigConfig, RigError
 from hil.studies.compare.cases import LEARNING, Case, run_case
 from hil.studies.fault_campaign.matrix import displaced, plan_chunks, run_chunk
@@ -65,7 +67,7 @@ def test_a_users_law_follows_the_circle(name: str, rig_file: Path) -> None:
 
 
 def test_a_file_a_module_and_an_entry_point_are_the_same_law(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = importlib.metadata.EntryPoint("my-lqr", "examples.laws.lqr:Lqr", law_registry.KIND.group)
+    entry = importlib.metadata.EntryPoint("my-lqr", "examples.laws.lqr:Lqr", law_names.KIND.group)
     monkeypatch.setattr(plugins, "entry_points", lambda group: [entry] if group == "hil.laws" else [])
     hashes = set()
     for name in ("./lqr.py:Lqr", "examples.laws.lqr:Lqr", "my-lqr"):

@@ -30,7 +30,7 @@ def test_a_run_that_ends_in_a_fault_says_which_axis_when_and_by_how_much_and_rep
     tmp_path: Path,
 ) -> None:
     recording = tmp_path / "run.mcap"
-    words = ["sim", str(RIGS / "microscope.toml"), "--seconds", "3.5", "--faults", str(SCENARIO)]
+    words = ["sim", str(RIGS / "microscope-ideal.toml"), "--seconds", "3.5", "--faults", str(SCENARIO)]
     done = CliRunner().invoke(
         build_app("sim"), [*words, "--record", str(recording), "--json", str(tmp_path / "r.json")]
     )

@@ -24,7 +24,7 @@ from sim_plant.config import PlantError
 from sim_plant.scenario.language import KINDS, FaultConfig, Scenario, ScenarioError, load_scenario
 from tests.support.paths import RIGS
 
-NAMES = ("paper", "microscope")
+NAMES = ("paper", "microscope-ideal")
 RIG = {name: load_rig(RIGS / f"{name}.toml") for name in NAMES}
 TICKS = 160  # READY after 25, so that two thirds of it are ACTIVE
 

@@ -12,7 +12,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 from hil.telemetry.recorder import LockstepRecorder, RecordingError
 from hil.virtual.lockstep import LockstepRun
-from hil.virtual.replay import replay_run
+from hil.virtual.replay import exact_motion, replay_run
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
@@ -149,6 +149,9 @@ def test_the_recording_holds_the_task(tmp_path: Path) -> None:
     report = replay_run(tmp_path / "run.mcap")
     assert report.ticks > 500
     assert report.different == 0
+    motion = exact_motion(tmp_path / "run.mcap")
+    assert motion is not None
+    assert abs(motion["position"]).max() > 1e-4
 
 
 def test_a_recording_that_lost_the_task_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

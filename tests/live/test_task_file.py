@@ -31,7 +31,7 @@ TASKS = {
 
 def rig_with(name: str) -> RigConfig:
     if name == "injection":
-        return load_rig(RIGS / "microscope.toml")
+        return load_rig(RIGS / "microscope-ideal.toml")
     return load_rig(RIGS / "paper.toml", TASKS[name])
 
 
@@ -94,7 +94,7 @@ def test_the_task_of_another_number_or_rig_is_not_taken(tmp_path: Path) -> None:
     rig = rig_with("hold")
     data = task_bytes(7, loaded_task(rig), rig)
     assert taken_in(tmp_path / "task", data, rig, number=8)[0].task is None
-    assert taken_in(tmp_path / "task", data, load_rig(RIGS / "microscope.toml"))[0].task is None
+    assert taken_in(tmp_path / "task", data, load_rig(RIGS / "microscope-ideal.toml"))[0].task is None
     missing = TaskIntake(tmp_path / "none", 7, rig)
     missing.work()
     assert missing.done

@@ -57,7 +57,7 @@ ROOMS = {
         ("tests/control/test_stability.py", "tests/control/test_measures.py", "tests/control/test_feasibility.py",
          "tests/control/test_corner_dynamics.py", "tests/control/test_loop_corners.py",
          "tests/control/test_start_ranges.py", "tests/control/test_learning_check.py",
-         "tests/virtual/test_microscope.py"),
+         "tests/virtual/test_ideal_microscope.py"),
     ),
     "live": Room(
         ("hil/live/loop.py", "hil/live/ring.py", "hil/live/mailbox.py"),

@@ -4,13 +4,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from drivers.frame import Frame
+from drivers.frame import FD, Frame
 from drivers.protocols.base import DriveStatus
 from drivers.protocols.canopen import cia301
 from drivers.protocols.frame_text import Reader, layout_reader
 from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, jog_settings
-from hil.operate.bringup.report_text import as_document
+from hil.operate.bringup.report_text import as_document, show
 from hil.operate.bringup.survey import Survey, SurveyReport
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
@@ -66,6 +67,49 @@ def test_drives_as_the_rig_file_says_are_ready(kind: str, tmp_path: Path) -> Non
 def test_so_are_the_projects_own(name: str) -> None:
     bench = BringupBench(load_rig(RIGS / f"{name}.toml"), RIGS)
     assert bench.survey().ready
+
+
+@pytest.mark.parametrize("kind", ["paper", "moteus", "odrive", "cia402"])
+def test_a_computer_that_is_slow_is_said_to_be_and_no_drive_is_blamed(kind: str, tmp_path: Path) -> None:
+    bench = BringupBench(load_rig(RIGS / "paper.toml"), RIGS) if kind == "paper" else bench_of(kind, tmp_path)
+    bench.slow = 2
+    report = bench.survey()
+    assert report.pace == pytest.approx(2.0)
+    assert report.ready, [frame.problem for frame in report.frames]
+    assert "this computer was slow: ticks took 2 times their period" in shown(report)
+
+
+def test_a_drive_that_answers_every_other_command_is(tmp_path: Path) -> None:
+    bench = BringupBench(load_rig(RIGS / "paper.toml"), RIGS)
+    answers = iter(range(1_000_000))
+    feedback = 0x101
+    bench.change = lambda frame: [frame] if frame.can_id != feedback or next(answers) % 2 else []
+    report = bench.survey()
+    assert {frame.expected.can_id: frame.problem for frame in report.frames}[feedback].startswith(
+        "every 2 ms; expected"
+    )
+    assert report.pace == pytest.approx(1.0)
+    assert "slow" not in shown(report)
+
+
+@pytest.mark.parametrize("kind", ["paper", "moteus"])
+def test_a_frame_of_can_fd_is_told_as_one(kind: str, tmp_path: Path) -> None:
+    bench = BringupBench(load_rig(RIGS / "paper.toml"), RIGS) if kind == "paper" else bench_of(kind, tmp_path)
+    unknown = Frame(0x7A5, bytes(16), FD)
+    bench.foreign = [unknown]
+    bench.change = lambda frame: [frame, unknown]
+    report = bench.survey()
+    document = as_document(report, reader_of(bench, tmp_path))
+    (first, *_) = document["frames"]
+    assert first["text"].startswith("x: position"), first
+    assert [last for _, last in report.unknown] == [unknown]
+
+
+def shown(report: SurveyReport) -> str:
+    """For people."""
+    console = Console(record=True, width=200)
+    show(report, lambda frame: "", console)
+    return console.export_text()
 
 
 def test_a_survey_tells_identity_steps_and_states_of_canopen_drives(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,14 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 from typer.testing import CliRunner
 
+from drivers.bus.any_bus import joined
+from drivers.config import BusConfig
 from hil.cli.app import build_app
+from sim_plant.config import EmulatedDriveConfig
+from sim_plant.drive_double import DoubleSettings, DriveDouble, make_drive, stated_inputs
 from tests.support.foreign_drive import MOTION_DRIVE, eds_text
+from tests.support.foreign_master import NODE, PATIENCE_S, eventually, patient
 from tests.support.paths import ROOT
-
-NODE = 3
-PATIENCE_S = 30.0  # only a failing test waits this long
 
 
 class Double:
@@ -90,17 +92,10 @@ def double(eds: Path) -> Iterator[Double]:
 def client(double: Double, network: canopen.Network, eds: Path) -> Any:
     node = BaseNode402(NODE, str(eds))
     network.add_node(node)
-    node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    patient(node)
     node.nmt.state = "RESET COMMUNICATION"
     assert node.sdo[0x1001].raw == 0  # frames keep their order: its boot-up message came before this answer
     return node
-
-
-def eventually(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 @pytest.mark.live
@@ -266,6 +261,40 @@ def test_what_cannot_be_is_refused_before_a_bus_is_opened(options: list[str], sa
     shown = CliRunner().invoke(build_app("drive"), ["drive", str(eds), *options], env={"COLUMNS": "300"})
     assert shown.exit_code == 2
     assert said in shown.output
+
+
+@pytest.mark.parametrize(
+    ("word", "inputs"),
+    [
+        ("limit+", 0x2),
+        ("limits-off", 0),
+        ("inputs=0x10004", 0x10004),
+        ("inputs=12", 12),
+        ("inputs=4294967295", 0xFFFFFFFF),
+        ("inputs=4294967296", None),
+        ("inputs=-1", None),
+        ("inputs=012", None),
+        ("inputs=", None),
+        ("fault", None),
+    ],
+)
+def test_an_order_may_state_the_inputs(word: str, inputs: int | None) -> None:
+    assert stated_inputs(word) == inputs
+
+
+def test_an_order_reaches_every_drive(eds: Path) -> None:
+    quirks = EmulatedDriveConfig(kind="cia402")
+    settings = DoubleSettings(1.0, 4096, 1e-3, 1e-3, 0.0, 0.0, quirks)
+    drives = [make_drive(eds, number, settings, 0) for number in (1, 2)]
+    said: list[str] = []
+    with joined(BusConfig(protocol="cia402", interface="virtual", channel="orders"), fd=False) as port:
+        double = DriveDouble(drives, port, said.append, every=False)
+        for word in ("block", "inputs=9", "inputs=VALUE"):
+            double.order(word)
+    assert [(drive.blocked, drive.inputs) for drive in drives] == [(True, 9)] * 2
+    double.order("unblock")
+    assert not any(drive.blocked for drive in drives)
+    assert [line.split(" is ")[0] for line in said] == ["'inputs=VALUE'"]
 
 
 def test_a_file_that_is_no_eds_is_named(tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, paper: RigConfi
     assert (tmp_path / "deep" / "tracking.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_single_peak_survives_the_thinning_of_a_long_line(microscope: RigConfig) -> None:
+def test_a_single_peak_survives_the_thinning_of_a_long_line(ideal_microscope: RigConfig) -> None:
     from matplotlib.figure import Figure
 
     from hil.cli.pictures import _line
@@ -195,7 +195,7 @@ def test_a_single_peak_survives_the_thinning_of_a_long_line(microscope: RigConfi
     values = np.zeros(100_000)
     values[77_777] = 5.0
     panel = Figure().add_subplot()
-    _line(panel, microscope, values, "", "C0")
+    _line(panel, ideal_microscope, values, "", "C0")
     [drawn] = panel.lines
     assert np.max(drawn.get_ydata()) == 5.0
     assert len(np.asarray(drawn.get_ydata())) < 4000

@@ -154,3 +154,12 @@ def test_the_shell_completes_commands_flags_and_keys(typed: str, offered: list[s
     asked = {"_HIL_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": position}
     done = subprocess.run(INSTALLED, env={**os.environ, **asked}, capture_output=True, text=True, check=False)
     assert done.stdout.split() == offered
+
+
+@pytest.mark.parametrize("flags", [[], FOUR])
+def test_what_it_writes_gives_no_cause_for_a_warning(flags: list[str]) -> None:
+    """Margins that are good, and a first move that may begin anywhere."""
+    assert hil("new", "stage.toml", *flags).exit_code == 0
+    said = hil("check", "stage.toml").stdout
+    assert "less margin than is good" not in said
+    assert "ACTIVATE there would break a limit" not in said

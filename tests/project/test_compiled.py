@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from deploy.compiled.build import FOR_BOTH, ONE_RIG, OTHERS, PACKAGES, listed, modules, on_floats
-from hil.control.law_registry import LAWS
+from hil.rig.law_names import LAWS
 from hil.rig.provenance import control_path
 from tests.support.hashes import RUNS, Situation, ask
 from tests.support.paths import ROOT
@@ -163,7 +163,7 @@ def note(frame, event, argument):
         seen[f"{frame.f_code.co_filename}:{frame.f_code.co_qualname}"] += 1
 
 sys.setprofile(note)
-run_hash("microscope.toml", (), ticks)
+run_hash("microscope-ideal.toml", (), ticks)
 sys.setprofile(None)
 print([name for name, calls in seen.items() if calls > ticks // 10])  # at a change of state there may be some
 """
@@ -189,7 +189,7 @@ except TypeError as error:
 def test_every_law_computes_the_same_bytes_as_its_source() -> None:
     hash_all = """
 from itertools import product
-from hil.control.law_registry import LAWS
+from hil.rig.law_names import LAWS
 from tests.support.hashes import run_hash
 task = ("task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]")
 for law, learning in product(LAWS, ("false", "true")):

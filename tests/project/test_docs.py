@@ -12,8 +12,9 @@ from docs.make_pages import (
     rig_schema,
     states_page,
 )
-from hil.control.law_registry import LAWS, law_class
+from hil.control.law_registry import law_class
 from hil.cycle.fault_table import RULES, Fault
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
 from tests.support.paths import ROOT
 

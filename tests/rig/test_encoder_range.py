@@ -11,7 +11,7 @@ from tests.support.paths import RIGS
 FINE = "axes.y.encoder_resolution=4e-10"  # 2^32 counts are 1.718 m of the 2.4 m
 
 
-@pytest.mark.parametrize("name", ["paper", "paper-dbc", "microscope", "odrive", "vesc", "moteus"])
+@pytest.mark.parametrize("name", ["paper", "paper-dbc", "microscope-ideal", "odrive", "vesc", "moteus"])
 def test_the_shipped_rigs_encoders_say_their_travel(name: str) -> None:
     assert encoder_range_problems(load_rig(RIGS / f"{name}.toml"), RIGS) == []
 

@@ -19,7 +19,7 @@ from hil.virtual.sim import simulate
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
-MICROSCOPE = RIGS / "microscope.toml"
+MICROSCOPE = RIGS / "microscope-ideal.toml"
 
 
 def edited(tmp_path: Path, source: Path, edit: Callable[[Any], object]) -> Path:
@@ -38,7 +38,7 @@ def test_a_rig_file_without_a_plant_is_emulated_as_its_nominal_model_says(tmp_pa
     assert rig.plant.gravity == [0.0, 0.0, -2.45, 0.0]
     assert rig.plant.encoder_resolution == [5e-9] * 4
     assert plant_notes(rig) == [
-        "emulated stage of microscope: mass, coulomb, viscous, gravity as the nominal model says"
+        "emulated stage of microscope-ideal: mass, coulomb, viscous, gravity as the nominal model says"
     ]
 
 

@@ -299,7 +299,7 @@ def test_the_status_says_that_the_drives_are_there_before_any_frame_comes(
 
 @pytest.mark.live
 def test_hil_emulate_ends_on_sigterm_with_its_last_word_on_disk(tmp_path: Path) -> None:
-    rig = ROOT / "deploy/rigs/microscope.toml"
+    rig = ROOT / "deploy/rigs/microscope-ideal.toml"
     environment = {**os.environ, "HIL_RUNTIME_DIR": str(tmp_path)}
     status = tmp_path / "emulator.json"
     with subprocess.Popen(
@@ -309,7 +309,7 @@ def test_hil_emulate_ends_on_sigterm_with_its_last_word_on_disk(tmp_path: Path) 
         text=True,
     ) as process:
         assert process.stdout is not None
-        assert "hil emulate: microscope on" in process.stdout.readline()
+        assert "hil emulate: microscope-ideal on" in process.stdout.readline()
         deadline = time.monotonic() + 20
         while not status.exists() and time.monotonic() < deadline:
             time.sleep(0.01)

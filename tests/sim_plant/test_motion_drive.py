@@ -4,9 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import DriveState, NmtCommand
+from drivers.protocols.canopen.cia301 import DriveState
 from sim_plant.drives.motion_drive import (
     CSP,
     CST,
@@ -24,59 +22,7 @@ from sim_plant.drives.motor import Motor
 from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from tests.support.foreign_drive import MOTION_DRIVE, eds_text
-
-MS = 1_000_000
-NODE = 9
-SPEED, ACCELERATION = 20_000, 200_000  # counts/s, counts/s^2
-
-
-class Line:
-    """One drive, its master, and time."""
-
-    def __init__(self, tmp_path: Path, modes: int = 0x3AD) -> None:
-        facts = MOTION_DRIVE | {(0x6502, 0): MOTION_DRIVE[0x6502, 0]._replace(value=hex(modes))}
-        tmp_path.mkdir(exist_ok=True)
-        (tmp_path / "made.eds").write_text(eds_text(facts))
-        self.servo = ServoDrive(0, 2.0, 1e-3, NEVER_NS, False, 0)
-        self.motor = Motor(1e-3, 1e-3, 1e-3, 0)
-        self.drive = MotionDrive(NODE, self.servo, self.motor, eds=tmp_path / "made.eds")
-        self.now = 0
-        self.pass_time(1)
-        self.nmt(NmtCommand.START)
-
-    def send(self, can_id: int, data: bytes = b"") -> list[Frame]:
-        return self.drive.on_frame(Frame(can_id, data, 0, self.now))
-
-    def pass_time(self, milliseconds: int) -> None:
-        self.now += milliseconds * MS
-        self.drive.advance(self.now)
-
-    def nmt(self, command: NmtCommand) -> None:
-        self.send(0x000, bytes((command, NODE)))
-
-    def write(self, index: int, value: int, size: int, subindex: int = 0) -> int:
-        data = (value % (1 << 8 * size)).to_bytes(4, "little")
-        (answer,) = self.send(0x600 + NODE, cia301.SDO.pack(0x23 | (4 - size) << 2, index, subindex, data))
-        return int.from_bytes(answer.data[4:], "little") if answer.data[0] == 0x80 else 0
-
-    def enable(self, mode: int) -> None:
-        assert self.write(0x6060, mode, 1) == 0
-        assert self.write(0x6081, SPEED, 4) == self.write(0x6083, ACCELERATION, 4) == 0
-        for word in (0x06, 0x07, 0x0F):
-            assert self.write(0x6040, word, 2) == 0
-        assert self.drive.state is DriveState.OPERATION_ENABLED
-
-    @property
-    def word(self) -> int:
-        return int(self.drive.dictionary.get(key_of(0x6041)))
-
-    @property
-    def position(self) -> int:
-        return int(self.drive.dictionary.get(key_of(0x6064)))
-
-    @property
-    def speed(self) -> int:
-        return int(self.drive.dictionary.get(key_of(0x606C)))
+from tests.support.motion_line import ACCELERATION, MS, NODE, SPEED, Line
 
 
 @pytest.mark.parametrize("mode", range(-1, 12))

@@ -14,7 +14,7 @@ from sim_plant.scenario.language import Scenario
 from tests.support.paths import ROOT
 
 DEPLOY = ROOT / "deploy"
-RIG = DEPLOY / "rigs/microscope.toml"
+RIG = DEPLOY / "rigs/microscope-ideal.toml"
 SHIPPED = sorted(DEPLOY.glob("scenarios/*.toml"))
 
 

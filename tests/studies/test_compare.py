@@ -17,7 +17,7 @@ from hil.studies.compare.report import comparison_table, draw, summary_table, wo
 from hil.studies.tune.search_space import at_rate
 from tests.support.paths import RIGS
 
-PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 

@@ -1,19 +1,23 @@
 """Evidence over drawn stages: the draws, the figures, and a short slice of what `presliding-kalman` holds."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.studies.evidence.stages import FRICTION, PRESLIDING, columns, nominal, only, stage_of
+from hil.studies.evidence.command import _rows
+from hil.studies.evidence.stages import FRICTION, PRESLIDING, columns, nominal, only, overrides, stage_of
 from hil.studies.evidence.trials import LONG, MOVE, PLAN, STEP_S, TRIALS, Job, Trial, _at_rest, jobs, run, trajectory_of
+from sim_plant.physics.truth import Truth
 from tests.support.paths import RIGS
 
 MILLISECOND = 1_000_000  # ns
 
 
 def rig(law: str = "presliding-kalman") -> RigConfig:
-    return load_rig(RIGS / "microscope.toml", [f"law.name={law}"])
+    return load_rig(RIGS / "microscope-ideal.toml", [f"law.name={law}"])
 
 
 def job(trial: Trial, *, axes: tuple[str, ...] = ("x",), law: str = "presliding-kalman", mode_hz: float = 0.0) -> Job:
@@ -33,6 +37,27 @@ def test_a_stage_follows_from_seed_and_number_alone_and_keeps_to_the_distributio
     assert FRICTION[0] <= friction.min() < 0.8
     assert 1.2 < friction.max() <= FRICTION[1]
     assert (columns(again, [2]).cogging["phase"] == again.cogging["phase"][2]).all()
+
+
+@pytest.mark.parametrize("mode_hz", [0.0, 150.0])
+def test_a_stage_of_the_table_can_be_made_of_the_rig_file(mode_hz: float) -> None:
+    """What --json writes beside each stage: that rig file is this stage, with what its law is told."""
+    one = rig()
+    made = load_rig(RIGS / "microscope.toml", ["law.name=presliding-kalman", *overrides(one, 3, 5, mode_hz)])
+    of_file, of_table = Truth.from_config(made.plant, 4, made.axis_names), stage_of(one, 3, 5, mode_hz)
+    for field in fields(Truth):
+        assert np.array_equal(getattr(of_file, field.name), getattr(of_table, field.name)), field.name
+    assert made.axes == nominal(one, mode_hz).axes
+    assert made.plant.encoder_resolution == one.plant.encoder_resolution
+
+
+def test_a_row_has_every_stage_and_says_which_is_the_worst() -> None:
+    work = [job(TRIALS[0])]
+    figures = {"failed": np.array([[False], [True], [False]]), "RMS": np.array([[3e-9], [1e-9], [4e-9]])}
+    (row,) = _rows(["x"], work, [figures])
+    assert row["axes"]["x"] == {
+        "median": 4e-9, "p95": np.inf, "failed": 1, "worst": 1, "each": [3e-9, np.inf, 4e-9],
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("trial", TRIALS, ids=lambda trial: trial.name)
@@ -77,7 +102,7 @@ def test_figures_at_rest_are_what_the_errors_say() -> None:
 
 
 def test_some_of_the_axes_are_tried_with_their_own_gains() -> None:
-    whole = load_rig(RIGS / "microscope.toml", ["law.gains.integral=[0.1, 0.2, 0.3, 0.4]"])
+    whole = load_rig(RIGS / "microscope-ideal.toml", ["law.gains.integral=[0.1, 0.2, 0.3, 0.4]"])
     some = only(whole, ["y", "z"])
     assert list(some.axes) == ["y", "z"]
     assert some.law.gains == {"integral": [0.2, 0.3]}

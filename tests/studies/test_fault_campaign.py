@@ -50,12 +50,12 @@ def rig_of(name: str, layout: str = "stage_fd") -> RigConfig:
 
 def thin(layout: str) -> list[Chunk]:
     """A slice of the microscope's start, rest and first motion."""
-    rig = rig_of("microscope", layout)
+    rig = rig_of("microscope-ideal", layout)
     return plan_chunks(rig, RIGS, stride=THIN)[: len(outside_the_task(rig)) + 2]
 
 
 SAFEST = Capability.SEQUENCE | Capability.CHECKSUM | Capability.STATE | Capability.CAUSE
-CHUNKS = [chunk for name in ("microscope", "paper") for chunk in plan_chunks(rig_of(name), RIGS, stride=STRIDE)]
+CHUNKS = [chunk for name in ("microscope-ideal", "paper") for chunk in plan_chunks(rig_of(name), RIGS, stride=STRIDE)]
 OTHERS = [chunk for layout in ("stage_classic", "cia402") for chunk in thin(layout)]
 
 
@@ -105,7 +105,7 @@ def test_the_whole_campaign_passes_on_every_rig_we_ship() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["stage_classic", "cia402"])
 def test_the_whole_campaign_passes_over_the_layouts_they_do_not_have(layout: str) -> None:
-    rigs = [RIGS / "microscope.toml", RIGS / "paper.toml"]
+    rigs = [RIGS / "microscope-ideal.toml", RIGS / "paper.toml"]
     cells = campaign(rigs, 1, os.cpu_count() or 1, lambda done, total: None, [f"bus.protocol={layout}"])
     assert [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed] == []
     assert len(cells) > 5000
@@ -122,7 +122,7 @@ def test_the_whole_campaign_passes_over_the_layouts_they_do_not_have(layout: str
 )
 def test_what_a_layout_gives_is_what_its_frames_show(layout: str, capabilities: Capability) -> None:
     """Held against the frames: an answer with any one bit inverted, and one of the tick before last."""
-    run = bring_to(rig_of("microscope", layout), RIGS, READY)
+    run = bring_to(rig_of("microscope-ideal", layout), RIGS, READY)
     assert fixed_capabilities(run.cycle.protocol) == capabilities
     protocol, modulus = run.cycle.protocol, run.cycle.protocol.sequence_modulus
     answers = [frame for frame in run.received if isinstance(protocol.decode(frame), Sample)]
@@ -142,7 +142,7 @@ def test_what_a_layout_gives_is_what_its_frames_show(layout: str, capabilities: 
 def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair() -> None:
     began = {}
     for layout in ("stage_fd", "cia402"):
-        run = CampaignRun(rig_of("microscope", layout), RIGS)
+        run = CampaignRun(rig_of("microscope-ideal", layout), RIGS)
         run.ready()
         began[layout] = run.index
         assert run.cycle.state is State.READY
@@ -154,8 +154,8 @@ def test_the_operator_acts_when_the_rig_is_ready_and_that_is_the_runs_own_affair
 
 def test_a_rig_that_is_never_ready_is_told_so_and_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.studies.fault_campaign.checkpoints.PATIENCE", 50)
-    with pytest.raises(RigError, match="microscope: not READY within 50 ticks; it is CONNECTED"):
-        bring_to(rig_of("microscope", "cia402"), RIGS, READY)
+    with pytest.raises(RigError, match="microscope-ideal: not READY within 50 ticks; it is CONNECTED"):
+        bring_to(rig_of("microscope-ideal", "cia402"), RIGS, READY)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_a_rig_that_is_never_ready_is_told_so_and_not_run(monkeypatch: pytest.Mo
 def test_an_override_that_does_not_fit_is_refused_as_everywhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], override: str, says: str
 ) -> None:
-    words = ["faults", str(RIGS / "microscope.toml"), "--set", "bus.protocol=cia402", "--set", override]
+    words = ["faults", str(RIGS / "microscope-ideal.toml"), "--set", "bus.protocol=cia402", "--set", override]
     monkeypatch.setattr("sys.argv", ["hil", *words])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -11,7 +11,7 @@ from hil.studies.crew import crew
 from hil.studies.sweep.plants import Job, jobs, plant_rig, reproduce, run_chunk, save_worst
 from tests.support.paths import RIGS
 
-PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 

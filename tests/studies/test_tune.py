@@ -10,9 +10,10 @@ import pytest
 import tomlkit
 
 from hil.control.gain import Knob, knobs
-from hil.control.law_registry import LAWS, law_class
+from hil.control.law_registry import law_class
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
 from hil.studies.tune.objective import (
@@ -35,7 +36,7 @@ SHORT = ["rate_hz=200", "task.kind=point_to_point", "task.target=[0.001, 0.001]"
 ALL = {law: knobs(law_class(LawConfig(name=law)).GAINS, plan=False) for law in LAWS}
 SPACE = {law: found for law, found in ALL.items() if found}  # the laws that declare something to search
 STRUCTURED = LawConfig(name="structured-kalman")
-PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope.toml"
+PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 
@@ -265,7 +266,7 @@ def test_gains_of_the_microscope_come_from_the_search_that_is_written_above_them
     """From mid-range over every knob, and every gain lies within what is searched."""
     rig = load_rig(MICROSCOPE)
     command = shlex.split(MICROSCOPE.read_text().split(f"[law.tuned.{law}]\n", 1)[1].splitlines()[0])
-    assert command[:6] == ["#", "hil", "tune", "deploy/rigs/microscope.toml", "--law", law]
+    assert command[:6] == ["#", "hil", "tune", "deploy/rigs/microscope-ideal.toml", "--law", law]
     assert command[-2:] == ["--start", "middle"]
     gains = rig.law.tuned[law]
     assert set(space_of(rig, law)) <= set(gains)

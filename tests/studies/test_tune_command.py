@@ -34,6 +34,7 @@ def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: P
     words = ["--law", "pid", "--seed", "3", "--margin", "1", "--phase-margin", "0"]
     code, output = tuned(target, *words)
     assert code == 0, output
+    assert "2 generations of 5 candidates for each of x, y, every one in " in output
     first = load_rig(target).law.tuned["pid"]
     assert set(first) == set(SPACE["pid"])
     assert "--law pid --population 5 --generations 1 --seed 3 --margin 1" in target.read_text()

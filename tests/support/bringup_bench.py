@@ -24,6 +24,7 @@ class BringupBench:
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings
         )
         self.now_ns = 0
+        self.slow = 1  # a tick takes so many periods
         self.sent: list[Frame] = []
         self.heard: list[Frame] = []
         self.foreign: list[Frame] = []  # of somebody else, in the next tick
@@ -31,10 +32,10 @@ class BringupBench:
 
     def tick(self, procedure: Procedure) -> None:
         """One period: the procedure hears, speaks, and the drives answer."""
-        self.now_ns += self.rig.period_ns
         heard, self.heard = self.heard, []
-        for frame in self.stage.advance(self.now_ns):
-            heard.append(frame._replace(timestamp_ns=self.now_ns))
+        for _ in range(self.slow):
+            self.now_ns += self.rig.period_ns
+            heard += [frame._replace(timestamp_ns=self.now_ns) for frame in self.stage.advance(self.now_ns)]
         heard = [changed for frame in heard for changed in self.change(frame)]
         foreign, self.foreign = self.foreign, []
         self.sent = procedure.step(self.now_ns, heard + foreign)

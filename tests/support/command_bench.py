@@ -22,7 +22,7 @@ from hil.telemetry.credentials import Credentials
 from hil.telemetry.gateway import Gateway
 from tests.support.paths import RIGS
 
-RIG = load_rig(RIGS / "microscope.toml", ["safety.command_expiry_s=0.5"])
+RIG = load_rig(RIGS / "microscope-ideal.toml", ["safety.command_expiry_s=0.5"])
 ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE, CommandKind.LOAD_TASK})
 
 

@@ -30,10 +30,10 @@ RUNS: dict[str, tuple[str, tuple[str, ...]]] = {
         "paper.toml",
         ("law.name=structured-kalman", "plant.ripple_amplitude=0.05", "plant.stribeck_scale=0.2"),
     ),
+    "microscope-ideal": ("microscope-ideal.toml", ()),
+    "microscope-ideal, losses": ("microscope-ideal.toml", ("wire.jitter=50e-6", "wire.drop_probability=0.003")),
     "microscope": ("microscope.toml", ()),
-    "microscope, losses": ("microscope.toml", ("wire.jitter=50e-6", "wire.drop_probability=0.003")),
-    "microscope, crossed roller": ("microscope.toml", ("plant.stage=crossed-roller",)),
-    "microscope, cia402": ("microscope.toml", ("bus.protocol=cia402",)),
+    "microscope-ideal, cia402": ("microscope-ideal.toml", ("bus.protocol=cia402",)),
     "paper-dbc": ("paper-dbc.toml", ()),
 }
 

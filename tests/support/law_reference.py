@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.law_registry import LAWS
 from hil.control.laws import make_axis_laws, make_law
 from hil.control.laws.base import Array, LawInputs, Model, Reference
 from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
 from tests.support.paths import RIGS, ROOT
 
@@ -50,7 +50,7 @@ def models() -> dict[str, Model]:
 def laws() -> dict[str, LawConfig]:
     """Every law with its own gains and with those of both rigs, and one inside iterative learning."""
     configured = {name: LawConfig(name=name) for name in LAWS} | {"learning": LawConfig(iterative_learning=True)}
-    for rig in ("paper", "microscope"):
+    for rig in ("paper", "microscope-ideal"):
         for name, gains in load_rig(RIGS / f"{rig}.toml").law.tuned.items():
             two = {key: value[:2] if isinstance(value, list) else value for key, value in gains.items()}
             configured[f"{name}, gains of {rig}.toml"] = LawConfig(name=name, gains=two)

@@ -4,7 +4,10 @@ from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
 
+from drivers.frame import FD_LENGTHS
+
 FLOATS = {32: 1, 64: 2}  # SIG_VALTYPE_ by length
+NESTED_IN = 7  # the value of the first multiplexer that a second is there with
 NOISE = """
 BO_ 1999 Overlapping: 8 Other
  SG_ A : 0|16@1+ (1,0) [0|0] "" Host
@@ -29,8 +32,11 @@ BO_ 2566844926 Diagnostics: 1785 Other
 """
 
 
+LONGER = [length for length in FD_LENGTHS if length > 8]
+
+
 class Signal(NamedTuple):
-    """One signal. start: as the file writes it. page: of its message's multiplexer; -1: on all."""
+    """One signal. start: as the file writes it. page: of its message's multiplexer; -1: on all. offset: physical."""
 
     name: str
     start: int
@@ -40,23 +46,28 @@ class Signal(NamedTuple):
     is_float: bool
     factor: float
     page: int = -1
+    offset: float = 0.0
 
     @property
     def line(self) -> str:
         """In a DBC file."""
         page = f" m{self.page}" if self.page >= 0 else ""
         order, sign = "0" if self.big else "1", "-" if self.signed or self.is_float else "+"
-        return f' SG_ {self.name}{page} : {self.start}|{self.length}@{order}{sign} ({self.factor},0) [0|0] "\xb5m" Host'
+        place = f"{self.start}|{self.length}@{order}{sign}"
+        return f' SG_ {self.name}{page} : {place} ({self.factor},{self.offset}) [0|0] "\xb5m" Host'
 
 
 class Message(NamedTuple):
-    """One message. can_id: as the file writes it. multiplexed: its first byte says the page."""
+    """One message. can_id: as the file writes it. multiplexed: its first byte says the page. nested: its second does,
+    while the first is NESTED_IN; two values of it each.
+    """
 
     name: str
     can_id: int
     length: int
     multiplexed: bool
     signals: tuple[Signal, ...]
+    nested: bool = False
 
     @property
     def text(self) -> str:
@@ -64,7 +75,26 @@ class Message(NamedTuple):
         lines = [f"BO_ {self.can_id} {self.name}: {self.length} Drive"]
         if self.multiplexed:
             lines.append(' SG_ Page M : 0|8@1+ (1,0) [0|0] "" Host')
+        if self.nested:
+            lines.append(f' SG_ Sub m{NESTED_IN}M : 8|8@1+ (1,0) [0|0] "" Host')
         return "\n".join([*lines, *(signal.line for signal in self.signals), ""])
+
+    @property
+    def about(self) -> str:
+        """What a DBC file says of it elsewhere: kinds of floating-point numbers, ranges of multiplexers, names of
+        values.
+        """
+        lines = [
+            f"SIG_VALTYPE_ {self.can_id} {signal.name} : {FLOATS[signal.length]};"
+            for signal in self.signals
+            if signal.is_float
+        ]
+        lines += [f'VAL_ {self.can_id} {s.name} 0 "zero" 1 "one";' for s in self.signals if not s.is_float]
+        if self.nested:
+            lines.append(f"SG_MUL_VAL_ {self.can_id} Sub Page {NESTED_IN}-{NESTED_IN};")
+            for at, signal in enumerate(self.signals):
+                lines.append(f"SG_MUL_VAL_ {self.can_id} {signal.name} Sub {2 * at}-{2 * at + 1};")
+        return "".join(line + "\n" for line in lines)
 
 
 class Drawn(NamedTuple):
@@ -79,7 +109,7 @@ class Drawn(NamedTuple):
 
 @st.composite
 def signal_at(draw: st.DrawFn, name: str, first: int, size: int, page: int) -> Signal:
-    """A signal within `size` bytes from byte `first` on."""
+    """A signal within `size` bytes from byte `first` on; one without a sign counts from its middle."""
     big = draw(st.booleans())
     lengths = [length for length in FLOATS if length == 8 * size]
     if lengths and draw(st.booleans()):
@@ -87,18 +117,19 @@ def signal_at(draw: st.DrawFn, name: str, first: int, size: int, page: int) -> S
     length = draw(st.integers(max(10, 8 * size - 6), 8 * size))
     shift = draw(st.integers(0, 8 * size - length))
     start = 8 * first + (shift // 8 * 8 + 7 - shift % 8 if big else shift)
-    factor = draw(st.sampled_from([1.0, 0.5, 0.001]))
-    return Signal(name, start, length, big, True, False, factor, page)
+    factor, signed = draw(st.sampled_from([1.0, 0.5, 0.001])), draw(st.booleans())
+    offset = draw(st.sampled_from([0.0, 3.0 * factor])) if signed else -factor * (1 << (length - 1))
+    return Signal(name, start, length, big, signed, False, factor, page, offset)
 
 
 @st.composite
 def messages(draw: st.DrawFn, prefix: str, n_axes: int, first_id: int) -> list[tuple[Message, Signal]]:
     """A signal for each axis: in messages of their own, in one together, or on pages of one."""
-    kind = draw(st.sampled_from(["own", "together", "pages"]))
+    kind = draw(st.sampled_from(["own", "together", "pages", "nested"]))
     extended = 1 << 31 if draw(st.booleans()) else 0
     size = draw(st.integers(2, 4))
     if kind == "own":
-        length = draw(st.integers(size, 8))
+        length = draw(st.one_of(st.integers(size, 8), st.sampled_from(LONGER)))
         made = []
         for axis in range(n_axes):
             signal = draw(signal_at(f"Value{axis}", draw(st.integers(0, length - size)), size, -1))
@@ -106,15 +137,13 @@ def messages(draw: st.DrawFn, prefix: str, n_axes: int, first_id: int) -> list[t
             made.append((message, signal))
         return made
     size = min(size, 8 // n_axes) if kind == "together" else size
+    firsts = {"together": [axis * size for axis in range(n_axes)], "pages": [1] * n_axes, "nested": [2] * n_axes}[kind]
     signals = tuple(
-        draw(
-            signal_at(
-                f"Value{axis}", axis * size if kind == "together" else 1, size, -1 if kind == "together" else axis
-            )
-        )
-        for axis in range(n_axes)
+        draw(signal_at(f"Value{axis}", first, size, -1 if kind == "together" else axis * (1 + (kind == "nested"))))
+        for axis, first in enumerate(firsts)
     )
-    message = Message(f"{prefix}All", extended | first_id, 8, kind == "pages", signals)
+    length = draw(st.sampled_from((8, *LONGER)))
+    message = Message(f"{prefix}All", extended | first_id, length, kind != "together", signals, kind == "nested")
     return [(message, signal) for signal in signals]
 
 
@@ -128,10 +157,7 @@ def dbc_files(draw: st.DrawFn) -> Drawn:
     text = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: Host Drive Other\n\n' + "\n".join(message.text for message in used)
     text += draw(st.sampled_from(["", NOISE, NOISE + LONG]))
     text += '\nCM_ "\xb0C and \xb5m";\n'
-    for message in used:
-        for signal in message.signals:
-            if signal.is_float:
-                text += f"SIG_VALTYPE_ {message.can_id} {signal.name} : {FLOATS[signal.length]};\n"
+    text += "".join(message.about for message in used)
     rated = 5.0
     binding = {
         "position": [{"message": m.name, "signal": s.name, "scale": 100.0} for m, s in position],
@@ -139,7 +165,7 @@ def dbc_files(draw: st.DrawFn) -> Drawn:
             {
                 "message": m.name,
                 "signal": s.name,
-                "scale": 1.0 if s.is_float else rated / s.factor / ((1 << (s.length - 1)) - 1),
+                "scale": 1.0 if s.is_float else rated / s.factor / ((1 << (s.length - 1)) - 4),
             }
             for m, s in torque
         ],

@@ -5,9 +5,10 @@
 For a new law renew `traces` (a minute) and `laws`, for a new trial `campaigns` (some minutes), for a new effect of the
 plant `plants`, and all after a change that is meant to change what runs do.
 
-`traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both rigs with every law.
+`traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both ideal rigs with
+every law, and for the microscope as it is shipped.
 `laws`, `plants`: files of their own (law_reference.py, plant_reference.py).
-`campaigns`: SHA-256 over what every cell of the fault campaign found, for both rigs on their own layouts.
+`campaigns`: SHA-256 over what every cell of the fault campaign found, for the shipped rigs on their own layouts.
 """
 
 import argparse
@@ -27,7 +28,8 @@ LEARNING = (
     "presliding-kalman",
 )  # laws also run inside iterative learning, on a figure that repeats
 REPEATS = ["task.frequency_hz=10.0", "task.radius=1e-3", "task.approach_s=0.1", "plant.coulomb=[2.0, 0.3]"]
-RIG_NAMES = ("microscope", "paper")
+IDEAL_RIGS = ("microscope-ideal", "paper")
+CAMPAIGNS = ("microscope", "paper")
 CELL = (
     "rig", "layout", "checkpoint", "trial", "axis", "passed", "fault", "reaction", "detection_ticks",
     "peak_force_after", "end",
@@ -36,14 +38,14 @@ CELL = (
 
 def runs() -> dict[str, tuple[str, list[str]]]:
     """Rig and overrides of every reference run, by name."""
-    from hil.control.law_registry import LAWS
+    from hil.rig.law_names import LAWS
 
-    plain = {f"{rig}, {law}": (rig, [f"law.name={law}"]) for rig in RIG_NAMES for law in LAWS}
+    plain = {f"{rig}, {law}": (rig, [f"law.name={law}"]) for rig in IDEAL_RIGS for law in LAWS}
     learning = {
         f"paper, {law}, learning": ("paper", [f"law.name={law}", "law.iterative_learning=true", *REPEATS])
         for law in LEARNING
     }
-    return {**plain, **learning}
+    return {**plain, **learning, "microscope": ("microscope", [])}
 
 
 def trace_hash(rig: str, overrides: Sequence[str]) -> str:
@@ -76,7 +78,7 @@ def known() -> dict[str, Any]:
 
 HALVES: dict[str, Callable[[], dict[str, Any]]] = {
     "traces": lambda: {name: trace_hash(*run) for name, run in runs().items()},
-    "campaigns": lambda: {rig: campaign(rig) for rig in RIG_NAMES},
+    "campaigns": lambda: {rig: campaign(rig) for rig in CAMPAIGNS},
 }
 
 

@@ -18,7 +18,7 @@ from hil.telemetry.sidecar import Sidecar
 from tests.support.paths import ROOT
 from tests.support.records import bare_tick, put_tick
 
-RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
+RIG = ROOT / "deploy" / "rigs" / "microscope-ideal.toml"
 
 
 def free_endpoint() -> str:

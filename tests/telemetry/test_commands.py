@@ -92,7 +92,7 @@ def test_a_mac_holds_for_its_bytes_direction_nonce_and_secret_alone(body: bytes,
 
 
 def gateway_of(expiry_s: float) -> Gateway:
-    rig = load_rig(RIGS / "microscope.toml")
+    rig = load_rig(RIGS / "microscope-ideal.toml")
     short_lived = rig.model_copy(update={"safety": rig.safety.model_copy(update={"command_expiry_s": expiry_s})})
     return Gateway(short_lived, Path("/nowhere"), lambda _: None)
 
@@ -146,7 +146,7 @@ def test_a_refused_request_uses_no_sequence_number() -> None:
 def test_a_task_that_cannot_begin_where_the_stage_stands_is_refused_by_axis_time_value_limit_and_key() -> None:
     sets = ["task.kind=point_to_point", 'task.axes=["x"]', "task.target=[0.02]", "task.move_s=1.0"]
     run = LockstepRun(
-        load_rig(RIGS / "microscope.toml", [*sets, "plant.initial_position=[-0.024, 0.0, 0.0, 0.0]"]),
+        load_rig(RIGS / "microscope-ideal.toml", [*sets, "plant.initial_position=[-0.024, 0.0, 0.0, 0.0]"]),
         RIGS,
         operator=activate_when_ready,
     )

@@ -64,7 +64,7 @@ def test_a_disk_that_fills_and_is_freed_again_and_again_loses_no_tick(bench: Ben
     ticks, recording = recorded(path)
     assert len(recording.parts) >= 2
     assert [tick.ring for tick in ticks] == list(range(len(ticks)))
-    with RingReader(bench.runtime / "microscope" / "ring") as reader:
+    with RingReader(bench.runtime / "microscope-ideal" / "ring") as reader:
         assert len(ticks) == reader.written
     messages = [item for item in Recording(path) if item.topic == "tick"]
     assert len(messages) == len(ticks)

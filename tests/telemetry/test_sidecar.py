@@ -27,7 +27,7 @@ from hil.telemetry.session import client_config
 from hil.telemetry.sidecar import DRAINED
 from tests.support.paths import ROOT
 
-RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
+RIG = ROOT / "deploy" / "rigs" / "microscope-ideal.toml"
 
 
 def free_endpoint() -> str:
@@ -66,7 +66,7 @@ class Bench:
         return self.start("-m", "hil", "sidecar", str(RIG), *options, until="listening")
 
     def command(self, kind: CommandKind) -> Verdict:
-        with local_client(self.runtime / "microscope") as client:
+        with local_client(self.runtime / "microscope-ideal") as client:
             return client.command(kind)
 
     def close(self) -> None:
@@ -130,7 +130,7 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
     control = bench.control()
     with RigClient(bench.endpoint) as client:
         status = eventually(client, lambda status: status.recording and status.produced > 100)
-        assert (status.rig, status.state, list(status.axes)) == ("microscope", "READY", ["x", "y", "z", "theta"])
+        assert (status.rig, status.state, list(status.axes)) == ("microscope-ideal", "READY", ["x", "y", "z", "theta"])
         assert status.realtime == "none: a test"
         assert status.control_alive
         assert obeyed(bench, CommandKind.ACTIVATE).state == "ACTIVE"
@@ -143,7 +143,7 @@ def test_a_run_is_published_commanded_and_recorded_from_its_first_tick_to_its_la
     assert end(sidecar) == 0
     ticks, recording = recorded(bench.out / "run.mcap")
     assert not recording.truncated
-    assert recording.metadata["rig"]["name"] == "microscope"
+    assert recording.metadata["rig"]["name"] == "microscope-ideal"
     assert [tick.ring for tick in ticks] == list(range(status.produced))
     assert [command.kind for tick in ticks for command in tick.tick.commands] == [CommandKind.ACTIVATE] * 2
     assert all(len(tick.received) == 4 for tick in ticks)
@@ -185,7 +185,7 @@ def test_a_killed_control_process_is_reported_and_its_last_tick_is_recorded(benc
         eventually(client, lambda status: status.control_alive and status.recording)
         obeyed(bench, CommandKind.ACTIVATE)
     assert (bench.out / "run-2.mcap").exists()
-    assert not (bench.runtime / "microscope" / "ring.previous").exists()
+    assert not (bench.runtime / "microscope-ideal" / "ring.previous").exists()
 
 
 @pytest.mark.live
@@ -239,7 +239,7 @@ def test_without_a_sidecar_the_black_box_holds_the_last_ticks(bench: Bench) -> N
     control = bench.control("1000")
     control.wait(timeout=60)
     control = bench.control()
-    with RingReader(bench.runtime / "microscope" / "ring") as reader:
+    with RingReader(bench.runtime / "microscope-ideal" / "ring") as reader:
         while reader.written < 100:
             assert control.poll() is None
     end(control, signal.SIGKILL)
@@ -247,7 +247,7 @@ def test_without_a_sidecar_the_black_box_holds_the_last_ticks(bench: Bench) -> N
     ticks, recording = recorded(bench.out / "blackbox.mcap")
     assert [tick.ring for tick in ticks] == list(range(len(ticks)))
     assert len(ticks) >= 100
-    assert recording.metadata["rig"]["name"] == "microscope"
+    assert recording.metadata["rig"]["name"] == "microscope-ideal"
     bench.start("-m", "hil", "blackbox", str(RIG), "--out", str(bench.out), until="nothing to save")
 
 
@@ -268,8 +268,8 @@ def test_what_others_publish_as_a_status_does_not_end_those_who_watch(bench: Ben
     with RigClient(bench.endpoint) as client, zenoh.open(client_config(bench.endpoint)) as other:
         client.wait_status(10.0)
         for _ in range(20):
-            other.put("hil/microscope/status", b"\xff\xff no status")
-        assert eventually(client, lambda status: status.rig == "microscope")
+            other.put("hil/microscope-ideal/status", b"\xff\xff no status")
+        assert eventually(client, lambda status: status.rig == "microscope-ideal")
 
 
 def test_of_a_stopped_sidecar_whose_kernel_still_accepts_an_operator_hears_sooner_than_zenoh_itself_would_say() -> None:
@@ -319,7 +319,7 @@ def test_a_client_without_a_sidecar_says_what_to_start() -> None:
 def test_a_new_sidecar_tells_no_state_before_it_has_caught_up(bench: Bench) -> None:
     """The ring of a process that was stopped for a while holds what was, not what is."""
     control = bench.control()
-    with RingReader(bench.runtime / "microscope" / "ring") as reader:
+    with RingReader(bench.runtime / "microscope-ideal" / "ring") as reader:
         while reader.written < 5000:  # more than a sidecar reads in one round
             assert control.poll() is None
             time.sleep(0.05)

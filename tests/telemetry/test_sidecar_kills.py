@@ -27,7 +27,7 @@ class Subscriber(threading.Thread):
         self.sequences: list[int] = []
         self._message = TickSchema(rig).message
         self._session = zenoh.open(client_config(endpoint))
-        self._ticks = self._session.declare_subscriber("hil/microscope/tick", RingChannel(65536))
+        self._ticks = self._session.declare_subscriber("hil/microscope-ideal/tick", RingChannel(65536))
         self._ended = threading.Event()
 
     def run(self) -> None:
@@ -60,7 +60,7 @@ class Subscriber(threading.Thread):
 def test_a_sidecar_killed_at_random_moments_loses_no_tick_and_publishes_none_again(bench: Bench, kills: int) -> None:
     moments = random.Random(25)
     control = bench.control()
-    ring = bench.runtime / "microscope" / "ring"
+    ring = bench.runtime / "microscope-ideal" / "ring"
     with RingReader(ring) as reader:
         rig = reader.metadata["rig"]
     sidecar = bench.sidecar()

@@ -32,6 +32,6 @@ def test_every_python_computes_the_same(version: str, expected: dict[str, str]) 
 def test_a_hash_tells_runs_apart_by_a_single_bit_of_the_seed(expected: dict[str, str]) -> None:
     from tests.support.hashes import run_hash
 
-    rig, overrides = RUNS["microscope, losses"]
-    assert run_hash(rig, overrides, TICKS) == expected["microscope, losses"]
-    assert run_hash(rig, (*overrides, "wire.seed=2"), TICKS) != expected["microscope, losses"]
+    rig, overrides = RUNS["microscope-ideal, losses"]
+    assert run_hash(rig, overrides, TICKS) == expected["microscope-ideal, losses"]
+    assert run_hash(rig, (*overrides, "wire.seed=2"), TICKS) != expected["microscope-ideal, losses"]

@@ -75,9 +75,9 @@ def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
 
 
 def test_four_axes_follow_the_injection_plan_with_a_nominal_model_off_by_some_per_cent(
-    microscope: RigConfig, lockstep: MakeRun
+    ideal_microscope: RigConfig, lockstep: MakeRun
 ) -> None:
-    run = lockstep(microscope)
+    run = lockstep(ideal_microscope)
     run_until(run, State.ACTIVE)
     ticks(run, 6500)
     assert run.cycle.state is State.ACTIVE
@@ -85,8 +85,8 @@ def test_four_axes_follow_the_injection_plan_with_a_nominal_model_off_by_some_pe
     assert run.stage.pierced.tolist()[2] == 1.0
 
 
-def test_the_brake_holds_z_until_torque_does(microscope: RigConfig, lockstep: MakeRun) -> None:
-    run = lockstep(microscope, operator=commands({100: CommandKind.ACTIVATE, 400: CommandKind.STOP}))
+def test_the_brake_holds_z_until_torque_does(ideal_microscope: RigConfig, lockstep: MakeRun) -> None:
+    run = lockstep(ideal_microscope, operator=commands({100: CommandKind.ACTIVATE, 400: CommandKind.STOP}))
     ticks(run, 100)
     assert run.stage.position[2] == 0.0
     ticks(run, 300)
@@ -166,7 +166,8 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
 
 @pytest.mark.parametrize("skipped", [1, 2, 5])
 def test_the_filter_stays_with_the_axes_when_slots_are_skipped_all_the_time(lockstep: MakeRun, skipped: int) -> None:
-    rig = load_rig(RIGS / "microscope.toml", ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"])
+    changes = ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"]
+    rig = load_rig(RIGS / "microscope-ideal.toml", changes)
     run = lockstep(rig, operator=commands({}))
     run_until(run, State.READY)
     for _ in range(300):

@@ -1,97 +1,54 @@
-"""The microscope's default law: nanometres over the whole injection plan, with margins that one would stand beside."""
+"""The microscope as it is shipped: crossed-roller guides, cables, a tool that rings, noise."""
 
-import numpy as np
 import pytest
 
-from hil.control.pulse_loop import pulse_response
-from hil.control.stability import check_stability
+from hil.control.loop_corners import check_corners
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
 from hil.virtual.sim import SimReport, simulate
-from tests.support.paths import ROOT
+from tests.support.paths import RIGS
 
-RIG = ROOT / "deploy" / "rigs" / "microscope.toml"
+RIG = RIGS / "microscope.toml"
 PLAN_S = 14.4  # s, the whole plan with its start
-BAR = 20e-9  # m (rad) RMS, from the focal range on
+PEAK, RMS = 4.5e-6, 0.5e-6  # m (rad), of the injection plan without learning: 95 % of stages
 
 
-def track(*overrides: str, seconds: float = PLAN_S) -> SimReport:
-    report, _ = simulate(load_rig(RIG, overrides), RIG.parent, seconds)
-    assert (report.state, report.law) == ("ACTIVE", "structured-kalman")
+def track(*overrides: str, seconds: float) -> SimReport:
+    report, _ = simulate(load_rig(RIG, overrides), RIGS, seconds)
     return report
 
 
-def rms(report: SimReport) -> dict[str, float]:
-    return {name: figures["rms_error"] for name, figures in report.axes.items()}
+def holds(report: SimReport) -> None:
+    assert (report.state, report.law, report.faults) == ("ACTIVE", "presliding-kalman", {})
+    assert max(axis["rms_error"] for axis in report.axes.values()) < RMS
+    assert max(axis["max_error"] for axis in report.axes.values()) < PEAK
 
 
-def test_every_axis_tracks_the_injection_plan_within_twenty_nanometres_rms() -> None:
-    report = track()
-    assert max(rms(report).values()) < BAR, rms(report)
-    assert max(figures["max_error"] for figures in report.axes.values()) < 0.5e-6
-    assert report.faults == {}
-
-
-def test_every_loop_has_the_margins_that_are_shown(microscope: RigConfig) -> None:
-    axes = check_stability(microscope, ticks=2000).axes.values()
-    up = np.array([axis.gain_margin or np.inf for axis in axes])
-    down = np.array([axis.gain_margin_down or 0.0 for axis in axes])
-    assert up.min() > 2.0
-    assert down.max() < 0.5
-    assert min(axis.phase_margin_deg or 180.0 for axis in axes) > 30.0
-    # Plants lighter and heavier than the nominal model are a higher and a lower loop gain: a pulse dies out as long as
-    # it is within the margin, on every axis, and not beyond.
-    for gain, dies_out in ((0.97 * up, True), (1.03 * up, False), (0.5, True)):
-        answer, _ = pulse_response(microscope, 1500, gain)
-        assert ((np.abs(answer[-100:]).max(axis=0) < 1e-2) == dies_out).all(), gain
-
-
-def settles_over_cia402(report: SimReport) -> None:
-    """No axis circles. Theta, whose steps of torque are 7 uN m, moves by 33 nrad a tick for each."""
-    found = rms(report)
-    assert max(found[name] for name in "xyz") < 50e-9, found
-    assert found["theta"] < 250e-9, found
-    assert max(figures["max_error"] for figures in report.axes.values()) < 3e-6
-
-
-def test_no_axis_circles_over_cia402() -> None:
-    """Z did, and fell by a micrometre first, when drives were enabled before they had torque."""
-    settles_over_cia402(track("bus.protocol=cia402", seconds=4.0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("mass", "friction"), [(1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3)])
-def test_no_axis_circles_over_cia402_in_the_whole_plan(mass: float, friction: float) -> None:
-    plant = [f"plant.mass_scale={mass}", f"plant.friction_scale={friction}"]
-    report = track("bus.protocol=cia402", *plant, seconds=PLAN_S + 0.4)
-    settles_over_cia402(report)
-    if (mass, friction) == (1.0, 1.0):
-        assert max(rms(report)[name] for name in "xyz") < BAR
+def test_the_injection_plan_begins_within_half_a_micrometre_on_guides_as_they_are() -> None:
+    holds(track(seconds=5.0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_late_commands_cost_little(seed: int) -> None:
-    assert max(rms(track("wire.jitter=50e-6", f"wire.seed={seed}")).values()) < BAR
+def test_the_whole_plan_is_held_whatever_the_noise(seed: int) -> None:
+    holds(track(f"plant.seed={seed}", seconds=PLAN_S))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [0.8, 1.2])
-def test_another_plan_is_tracked_as_well(scale: float) -> None:
-    changes = [
-        f"task.injection.pitch=[{0.0015 * scale}, {0.0002 * scale}, 0.0, 0.0]",
-        f"task.injection.approach_s={2.0 * scale}",
-        f"task.injection.transfer_s={0.6 * scale}",
-    ]
-    assert max(rms(track(*changes, seconds=PLAN_S * scale)).values()) < BAR
+@pytest.mark.parametrize(("mass", "friction"), [(0.9, 0.8), (0.9, 1.2), (1.1, 0.8), (1.1, 1.2)])
+def test_a_stage_off_its_model_is_held_too(mass: float, friction: float) -> None:
+    holds(track(f"plant.mass_scale={mass}", f"plant.friction_scale={friction}", seconds=PLAN_S))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mass", "friction"), [(0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3)])
-def test_a_plant_far_from_the_nominal_model_is_tracked_within_a_tenth_of_a_micrometre(
-    mass: float, friction: float
-) -> None:
-    report = track(f"plant.mass_scale={mass}", f"plant.friction_scale={friction}")
-    assert max(rms(report).values()) < 100e-9
-    assert max(figures["max_error"] for figures in report.axes.values()) < 2e-6
-    assert report.faults == {}
+def test_its_law_has_the_margins_that_are_asked_for_in_every_corner() -> None:
+    found = check_corners(load_rig(RIG))
+    assert [finding.lacks() for finding in found if not finding.nominal and finding.lacks()] == []
+    assert all(finding.stable for finding in found)
+
+
+@pytest.mark.slow
+def test_a_law_under_which_the_tool_would_ring_is_refused_and_it_would_have() -> None:
+    """PD with the gains it takes by default is stable on a rigid stage alone."""
+    found = check_corners(load_rig(RIG, ["law.name=pd-feedforward"]))
+    assert {finding.axis for finding in found if not finding.stable} == {"x", "y", "z", "theta"}
+    assert track("law.name=pd-feedforward", seconds=0.5).state == "FAULT"

@@ -5,9 +5,9 @@ half of it).
 
 import pytest
 
-from tests.support.reference import RIG_NAMES, campaign, known, runs, trace_hash
+from tests.support.reference import CAMPAIGNS, campaign, known, runs, trace_hash
 
-EVERY_TIME = ("microscope, structured-kalman", "paper, robust-pd", "paper, pd-feedforward, learning")
+EVERY_TIME = ("microscope-ideal, structured-kalman", "paper, robust-pd", "paper, pd-feedforward, learning")
 
 
 def test_there_is_a_hash_for_every_law_on_both_rigs() -> None:
@@ -28,6 +28,6 @@ def test_every_law_sends_and_receives_the_frames_it_always_did(name: str) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", RIG_NAMES)
+@pytest.mark.parametrize("rig", CAMPAIGNS)
 def test_every_cell_of_the_fault_campaign_is_as_it_was(rig: str) -> None:
     assert campaign(rig) == known()["campaigns"][rig]

@@ -24,7 +24,7 @@ from hil.virtual.sim import simulate
 from tests.support.earlier_layout import Change, unchanged, write_earlier
 from tests.support.paths import ROOT
 
-RIG_FILE = ROOT / "deploy" / "rigs" / "microscope.toml"
+RIG_FILE = ROOT / "deploy" / "rigs" / "microscope-ideal.toml"
 SECONDS = 1.2
 
 
@@ -245,7 +245,7 @@ def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_a_summary_is_made_of_what_was_recorded(recording: Path, rig: RigConfig) -> None:
     run = load_run(recording)
     summary = summarise(run)
-    assert (summary["rig"], summary["ticks"], summary["final_state"]) == ("microscope", 1200, "ACTIVE")
+    assert (summary["rig"], summary["ticks"], summary["final_state"]) == ("microscope-ideal", 1200, "ACTIVE")
     assert run.rig == rig
     assert summary["telemetry"] == {"produced": 1200, "sent": 1200, "dropped": 0}
     error = run.error[summary["steady_from_tick"] :, 0]

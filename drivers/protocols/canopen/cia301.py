@@ -58,6 +58,7 @@ class Abort(IntEnum):
     SEQUENCE = 0x05040003
     CRC = 0x05040004
     OUT_OF_MEMORY = 0x05040005
+    UNSUPPORTED = 0x06010000
     WRITE_ONLY = 0x06010001
     READ_ONLY = 0x06010002
     NO_OBJECT = 0x06020000
@@ -83,6 +84,7 @@ class Emergency(IntEnum):
     PDO_TOO_SHORT = 0x8210
     SYNC_LENGTH = 0x8240
     RPDO_TIMEOUT = 0x8250
+    FOLLOWING = 0x8611
 
 
 class DriveState(Enum):

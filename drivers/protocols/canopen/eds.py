@@ -67,7 +67,9 @@ class Eds:
         self._node_id = node_id
         sections = self._sections(text)
         info = sections.get("deviceinfo", {})
-        self.name = " ".join(info[key] for key in ("vendorname", "productname") if info.get(key)) or "unnamed"
+        vendor, product = info.get("vendorname", ""), info.get("productname", "")
+        named = product if product.lower().startswith(vendor.lower()) else f"{vendor} {product}"
+        self.name = named.strip() or vendor or "unnamed"
         self.bitrates = {int(k[9:]): v.strip() == "1" for k, v in info.items() if re.fullmatch(r"baudrate_\d+", k)}
         usage = sections.get("dummyusage", {})
         self.dummies = {int(k[5:], 16) for k, v in usage.items() if re.fullmatch("dummy[0-9a-f]{4}", k) and v == "1"}

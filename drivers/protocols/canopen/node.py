@@ -63,6 +63,7 @@ class NodeMaster:
         self.values: dict[tuple[int, int], int] = {}
         self._tick = 0
         self._heard_tick = 0
+        self._closing = b""  # of a transfer that is over
         self.restart()
 
     def restart(self) -> None:
@@ -70,7 +71,7 @@ class NodeMaster:
         self.phase = Phase.CONFIGURE
         self.state: DriveState | None = None
         self.alarms = 0
-        self.emergency = ""
+        self.emergency, self._closing = "", b""
         self.answers.clear()
         self._step = 0
         self._transfer = Transfer(self._steps[0])
@@ -116,6 +117,7 @@ class NodeMaster:
         if progress is Progress.FOREIGN:
             return False
         self._asked_tick = -1
+        self._closing = transfer.closing
         if self._silent:
             self._silent, self.problem = False, ""
         step = transfer.step
@@ -172,6 +174,9 @@ class NodeMaster:
     def service(self, tick: int) -> Frame | None:
         """The frame that the node is due in this tick, if any."""
         self._tick = tick
+        if self._closing:
+            closing, self._closing = self._closing, b""
+            return self._frame(closing)
         if self.phase is Phase.RUNNING:
             if tick - self._heard_tick > LOST_TICKS:
                 self.restart()

@@ -46,6 +46,7 @@ class NodeScan:
         self._node = 0
         self._transfer: Transfer | None = None
         self._request_due = False
+        self._closing = b""
         self._waited = 0
         self.done = False
 
@@ -54,6 +55,9 @@ class NodeScan:
         if self._to_ask:
             node = self._to_ask.popleft()
             return Frame(cia301.SDO_REQUEST_ID + node, Transfer(Step(0x1000, 0, 0)).request())
+        if self._closing:
+            closing, self._closing = self._closing, b""
+            return Frame(cia301.SDO_REQUEST_ID + self._node, closing)
         self._waited += 1
         if self._transfer is None:
             if self._to_read:
@@ -99,7 +103,7 @@ class NodeScan:
         elif progress is not Progress.FOREIGN:
             if progress is Progress.DONE:
                 self._keep(transfer)
-            self._transfer, self._waited = None, 0
+            self._transfer, self._waited, self._closing = None, 0, transfer.closing
 
     def _keep(self, transfer: Transfer) -> None:
         identity = self.found[self._node]

@@ -51,10 +51,13 @@ _ENDINGS = (
 
 
 class Reason(NamedTuple):
-    """Why a drive cannot be used: the object that decides it, and what is wrong with it."""
+    """Why a drive cannot be used: the object that decides it, and what is wrong with it. remedy: what can be stated
+    about the drive so that it can; empty where nothing helps.
+    """
 
     object: str
     text: str
+    remedy: str = ""
 
 
 class Planned(NamedTuple):
@@ -149,6 +152,8 @@ class _Planner:
     def __init__(self, eds: Eds, axis: Axis, settings: Cia402Config, shared: bool, counter: bool) -> None:
         self._eds, self._axis, self._settings = eds, axis, settings
         self.plan = DrivePlan(eds.name, shared=shared, counter=counter)
+        if self._is_no_drive():
+            return
         self._check_device()
         self._communication()
         self._process_data()
@@ -163,6 +168,16 @@ class _Planner:
         self.plan.warnings += eds.warnings[:20]
 
     # parts of the plan ------------------------------------------------------------------------------------------------
+
+    def _is_no_drive(self) -> bool:
+        """A device of another kind, of whose objects nothing more need be said."""
+        profile, absent = self._eds.value(0x1000), []
+        if profile is not None and profile & 0xFFFF != cia301.DEVICE_PROFILE:
+            absent = [at for at in (cia301.CONTROLWORD, cia301.STATUSWORD) if self._eds.entry(at) is None]
+        if len(absent) == 2:
+            which = f"is {profile:#x}: device profile {(profile or 0) & 0xFFFF}, not 402"
+            self._refuse(0x1000, 0, f"{which}, and 6040h and 6041h are not in the EDS: this is no drive by CiA 402")
+        return len(absent) == 2
 
     def _check_device(self) -> None:
         """A CiA 402 drive that offers CST."""
@@ -245,7 +260,8 @@ class _Planner:
         elif self._eds.entry(cia301.TORQUE_RATED) is not None:
             self._check(cia301.TORQUE_RATED, unit or 0, 0xFFFFFFFF if unit else 0, "the unit of 6071h")
         elif unit is None:
-            self._refuse(cia301.TORQUE_RATED, 0, "is not in the EDS: state bus.cia402.rated_torque, the unit of 6071h")
+            text = "is not in the EDS: state bus.cia402.rated_torque, the unit of 6071h"
+            self._refuse(cia301.TORQUE_RATED, 0, text, "bus.cia402.rated_torque")
         self.plan.unit = unit
         if unit is None or axis.rated_force is None:
             self._write(
@@ -364,7 +380,7 @@ class _Planner:
         broken = self._eds.broken.get((index, subindex))
         return f"is broken in the EDS ({broken})" if broken else "is not in the EDS"
 
-    def _refuse(self, index: int, subindex: int, text: str) -> None:
-        reason = Reason(object_name(index, subindex), text)
+    def _refuse(self, index: int, subindex: int, text: str, remedy: str = "") -> None:
+        reason = Reason(object_name(index, subindex), text, remedy)
         if reason not in self.plan.reasons:
             self.plan.reasons.append(reason)

@@ -112,19 +112,20 @@ class Gains:
 class MotionModel:
     """The axis over one period: coefficients of the state [e, v, f, x, n, d], and the gains of an observer of it."""
 
-    def __init__(self, model: Model, period: float) -> None:
+    def __init__(self, model: Model, period: float, mode_share: Number = 1.0) -> None:
+        """mode_share: of the model's mode frequency that the observer takes the mode to have."""
         zero = model.mass - model.mass
         one = zero + 1.0
         load = zero + model.mode_load
         # The mode of the free axis, not that of the tool on a held motor.
         turn = TURN * model.mode_frequency * root(1.0 / (1.0 - load)) * period
-        ring = turn + zero
+        ring = (turn + zero) * mode_share
         rings = model.mode_frequency + zero > 0.0
         self.flexible = anywhere(rings)
         self._seen = select(rings, one, zero)
         # s^2: the tool is behind the encoder by that times the acceleration. What the reference bends the spring by is
         # not in x, which is of forces beyond the reference's: the error seen is the encoder's.
-        held = (1.0 - load) * (ring * ring)
+        held = (1.0 - load) * (turn * turn)
         self.tool_lag = select(rings, period * period / select(rings, held, one), zero)
         part = self._seen * load / (1.0 - load)
         lag = at_least(zero + model.torque_lag * (1.0 / period), LEAST_LAG)

@@ -29,9 +29,10 @@ from hil.control.laws.breakaway import anywhere
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
+from hil.control.laws.presliding_gains import of_mode
 from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
-from hil.control.number import Number, at_least, bounded, select
+from hil.control.number import Number, at_least, bounded, root, select
 
 REST_PERIODS = 20.0  # until an axis counts as at rest
 MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as known
@@ -41,28 +42,15 @@ CENTRE = 0.125
 WEIGHTS = 7
 KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
 
-# Where the model has no mode, and where it has one.
-RIGID_OR_FLEXIBLE = {
-    "bandwidth": (0.2228, 0.1228),
-    "damping": (0.4184, 0.4776),
-    "force_noise": (9.2, 3.24),
-    "disturbance_noise": (6.7, 1.36),
-    "rest_bandwidth": (0.12, 0.05),
-    "rest_damping": (0.38, 0.8),
-    "rest_force_noise": (0.83, 2.86),
-    "rest_disturbance_noise": (0.105, 0.155),
-    "innovation_noise": (0.06, 0.6),
-    "integral": (0.1, 0.08),
-    "table_delay": (6.0, 12.0),
-}
-
 
 def _of_model(unit: str, meaning: str) -> Gain:
     return Gain(None, unit, meaning)
 
 
 class PreslidingKalman(Law):
-    """Gains that are None follow from whether the model has a mode (RIGID_OR_FLEXIBLE). rest_...: while it rests."""
+    """Gains that are None follow from the model's mode (hil/control/laws/presliding_gains.py). rest_...: while it
+    rests.
+    """
 
     learns_repeats: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
@@ -79,7 +67,8 @@ class PreslidingKalman(Law):
         ),
         "integral": _of_model("1", "share of the error that s takes in a period"),
         "table_delay": _of_model("1", "periods that the disturbance's estimate lags"),
-        "mode_noise": Gain(13.1, "1", "noise of the mode; see MotionModel.gains"),
+        "mode_noise": _of_model("1", "noise of the mode; see MotionModel.gains"),
+        "mode_share": _of_model("1", "of the mode's frequency: what the observer takes it for"),
         "soft_bandwidth": Gain(0.6, "rad", "an axis that rings below it on its friction's stiffness counts as soft"),
         "friction_prior": Gain(0.3, "1", "of a weight at the start, in parts of Coulomb friction"),
         "friction_walk": Gain(0.002, "1", "of a weight in a period, in parts of Coulomb friction"),
@@ -93,7 +82,6 @@ class PreslidingKalman(Law):
 
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
         given = with_defaults(self.GAINS, gains)
-        mode_noise: Number = given["mode_noise"]
         soft_bandwidth: Number = given["soft_bandwidth"]
         friction_prior: Number = given["friction_prior"]
         friction_walk: Number = given["friction_walk"]
@@ -104,16 +92,15 @@ class PreslidingKalman(Law):
         table_pitch: Number = given["table_pitch"]
         table_rate: Number = given["table_rate"]
         zero = model.mass - model.mass
-        flexible = model.mode_frequency + zero > 0.0
+        swings = zero + model.mode_frequency * root(1.0 / (1.0 - (zero + model.mode_load))) * period
 
         def default(name: str) -> Number:
-            rigid, soft = RIGID_OR_FLEXIBLE[name]
             value: Number | None = given[name]
-            return select(flexible, soft + zero, rigid + zero) if value is None else value + zero
+            return of_mode(name, swings) if value is None else value + zero
 
         self._model, self._period = model, period
-        self._motion = motion = MotionModel(model, period)
-        mode_noise = mode_noise + zero
+        self._motion = motion = MotionModel(model, period, default("mode_share"))
+        mode_noise = default("mode_noise")
         self._moving = motion.gains(default("force_noise"), default("disturbance_noise"), mode_noise)
         self._resting = motion.gains(
             default("rest_force_noise"),

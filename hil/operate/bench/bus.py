@@ -191,6 +191,8 @@ def _answer(port: AnyPort, node: int, transfer: Transfer) -> int:
         if progress is Progress.CONTINUE:
             port.send(Frame(cia301.SDO_REQUEST_ID + node, transfer.request()))
         elif progress is not Progress.FOREIGN:
+            if transfer.closing:
+                port.send(Frame(cia301.SDO_REQUEST_ID + node, transfer.closing))
             break
     return first_ns
 

@@ -80,21 +80,23 @@ class FrameLog:
 
 class Comparison(NamedTuple):
     """One message that the layout expects, beside what was heard. frames: so many. period_s: 0 where fewer than two
-    came. problem: what is not as expected, in words; empty where all is.
+    came. last: the newest. problem: what is not as expected, in words; empty where all is.
     """
 
     expected: Message
     frames: int
     period_s: float
-    data: bytes
+    last: Frame | None
     problem: str
 
 
-def compare(expected: Message, heard: Heard | None, reject: Reject | None) -> Comparison:
-    """One expected message. reject: why its newest frame could not be read, None where it could."""
+def compare(expected: Message, heard: Heard | None, reject: Reject | None, pace: float = 1.0) -> Comparison:
+    """One expected message. reject: why its newest frame could not be read, None where it could. pace: ticks took so
+    many times their period, and with them all that answers the host.
+    """
     if heard is None:
-        return Comparison(expected, 0, 0.0, b"", "never heard")
-    period_s, due_s = heard.period_s, expected.period_ns * 1e-9
+        return Comparison(expected, 0, 0.0, None, "never heard")
+    period_s, due_s = heard.period_s, expected.period_ns * 1e-9 * (pace if expected.after else 1.0)
     problem = ""
     if heard.lengths != {expected.length}:
         lengths = ", ".join(str(length) for length in sorted(heard.lengths))
@@ -108,4 +110,4 @@ def compare(expected: Message, heard: Heard | None, reject: Reject | None) -> Co
     elif heard.count < 2 or not due_s / _PERIOD_RATIO <= period_s <= due_s * _PERIOD_RATIO:
         seen = f"every {period_s * 1e3:.3g} ms" if heard.count > 1 else "once"
         problem = f"{seen}; expected every {due_s * 1e3:.3g} ms"
-    return Comparison(expected, heard.count, period_s, heard.last.data, problem)
+    return Comparison(expected, heard.count, period_s, heard.last, problem)

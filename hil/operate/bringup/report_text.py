@@ -6,11 +6,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from drivers.frame import EXTENDED, EXTENDED_MASK, Frame
 from drivers.protocols.frame_text import Reader
 from hil.operate.bringup.frame_log import Comparison
 from hil.operate.bringup.survey import AxisReport, NodeReport, SurveyReport
 from hil.operate.bus_statistics import identifier
+
+_SLOW = 1.2  # times a tick's period
 
 
 def as_document(report: SurveyReport, reader: Reader) -> dict[str, Any]:
@@ -23,6 +24,7 @@ def as_document(report: SurveyReport, reader: Reader) -> dict[str, Any]:
         "missing_nodes": report.missing,
         "emergencies": report.emergencies,
         "error_frames": report.error_frames,
+        "pace": report.pace,
         "axes": [
             {
                 **{key: value for key, value in vars(axis).items() if key not in ("steps", "status")},
@@ -33,7 +35,7 @@ def as_document(report: SurveyReport, reader: Reader) -> dict[str, Any]:
         ],
         "frames": [_frame_document(frame, reader) for frame in report.frames],
         "unknown_frames": [
-            {"id": identifier(can_id), "count": count, "data": data.hex()} for can_id, count, data in report.unknown
+            {"id": identifier(last.can_id), "count": count, "data": last.data.hex()} for count, last in report.unknown
         ],
     }
 
@@ -47,8 +49,8 @@ def _frame_document(seen: Comparison, reader: Reader) -> dict[str, Any]:
         "expected": {"bytes": expected.length, "fd": expected.fd, "period_s": expected.period_ns * 1e-9},
         "frames": seen.frames,
         "period_s": seen.period_s,
-        "data": seen.data.hex(),
-        "text": reader(Frame(expected.can_id, seen.data)) if seen.frames else "",
+        "data": seen.last.data.hex() if seen.last else "",
+        "text": reader(seen.last) if seen.last else "",
         "problem": seen.problem,
     }
 
@@ -128,12 +130,15 @@ def _show_frames(report: SurveyReport, reader: Reader, console: Console) -> None
         expected = seen.expected
         due = f"{expected.length} bytes every {expected.period_ns / 1e6:.3g} ms"
         heard = f"{seen.frames}, every {seen.period_s * 1e3:.3g} ms" if seen.frames > 1 else str(seen.frames)
-        meaning = reader(Frame(expected.can_id, seen.data)) if seen.frames else ""
+        meaning, data = (reader(seen.last), seen.last.data) if seen.last else ("", b"")
         text = f"[bold red]{escape(seen.problem)}[/] " if seen.problem else ""
-        table.add_row(
-            expected.name, identifier(expected.can_id), due, heard, seen.data.hex(" "), text + escape(meaning)
-        )
+        table.add_row(expected.name, identifier(expected.can_id), due, heard, data.hex(" "), text + escape(meaning))
     console.print(table)
-    for can_id, count, data in report.unknown:
-        said = reader(Frame(can_id & (EXTENDED | EXTENDED_MASK), data))
-        console.print(f"not expected: {identifier(can_id)}, {count} frames, last {data.hex(' ')} {escape(said)}")
+    if report.pace > _SLOW:
+        console.print(
+            f"this computer was slow: ticks took {report.pace:.2g} times their period, and what answers them with them",
+            soft_wrap=True,
+        )
+    for count, last in report.unknown:
+        name, said = identifier(last.can_id), escape(reader(last))
+        console.print(f"not expected: {name}, {count} frames, last {last.data.hex(' ')} {said}")

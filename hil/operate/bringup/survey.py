@@ -71,7 +71,8 @@ class AxisReport:
 @dataclass
 class SurveyReport:
     """intruder: the command frame that somebody else sends, or empty. nodes: of a CANopen bus. frames: what the layout
-    expects beside what was heard. unknown: other identifiers with their frames, while the rig's host was running.
+    expects beside what was heard. unknown: how many frames of each other identifier, and the last, while the rig's host
+    was running. pace: its ticks took so many times their period; 0 before.
     """
 
     rig: str
@@ -81,7 +82,8 @@ class SurveyReport:
     emergencies: list[str] = field(default_factory=list)
     axes: list[AxisReport] = field(default_factory=list)
     frames: list[Comparison] = field(default_factory=list)
-    unknown: list[tuple[int, int, bytes]] = field(default_factory=list)
+    unknown: list[tuple[int, Frame]] = field(default_factory=list)
+    pace: float = 0.0
     error_frames: int = 0
 
     @property
@@ -114,6 +116,7 @@ class Survey:
         self._report = SurveyReport(host.rig.name)
         self._phase: Callable[[int, Sequence[Frame]], list[Frame]] = self._listen
         self._left = self._ticks(LISTEN_S)
+        self._observed_ns: list[int] = []  # when the ticks were in which rates are counted
 
     def _ticks(self, seconds: float) -> int:
         return max(1, round(seconds / self._period_s))
@@ -175,6 +178,7 @@ class Survey:
 
     def _observe(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
         self.host.take(frames, now_ns)
+        self._observed_ns.append(now_ns)
         self.done = self._left <= 0
         return self.host.zero()
 
@@ -199,12 +203,13 @@ class Survey:
 
     def _compare(self, report: SurveyReport) -> None:
         expected = [m for m in self._messages if m.sender != "host" and m.can_id not in self._occasional]
-        heard = self.log.heard
-        report.frames = [compare(m, heard.get(m.can_id), self.host.rejects.get(m.can_id)) for m in expected]
+        heard, times = self.log.heard, self._observed_ns
+        if len(times) > 1:
+            report.pace = (times[-1] - times[0]) * 1e-9 / ((len(times) - 1) * self._period_s)
+        rejects = self.host.rejects
+        report.frames = [compare(m, heard.get(m.can_id), rejects.get(m.can_id), report.pace or 1.0) for m in expected]
         known = {m.can_id for m in self._messages} | self._occasional
-        report.unknown = [
-            (can_id, item.count, item.last.data) for can_id, item in sorted(heard.items()) if can_id not in known
-        ]
+        report.unknown = [(item.count, item.last) for can_id, item in sorted(heard.items()) if can_id not in known]
 
     def _axis(self, axis: int, name: str) -> AxisReport:
         host = self.host

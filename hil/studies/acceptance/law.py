@@ -93,7 +93,8 @@ def _task(law: _Candidate) -> Finding:
     if report.law_failure:
         return Finding("task", False, f"{report.law_failure}; ended {report.state} with zero torque")
     if report.faults or report.state != "ACTIVE":
-        return Finding("task", False, f"ended {report.state}; faults: {', '.join(report.faults) or 'none'}")
+        why = report.latched.line if report.latched else f"faults: {', '.join(report.faults) or 'none'}"
+        return Finding("task", False, f"ended {report.state}; {why}")
     errors = (f"{name} {row['max_error']:.3g}" for name, row in report.axes.items())
     return Finding("task", True, f"{TASK_S:g} s, error at most {', '.join(errors)} m (rad)")
 
@@ -138,7 +139,8 @@ def _margins(law: _Candidate) -> Finding:
         f"{name} {db:.1f} dB, {degrees:.0f} deg" if report.axes[name].stable else f"{name} unstable"
         for name, (db, degrees) in rows.items()
     ]
-    return Finding("margins", not weak, "; ".join(texts) + (f"; wanted {gain_db:g} dB, {phase_deg:g} deg" * weak))
+    wanted = f"; wanted {gain_db:g} dB, {phase_deg:g} deg: other gains, by hand or by hil tune"
+    return Finding("margins", not weak, "; ".join(texts) + wanted * weak)
 
 
 def _faults(law: _Candidate) -> Finding:

@@ -8,8 +8,8 @@ import typer
 
 from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import drawable, print_plant_notes, writable, write_json
-from hil.control.law_registry import LAWS
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import RigError
 from hil.studies.compare.cases import LEARNING, cases, run_all
 from hil.studies.compare.report import comparison_table, draw, summary_table

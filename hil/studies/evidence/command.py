@@ -15,6 +15,7 @@ from hil.control.laws.base import Array
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.evidence.stages import HEAD
+from hil.studies.evidence.stages import overrides as made_with
 from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REPEATS, Job, jobs, run
 
 
@@ -31,7 +32,13 @@ def evidence(
     overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
+        str,
+        typer.Option(
+            "--json",
+            callback=writable,
+            help="write the figures there, of every stage too, and how to make each stage with --set; - for standard "
+            "output",
+        ),
     ] = "",
 ) -> None:
     """Median and 95 % of a law's accuracies over drawn stages with presliding, lag, mode and noise."""
@@ -55,11 +62,16 @@ def evidence(
     with worker_pool(workers or len(os.sched_getaffinity(0))) as pool:
         found = list(pool.map(run, work))
     rows = _rows(names, work, found)
-    _show(console, rig, names, rows, f"median / 95 % of {stages} stages, seed {seed}")
+    _show(console, rig, names, rows, f"median / 95 % of {stages} stages (number of the worst), seed {seed}")
     console.print(f"{time.monotonic() - begun:.0f} s")
     if json_target:
         document = {"rig": rig.name, "law": rig.law.name, "learning": learning, "stages": stages, "seed": seed}
-        write_json({**document, "of": HEAD, "rows": rows}, json_target)
+        drawn = [
+            {"mode_hz": mode_hz, "stage": number, "set": made_with(rig, seed, number, mode_hz)}
+            for mode_hz in sorted({job.mode_hz for job in work})
+            for number in range(stages)
+        ]
+        write_json({**document, "of": HEAD, "rows": rows, "drawn": drawn}, json_target)
 
 
 def _axes(rig: RigConfig, axes: str) -> list[str]:
@@ -81,7 +93,9 @@ def _modes(modes: str) -> list[float]:
 
 
 def _rows(names: Sequence[str], work: Sequence[Job], found: Sequence[dict[str, Array]]) -> list[dict[str, Any]]:
-    """Median and 95 % of every figure, by axis; a stage that failed counts as worse than all others."""
+    """Median and 95 % of every figure, by axis, that of each stage, and the number of the worst. A stage that failed
+    counts as worse than all others: infinite.
+    """
     rows: list[dict[str, Any]] = []
     for job, figures in zip(work, found, strict=True):
         failed = figures["failed"]
@@ -94,6 +108,8 @@ def _rows(names: Sequence[str], work: Sequence[Job], found: Sequence[dict[str, A
                     "median": float(np.quantile(worst[:, i], 0.5, method="higher")),
                     "p95": float(np.quantile(worst[:, i], 0.95, method="higher")),
                     "failed": int(failed[:, i].sum()),
+                    "worst": int(np.argmax(worst[:, i])),
+                    "each": worst[:, i].tolist(),
                 }
                 for i, name in enumerate(names)
             }
@@ -123,7 +139,8 @@ def _show(console: Any, rig: RigConfig, names: Sequence[str], rows: Sequence[dic
         cells = []
         for axis in row["axes"].values():
             failed = f" ({axis['failed']} failed)" if axis["failed"] else ""
-            cells.append(f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}{failed}")
+            figures = f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}"
+            cells.append(f"{figures} ({axis['worst']}){failed}")
         mode = f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
         table.add_row(mode, f"{row['figure']}{', ' if unit else ''}{unit}", *cells)
     console.print(table)

@@ -23,6 +23,8 @@ COGGING, COGGING_PERIOD = 1 / 30, 24e-3  # of Coulomb friction, random phase; m
 CABLE, HYSTERESIS, REACH = 1 / 6, 0.01, 5e-4  # of Coulomb friction: a metre, half the loop; m
 BIAS = 0.1  # of Coulomb friction: at most, either sign
 NOMINAL_LAG, MODE_DAMPING, MODE_LOAD = 2e-4, 0.02, 0.3
+TOLD = ("torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")  # axes.NAME.model: what the law knows
+OWN = {"encoder_resolution", "initial_position", "brake_force", "drive", "parameters", "source"}  # stay the rig's own
 HEAD = (
     "presliding 0.3-30 um (LuGre, damping 0.15-0.5), mass +-20 %, friction +-30 % and varying by 10 % over 5-20 mm, "
     "lag 0.2 ms +-20 %, mode +-10 % (damping 0.02, 30 % load), cogging, cable, bias +-10 % of Coulomb friction, "
@@ -38,20 +40,15 @@ def _held(mode_hz: float) -> float:
 
 def nominal(rig: RigConfig, mode_hz: float) -> RigConfig:
     """The rig whose model knows the drive's lag and the mode as they are on average."""
-    known = {
-        "torque_lag": NOMINAL_LAG,
-        "mode_frequency_hz": _held(mode_hz),
-        "mode_damping": MODE_DAMPING,
-        "mode_load": MODE_LOAD,
-    }
+    known = dict(zip(TOLD, (NOMINAL_LAG, _held(mode_hz), MODE_DAMPING, MODE_LOAD), strict=True))
     axes = {
         name: axis.model_copy(update={"model": axis.model.model_copy(update=known)}) for name, axis in rig.axes.items()
     }
     return rig.model_copy(update={"axes": axes})
 
 
-def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
-    """Stage `number`: a function of the arguments alone."""
+def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantConfig:
+    """[plant] of stage `number`: a function of the arguments alone."""
     random, names = Random(f"{seed}/{number}"), list(rig.axes)
     models = [axis.model for axis in rig.axes.values()]
     n = len(models)
@@ -62,7 +59,7 @@ def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
     mass, friction, lag, mode = uniform(MASS), uniform(FRICTION), uniform(LAG), uniform(MODE)
     low, high = PRESLIDING
     dry = [m.coulomb for m in models]
-    plant = PlantConfig(
+    return PlantConfig(
         mass=[m.mass * k for m, k in zip(models, mass, strict=True)],
         coulomb=[m.coulomb * k for m, k in zip(models, friction, strict=True)],
         viscous=[m.viscous * k for m, k in zip(models, friction, strict=True)],
@@ -90,7 +87,28 @@ def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
             if mode_hz
         ],
     )  # fmt: skip
-    return Truth.from_config(plant, n, names)
+
+
+def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
+    """What stage `number` is really like, (n_axes,)."""
+    return Truth.from_config(plant_of(rig, seed, number, mode_hz), len(rig.axes), list(rig.axes))
+
+
+def overrides(rig: RigConfig, seed: int, number: int, mode_hz: float) -> list[str]:
+    """key=value, as for --set, that make the rig file that stage, with what its law is told of it."""
+    plant = plant_of(rig, seed, number, mode_hz).model_dump(mode="json", exclude=OWN, exclude_none=True)
+    known = nominal(rig, mode_hz).axes
+    told = [f"axes.{name}.model.{key}={getattr(known[name].model, key)!r}" for name in known for key in TOLD]
+    return [*told, *(f"plant.{key}={_toml(value)}" for key, value in plant.items())]
+
+
+def _toml(value: object) -> str:
+    """A value of a plant as TOML writes it."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def only(rig: RigConfig, names: Sequence[str]) -> RigConfig:

@@ -9,8 +9,9 @@ import typer
 
 from hil.cli.options import Overrides, RigFile, Scheduler
 from hil.cli.output import metres, print_plant_notes, writable, write_json
-from hil.control.law_registry import LAWS, file_name
+from hil.control.law_registry import file_name
 from hil.rig.file import load_rig
+from hil.rig.law_names import LAWS
 from hil.rig.schema import RigConfig
 from hil.studies.crew import Crew, crew, resumed
 from hil.studies.sweep.plants import (

@@ -12,7 +12,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.crew import crew, resumed
 from hil.studies.tune.objective import Kind, Margins, Outcome, kind_for
-from hil.studies.tune.report import achieved, show
+from hil.studies.tune.report import achieved, announced, show
 from hil.studies.tune.search import (
     UNSEEN,
     AxisSearch,
@@ -67,7 +67,8 @@ def tune(
     gains unless those found are better on plants that were not searched, too.
     """
     from rich.console import Console
-    from rich.progress import Progress
+
+    from hil.cli.progress import Steps
 
     rig = load_rig(rig_file, overrides or ())
     name = law or rig.law.name
@@ -86,20 +87,20 @@ def tune(
     kind = trials or kind_for(rig)
     choice = Choice((population, generations), seed, least, start, chosen, repeats, kind, unseen)
     found: list[Found] = []
-    with Progress(console=console, transient=True) as bar:
-        job = bar.add_task(f"{rig.name}: {name}", total=(generations + 1) * len(rig.axes))
+    console.print(announced(rig, name, choice), markup=False, highlight=False, soft_wrap=True)
+    with Steps(console, f"{rig.name}: {name}", (generations + 1) * len(rig.axes)) as steps:
         if scheduler:
             document = rig.model_dump_json()
             work = [AxisSearch(document, name, axis, choice) for axis in range(len(rig.axes))]
             with crew(0, scheduler) as hands:
                 for axis_found in resumed(hands, run_search, work):
                     found.append(axis_found)
-                    bar.update(job, advance=generations + 1)
+                    steps.advance(generations + 1)
         for axis, axis_name in enumerate([] if scheduler else rig.axis_names):
 
             def report(outcome: Outcome, axis_name: str = axis_name) -> None:
-                note = f"{name}, {axis_name}: {outcome.ratio[outcome.cost.argmin()]:.3g} times what is good"
-                bar.update(job, advance=1, description=note)
+                best = outcome.ratio[outcome.cost.argmin()]
+                steps.advance(text=f"{name}, {axis_name}: {best:.3g} times what is good")
 
             found.append(tune_axis(rig, name, axis, choice, report))
     found = all_or_none(found)

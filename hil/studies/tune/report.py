@@ -4,10 +4,26 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.cli.output import metres
+from hil.control.law_registry import is_built_in, law_class
 from hil.rig.schema import RigConfig
-from hil.studies.tune.search import Found, front
+from hil.studies.tune.objective import trials_of
+from hil.studies.tune.search import Choice, Found, front
+from hil.studies.tune.search_space import law_of
 
 SAME = 0.01  # relative: no more than this is no change worth a word
+
+
+def announced(rig: RigConfig, law: str, choice: Choice) -> str:
+    """The line before the search: how much it is, and how to have less of it."""
+    (population, generations), axes = choice.size, ", ".join(rig.axis_names)
+    tried = len(trials_of(rig, 0, choice.trials, choice.repeats))
+    chosen = law_of(rig, law)
+    quick = is_built_in(chosen) or law_class(chosen).elementwise
+    slow = "" if quick else "; with elementwise = True your law is searched faster (docs/laws.md)"
+    return (
+        f"{generations + 1} generations of {population} candidates for each of {axes}, every one in {tried} trials; a "
+        f"first look: --population 8 --generations 4 --dry-run{slow}"
+    )
 
 
 def achieved(rig: RigConfig, found: Sequence[Found]) -> str:

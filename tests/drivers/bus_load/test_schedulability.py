@@ -196,8 +196,8 @@ def test_no_response_on_the_wire_exceeds_its_bound_in_1200_random_sets() -> None
 def run_check(tmp_path: Path, *options: str) -> tuple[int, dict[str, object], Path]:
     picture = tmp_path / "tick.png"
     report = tmp_path / "check.json"
-    arguments = ["check", str(RIGS / "microscope.toml"), "--json", str(report), "--picture", str(picture), *options]
-    result = CliRunner().invoke(build_app("check"), arguments)
+    arguments = ["--json", str(report), "--picture", str(picture), *options]
+    result = CliRunner().invoke(build_app("check"), ["check", str(RIGS / "microscope-ideal.toml"), *arguments])
     return result.exit_code, json.loads(report.read_text()), picture
 
 
@@ -222,7 +222,7 @@ def test_hil_check_exits_78_naming_frame_and_margin_when_a_rig_does_not_fit(tmp_
 
 
 def test_hil_run_refuses_what_does_not_fit() -> None:
-    path = RIGS / "microscope.toml"
+    path = RIGS / "microscope-ideal.toml"
     assert refuse_unschedulable(load_rig(path), path.parent).schedulable
     rig = load_rig(path, ["bus.bitrate=125000", "bus.data_bitrate=125000"])
     with pytest.raises(RigError, match=r"past its deadline|no bound"):
@@ -230,7 +230,7 @@ def test_hil_run_refuses_what_does_not_fit() -> None:
 
 
 def test_hil_sim_refuses_what_does_not_fit_and_names_the_rate_that_would() -> None:
-    path = RIGS / "microscope.toml"
+    path = RIGS / "microscope-ideal.toml"
     outcome = CliRunner().invoke(build_app("sim"), ["sim", str(path), "--seconds", "1e6", "--set", "rate_hz=10000"])
     assert isinstance(outcome.exception, RigError)
     assert "bus.protocol = 'stage_fd' at 1000000 bit/s does not fit rate_hz = 10000" in str(outcome.exception)
@@ -241,7 +241,7 @@ def test_hil_sim_refuses_what_does_not_fit_and_names_the_rate_that_would() -> No
 
 
 def test_a_bus_that_carries_no_rate_at_all_is_told_to_be_faster() -> None:
-    path = RIGS / "microscope.toml"
+    path = RIGS / "microscope-ideal.toml"
     slow = ["bus.protocol=cia402", "bus.bitrate=10000", "bus.data_bitrate=10000"]
     with pytest.raises(RigError, match="; a higher bit rate or a leaner layout would do"):
         refuse_unschedulable(load_rig(path, slow), path.parent)

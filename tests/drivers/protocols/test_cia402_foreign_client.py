@@ -16,10 +16,10 @@ from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.servo import ServoDrive
+from tests.support.foreign_master import PATIENCE_S, patient
 
 NODE = 5
 COUNTS = 12_345
-PATIENCE_S = 10.0  # only a failing test waits this long
 
 
 class LiveDrive(threading.Thread):
@@ -68,8 +68,7 @@ def network(drive: LiveDrive) -> Iterator[canopen.Network]:
 @pytest.fixture
 def client(network: canopen.Network) -> BaseNode402:
     node = BaseNode402(NODE, str(cia301.EDS))
-    network.add_node(node)
-    node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    network.add_node(patient(node))
     node.nmt.state = "RESET COMMUNICATION"
     assert node.sdo[0x1018][2].raw == 0x402  # frames keep their order: its boot-up message came before this answer
     return node

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.config import BusConfig
-from drivers.frame import REMOTE, Frame
+from drivers.frame import FD, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.dbc_codec import LARGEST
@@ -18,7 +18,7 @@ from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.bought_drives import shipped
-from tests.support.random_dbc import Drawn, Message, dbc_files
+from tests.support.random_dbc import NESTED_IN, Drawn, Message, dbc_files
 
 MS = 1_000_000
 RATED = 5.0
@@ -32,33 +32,33 @@ def ends(text: str, binding: dict[str, Any], n_axes: int = 2) -> tuple[Any, Any]
         return host_protocol(bus, n_axes, rated, Path(folder), MS), device_protocol(bus, n_axes, rated, Path(folder))
 
 
-def read_by_cantools(message: Message, drawn: Drawn, data: bytes) -> dict[str, Any]:
-    """The message alone, as the package reads it; values of the file's units."""
-    text = 'VERSION ""\n\nBU_: Host Drive\n\n' + message.text + "\n"
-    text += "".join(
-        line + "\n" for line in drawn.text.splitlines() if line.startswith(f"SIG_VALTYPE_ {message.can_id} ")
-    )
+def read_by_cantools(message: Message, data: bytes) -> dict[str, Any]:
+    """The message alone, as the package reads it; values of the file's units. Empty for a page that is not there."""
+    text = 'VERSION ""\n\nBU_: Host Drive\n\n' + message.text + "\n" + message.about
     (read,) = cantools.database.load_string(text, "dbc").messages
-    return dict(read.decode(data))
+    try:
+        return dict(read.decode(data, decode_choices=False))
+    except cantools.database.DecodeError:
+        assert message.multiplexed
+        return {}
 
 
 def as_list(outcome: Any) -> list[Sample]:
     return list(outcome) if isinstance(outcome, tuple) else [outcome] if isinstance(outcome, Sample) else []
 
 
-@given(drawn=dbc_files(), data=st.binary(min_size=8, max_size=8))
+@given(drawn=dbc_files(), data=st.binary(min_size=64, max_size=64))
 def test_positions_are_what_cantools_reads(drawn: Drawn, data: bytes) -> None:
     host, _ = ends(drawn.text, drawn.binding, drawn.n_axes)
     for message in dict.fromkeys(message for message, _ in drawn.position):
-        payload = bytes((data[0] % 4,)) + data[1:] if message.multiplexed else data
-        payload = payload[: message.length]
+        head = bytes((data[0] % 4,)) if not message.nested else bytes((NESTED_IN - data[0] // 128, data[1] % 8))
+        payload = ((head if message.multiplexed else b"") + data)[: message.length]
+        read = read_by_cantools(message, payload)
         expected = {}
-        if not message.multiplexed or payload[0] < drawn.n_axes:
-            read = read_by_cantools(message, drawn, payload)
-            for axis, (owner, signal) in enumerate(drawn.position):
-                if owner is message and signal.name in read:
-                    expected[axis] = 100.0 * read[signal.name]
-        outcome = host.decode(Frame(message.can_id, payload, 0, MS))
+        for axis, (owner, signal) in enumerate(drawn.position):
+            if owner is message and signal.name in read:
+                expected[axis] = 100.0 * read[signal.name]
+        outcome = host.decode(Frame(message.can_id, payload, FD if message.length > 8 else 0, MS))
         if not expected:
             assert outcome is Reject.SERVICE  # a page that nobody binds
         elif all(-(2.0**53) <= counts <= 2.0**53 for counts in expected.values()):
@@ -75,11 +75,13 @@ def test_torques_are_what_cantools_reads_and_a_drive_hears(drawn: Drawn, share: 
     force = [RATED * part for part in share[: drawn.n_axes]]
     frames = host.encode(Command(0, force, 0b111, False))
     assert len(frames) == len({(m.can_id, s.page) for m, s in drawn.torque})
+    length_of = {m.can_id: m.length for m, _ in drawn.torque}
+    assert all((len(f.data), bool(f.flags & FD)) == (length_of[f.can_id], len(f.data) > 8) for f in frames)
     heard = [device.decode_command(frame) for frame in frames]
     (command,) = [outcome for outcome in heard if isinstance(outcome, Command)]
     assert heard[-1] is command
     for axis, (message, signal) in enumerate(drawn.torque):
-        told = [read_by_cantools(message, drawn, f.data) for f in frames if f.can_id == message.can_id]
+        told = [read_by_cantools(message, f.data) for f in frames if f.can_id == message.can_id]
         (physical,) = [values[signal.name] for values in told if signal.name in values]
         scale = drawn.binding["torque"][axis]["scale"]
         step = 1e-6 if signal.is_float else 0.51 * scale * signal.factor
@@ -95,9 +97,11 @@ def test_torques_are_what_cantools_reads_and_a_drive_hears(drawn: Drawn, share: 
 @given(drawn=dbc_files())
 def test_what_nobody_binds_is_a_warning(drawn: Drawn) -> None:
     host, _ = ends(drawn.text, drawn.binding, drawn.n_axes)
-    assert bool(host.warnings) is ("Overlapping" in drawn.text)
+    longer = any(message.length > 8 for message, _ in [*drawn.position, *drawn.torque])
+    assert [("taken as CAN FD" in warning) for warning in host.warnings].count(True) == longer
+    assert len(host.warnings) > longer if "Overlapping" in drawn.text else len(host.warnings) == longer
     if "Diagnostics" in drawn.text:
-        assert "read as far as it is used" in host.warnings[0]
+        assert "read as far as it is used" in host.warnings[-1]
 
 
 @given(drawn=dbc_files(), damage=st.text(max_size=60))
@@ -172,6 +176,13 @@ BO_ 1541 Switch: 1 Host
  SG_ On : 0|8@1+ (1,0) [0|0] "" Drive
 
 SG_MUL_VAL_ 2147484000 Current Order 161-161;
+"""
+
+
+LONG_BESIDE = """
+BO_ 1542 Diagnostics: 48 Drive
+ SG_ Code : 0|19@1+ (1,0) [0|0] "" Host
+
 """
 
 
@@ -295,8 +306,29 @@ def test_names_that_are_there_twice_cannot_be_bound() -> None:
 
 def test_a_message_longer_than_the_bus_cannot_be_bound() -> None:
     text = TEXT.replace("BO_ 1537 Told1: 8", "BO_ 1537 Told1: 12")
+    classic = 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN";\nBA_ "VFrameFormat" BO_ 1537 0;\n'
     with pytest.raises(LayoutError, match="12 bytes, which no classic frame has"):
-        ends(text, bound())
+        ends(text + classic, bound(remote=[]))
+    with pytest.raises(LayoutError, match="13 bytes, which no FD frame has"):
+        ends(text.replace("Told1: 12", "Told1: 13"), bound(remote=[]))
+    with pytest.raises(LayoutError, match="no remote frames"):
+        ends(text, bound(remote=["Told1"]))
+
+
+@pytest.mark.parametrize("default", ["", 'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";\n'])
+def test_a_message_that_only_an_fd_frame_can_carry_is_one(default: str) -> None:
+    text = TEXT.replace("BO_ 1537 Told1: 8", "BO_ 1537 Told1: 12")
+    text += 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN";\n' * bool(default) + default
+    host, device = ends(text, bound(remote=[]))
+    assert host.fd
+    assert host.warnings == ["any.dbc: taken as CAN FD, as no classic frame is so long: Told1 (12 bytes)"]
+    (frame,) = device.frames_of(Sample(1, 77, 0, -1, 0))
+    assert (len(frame.data), frame.flags & FD) == (12, FD)
+    assert (as_list(host.decode(frame))[0].position, host.decode(frame._replace(flags=0))) == (77, Reject.WRONG_FORMAT)
+    lengths = {message.name: (message.length, message.fd) for message in host.messages(MS)}
+    assert (lengths["Told1"], lengths["Told0"]) == ((12, True), (8, False))
+    beside, _ = ends(text + LONG_BESIDE, bound(remote=[]))
+    assert beside.warnings == host.warnings  # 48 bytes fit an FD frame: nothing is wrong with it
 
 
 @pytest.mark.parametrize(

@@ -195,7 +195,7 @@ def test_a_torque_arrives_in_any_type(share: list[float], kind: str) -> None:
         (DriveStatus.ENCODER_FAULT, DriveStatus.ENCODER_FAULT | DriveStatus.FAULT),
     ],
 )
-def test_a_status_arrives_as_what_it_means(told: DriveStatus, heard: DriveStatus) -> None:
+def test_a_status_arrives_as_it_was_meant(told: DriveStatus, heard: DriveStatus) -> None:
     host, device = ends()
     if told & DriveStatus.ENABLED:
         host.encode(Command(0, [0.0, 0.0], 0b11, False))

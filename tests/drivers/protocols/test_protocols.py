@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from drivers.bus_load.schedulability import analyse
 from drivers.config import BusConfig
-from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.frame import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
@@ -104,22 +104,22 @@ def test_the_compiled_codec_of_every_shipped_message_is_cantools_own(message: Me
 
 @st.composite
 def any_message(draw: st.DrawFn) -> Message:
-    """A message of 1 to 8 bytes with signals of any width, order and kind, none overlapping."""
-    length = draw(st.integers(1, 8))
+    """A message of 1 to 64 bytes with signals of any width, order and kind, none overlapping."""
+    length = draw(st.one_of(st.integers(1, 8), st.sampled_from(FD_LENGTHS)).filter(bool))
     free, signals, big = 0, [], draw(st.sampled_from(["big", "little", "mixed by byte"]))
-    while free < 8 * length and len(signals) < 8:
+    while free < 8 * length and len(signals) < 12:
         order = "big_endian" if big == "big" or (big != "little" and draw(st.booleans())) else "little_endian"
         if big == "mixed by byte":
             free = -(-free // 8) * 8
-        gap = draw(st.integers(0, 3)) if big != "mixed by byte" else 0
-        width = draw(st.integers(1, 32))
+        gap = draw(st.integers(0, max(3, length)))
+        width = draw(st.integers(1, 64))
         if big == "mixed by byte":
-            width = draw(st.sampled_from([8, 16, 32]))
+            gap, width = gap // 8 * 8, draw(st.sampled_from([8, 16, 32, 64]))
         if free + gap + width > 8 * length:
             break
         at = free + gap
         start = at if order == "little_endian" else at // 8 * 8 + 7 - at % 8
-        is_float = width in (16, 32) and draw(st.booleans())
+        is_float = width in (16, 32, 64) and draw(st.booleans())
         conversion = BaseConversion.factory(is_float=is_float)
         signed = is_float or draw(st.booleans())
         name = f"s{len(signals)}"
