@@ -15,6 +15,7 @@ from tests.support.plant_reference import (
     MS,
     THERE_AND_BACK,
     hash_of,
+    plant_with,
     shown_by,
     with_and_without,
 )
@@ -109,6 +110,21 @@ def with_numbers_of_its_own(number: int) -> PlantConfig:
 def test_members_that_need_different_steps_keep_their_own_numbers() -> None:
     """They are sorted by how many steps they need, and taken out of the batch when they are through."""
     equal_step_by_step([with_numbers_of_its_own(number) for number in range(10)], THERE_AND_BACK[:6], copies=1)
+
+
+def test_noise_goes_on_where_it_was_when_brakes_grip_and_let_go() -> None:
+    truths = [Truth.from_config(plant_with("encoder_noise", name), 2, ["x", "y"]) for name in ("drift", "gravity")]
+    batch, singles = Stage(Truth.stack(truths)), [Stage(truth) for truth in truths]
+    seen = []
+    for force in (0.0, 50.0, 50.0, 0.0):
+        batch.clamp(np.full(batch.truth.shape, force))
+        batch.advance(MS, np.zeros(batch.truth.shape))
+        seen.append(batch.read().tolist())
+        for row, stage in enumerate(singles):
+            stage.clamp([force] * 2)
+            stage.advance(MS, [0.0] * 2)
+            assert seen[-1][row] == stage.readings()
+    assert len({tuple(shown[0]) for shown in seen}) == 4, "no draw of noise comes twice"
 
 
 def test_there_is_a_hash_for_every_effect() -> None:

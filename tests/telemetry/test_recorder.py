@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from drivers.frame import Frame
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
@@ -256,6 +257,18 @@ def test_of_a_disk_that_fills_a_recording_that_has_no_tick_yet_goes(
     monkeypatch.setattr(recorder._writer, "add_message", full)
     recorder.write("status", 0, b"")
     assert (recorder.ok, recorder.errors, recorder.problem) == (False, 1, "No space left on device")
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_no_empty_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "start", full)
+    recorder = Recorder(tmp_path / "run.mcap", METADATA)
+    assert (recorder.ok, recorder.errors) == (False, 1)
     assert not (tmp_path / "run.mcap").exists()
 
 
