@@ -39,6 +39,7 @@ from hil.studies.fault_campaign.injections import (
     withdrawn,
 )
 from hil.studies.fault_campaign.layout_capabilities import BABBLE, Capability
+from hil.studies.fault_campaign.plant_steps import PLANT_STEPS
 from hil.studies.fault_campaign.restarts import RESTARTS
 from hil.studies.fault_campaign.trial import (
     ALWAYS,
@@ -393,4 +394,5 @@ TRIALS: tuple[Trial, ...] = (
     Trial("operator stops", nothing, per_axis=False, command=CommandKind.STOP),
     *RESTARTS,
     *CANOPEN_TRIALS,
+    *PLANT_STEPS,
 )

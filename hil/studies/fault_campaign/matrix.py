@@ -21,7 +21,7 @@ from hil.rig.file import build_rig
 from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.catalogue import TRIALS
-from hil.studies.fault_campaign.checkpoints import CampaignRun, Checkpoint, bring_to, checkpoints
+from hil.studies.fault_campaign.checkpoints import READY, CampaignRun, Checkpoint, bring_to, checkpoints
 from hil.studies.fault_campaign.layout_capabilities import (
     NONE,
     Capability,
@@ -31,6 +31,7 @@ from hil.studies.fault_campaign.layout_capabilities import (
     lacking_text,
 )
 from hil.studies.fault_campaign.trial import Trial, periods, ticks, watchdog
+from sim_plant.config import STAGES
 
 HORIZON_S = 0.075  # a cell is watched after a detection was due: a damped stop takes 50 ms
 DRIVES_REACT = 3  # ticks from the gate's zero to drives that have let go, two lost frames included
@@ -276,7 +277,9 @@ class Chunk:
 
 
 def _playable(rig: RigConfig, trial: Trial) -> bool:
-    """Whether the trial's fault is there at all under the rig's layout."""
+    """Whether the trial's fault is there at all: under the rig's layout, on its stage."""
+    if trial.staged and (rig.plant.stage == "ideal" or rig.plant.stage not in STAGES):
+        return False
     return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
 
 
@@ -292,8 +295,14 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
         for axis in range(len(rig.axes) if trial.per_axis else 1)
     ]
     result = []
-    for offset, point in enumerate(checkpoints(rig)):
-        chosen = tuple(cell for number, cell in enumerate(cells) if (number + offset) % stride == 0)
+    points = checkpoints(rig)
+    few = READY, [point for point in points if point.state is State.ACTIVE and point.following][1]
+    for offset, point in enumerate(points):
+        chosen = tuple(
+            cell
+            for number, cell in enumerate(cells)
+            if (number + offset) % stride == 0 and (point in few or not TRIALS[cell[0]].staged)
+        )
         result.append(Chunk(document, files, str(base_dir), point, chosen))
     return result
 

@@ -53,7 +53,8 @@ class Trial:
     of STOPPING, which may be over first. slack: ticks more than usual until the drives have let go, where they do not
     hear the host. watch: ticks more than usual in which the run has to end where it must. unready: whether, as the run
     stands at the injection, the rig must not become READY any more. ends: states one of which the run has to end in
-    where no fault latched; without it they follow from the state it began in and the command.
+    where no fault latched; without it they follow from the state it began in and the command. staged: it is of a stage
+    that is not ideal, and tried at rest and once in motion only.
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -79,6 +80,7 @@ class Trial:
     watch: Limit = 0
     unready: Callable[[LockstepRun, int], bool] | None = None
     ends: Callable[[CampaignRun], set[State]] | None = None
+    staged: bool = False
     only: Capability = NONE
     needs: Capability = NONE
     instead: tuple[Fault, ...] = ()
