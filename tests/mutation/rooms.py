@@ -37,7 +37,8 @@ ROOMS = {
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
          "hil/control/nominal_model.py"),
-        ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
+        ("tests/control/test_law_reference.py", "tests/control/test_bounded_disturbance.py",
+         "tests/control/test_breakaway.py",
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
          "tests/control/test_repeat_memory.py", *_RUNS,
