@@ -46,7 +46,8 @@ ROOMS = {
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_task_paths.py",
+        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
+         "tests/control/test_task_paths.py",
          *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
