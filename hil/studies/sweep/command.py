@@ -73,14 +73,13 @@ def sweep(
 
 
 def _run(console: Any, title: str, work: Sequence[Job], hands: Crew) -> tuple[Figures, float]:
-    """All jobs under a progress bar: what they found, and plants times ticks per second."""
-    from rich.progress import Progress
+    """All jobs, telling how far they are: what they found, and plants times ticks per second."""
+    from hil.cli.progress import Steps
 
     plants = sum(job.plants for job in work)
     started = time.perf_counter()
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task(title, total=plants)
-        figures = collect(resumed(hands, run_chunk, work), lambda count: bar.update(task, advance=count))
+    with Steps(console, title, plants) as steps:
+        figures = collect(resumed(hands, run_chunk, work), steps.advance)
     return figures, plants * work[0].ticks / (time.perf_counter() - started)
 
 
