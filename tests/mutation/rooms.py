@@ -37,7 +37,8 @@ ROOMS = {
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
          "hil/control/nominal_model.py"),
-        ("tests/control/test_law_reference.py", "tests/control/test_breakaway.py",
+        ("tests/control/test_law_reference.py", "tests/control/test_bounded_disturbance.py",
+         "tests/control/test_breakaway.py",
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
          "tests/control/test_repeat_memory.py", *_RUNS,
@@ -45,7 +46,8 @@ ROOMS = {
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_task_paths.py",
+        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
+         "tests/control/test_task_paths.py",
          *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(
