@@ -22,7 +22,7 @@ STAGED = [index for index, trial in enumerate(TRIALS) if trial.staged]
 
 def test_steps_of_a_stage_are_tried_where_there_is_one_at_rest_and_in_motion() -> None:
     assert len(STAGED) == 17
-    ideal = [chunk.cells for chunk in plan_chunks(displaced(load_rig(RIGS / "microscope.toml")), RIGS)]
+    ideal = [chunk.cells for chunk in plan_chunks(displaced(load_rig(RIGS / "microscope-ideal.toml")), RIGS)]
     assert not [index for cells in ideal for index, _ in cells if index in STAGED]
     real = plan_chunks(guided(), RIGS)
     assert [tuple(cell for cell in chunk.cells if cell[0] not in STAGED) for chunk in real] == ideal
