@@ -24,6 +24,7 @@ from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
 from hil.rig.file import load_rig
+from hil.rig.provenance import control_path
 from hil.rig.schema import RigConfig
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
@@ -31,6 +32,7 @@ from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, local_client
 from hil.telemetry.recording import RecordingError
+from sim_plant.config import STAGES
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
@@ -53,6 +55,7 @@ STALL_FAULTS = (
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
+SLOW_STAGES = STAGES.keys() - {"ideal"}
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
 
 
@@ -334,6 +337,23 @@ def _what_next(scene: Scene, console: Console) -> None:
     )
 
 
+def _that_keeps_up(rig: Path, overrides: tuple[str, ...]) -> tuple[RigConfig, tuple[str, ...], str]:
+    """The rig, the overrides it takes, and what to say of them: interpreted, the emulator of a stage with guides, a
+    mode and noise takes longer for a period than a period lasts.
+    """
+    chosen = (*overrides, *ALWAYS)
+    config = load_rig(rig, chosen)
+    stated = any(override.startswith("plant.stage=") for override in overrides)
+    if config.plant.stage not in SLOW_STAGES or stated or control_path() == "compiled":
+        return config, chosen, ""
+    note = (
+        f"the emulated stage is an ideal one here: interpreted code is too slow for {config.plant.stage} live (make "
+        "compiled, or the Debian package, is not; hil sim has it in virtual time; --set plant.stage=... insists)"
+    )
+    chosen = (*chosen, "plant.stage=ideal")
+    return load_rig(rig, chosen), chosen, note
+
+
 def demo(
     rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.5, max=1e6, help="how long the task runs")] = 20.0,
@@ -343,8 +363,7 @@ def demo(
     """Exit status 0: it went as planned; 1: something failed, and the output says what; 3: it ended in a fault; 130 or
     143: interrupted.
     """
-    chosen = (*(overrides or ()), *ALWAYS)
-    config = load_rig(rig, chosen)
+    config, chosen, note = _that_keeps_up(rig, tuple(overrides or ()))
     signals = Signals()
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -356,6 +375,8 @@ def demo(
         "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,
     )
+    if note:
+        console.print(note, soft_wrap=True)
     print_plant_notes(console, config)
     stage = Demo(scene, console, signals)
     try:

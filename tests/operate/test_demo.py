@@ -20,6 +20,7 @@ from drivers.protocols.base import DriveStatus
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CommandKind
+from hil.operate import demo as demo_module
 from hil.operate.demo import Demo, Scene, Signals, drive_report
 from hil.operate.summary import RunData, load_run
 from hil.rig.file import load_rig
@@ -255,3 +256,21 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
 def test_a_drive_whose_watchdog_did_not_trip_is_named_too() -> None:
     [line] = drive_report({"axes": {"x": {"trips": [], "applied_force": 1.5}}})
     assert line == "drive x: applies 1.5; its watchdog did not trip"
+
+
+@pytest.mark.parametrize(
+    ("path", "overrides", "emulated"),
+    [
+        ("interpreted", (), "ideal"),
+        ("interpreted", ("plant.stage=flexure",), "flexure"),
+        ("compiled", (), "crossed-roller"),
+    ],
+)
+def test_interpreted_the_demo_takes_a_stage_that_keeps_up_and_says_so(
+    path: str, overrides: tuple[str, ...], emulated: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo_module, "control_path", lambda: path)
+    rig, chosen, note = demo_module._that_keeps_up(RIG, overrides)
+    assert rig.plant.stage == emulated
+    assert load_rig(RIG, chosen) == rig  # what the processes of the demo are started with
+    assert ("ideal one" in note) == (emulated == "ideal")
