@@ -32,9 +32,9 @@ class Watch:
 
     def _arm(self) -> None:
         """Look from now on. Signals reach the main thread alone, and somebody else's timer is left alone."""
-        self.armed = True
         if threading.current_thread() is not threading.main_thread():
             return
+        self.armed = True
         if signal.getsignal(signal.SIGALRM) in (signal.SIG_DFL, None):
             signal.signal(signal.SIGALRM, self._look)
         if signal.getsignal(signal.SIGALRM) == self._look:

@@ -161,8 +161,10 @@ def _within_time() -> Iterator[Callable[[Callable[[], Any]], Any]]:
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
+    left, every = signal.setitimer(signal.ITIMER_REAL, 0.0)  # another's, as that of drivers/call_limit.py
     before = signal.signal(signal.SIGALRM, over)
     try:
         yield soon
     finally:
         signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, left, every)
