@@ -42,20 +42,9 @@ class Show:
         self.out = directory / "out"
         self.runtime = runtime
         self.text = ""
+        demo = [sys.executable, "-u", "-m", "hil", "demo", str(RIG), *LIGHT]
         self.process = subprocess.Popen(
-            [
-                sys.executable,
-                "-u",
-                "-m",
-                "hil",
-                "demo",
-                str(RIG),
-                "--seconds",
-                str(seconds),
-                "--out",
-                str(self.out),
-                *LIGHT,
-            ],
+            [*demo, "--seconds", str(seconds), "--out", str(self.out)],
             cwd=directory,
             env={**os.environ, "HIL_RUNTIME_DIR": str(runtime)},
             stdout=subprocess.PIPE,
