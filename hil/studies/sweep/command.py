@@ -61,7 +61,7 @@ def sweep(
         for name in names:
             rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
             work = jobs(rig, rig_file.parent, plants, seconds, seed, hard, hands.size)
-            figures, rate = _run(console, f"{rig.name}: {name}", work, hands)
+            figures, rate = _run(f"{rig.name}: {name}", work, hands)
             plot(output / f"{file_name(name)}.png", rig, figures)
             chosen = worst_plants(figures, worst)
             paths = save_worst(rig_file, rig, seed, hard, chosen, output)
@@ -72,13 +72,15 @@ def sweep(
         write_json(document, json_target)
 
 
-def _run(console: Any, title: str, work: Sequence[Job], hands: Crew) -> tuple[Figures, float]:
+def _run(title: str, work: Sequence[Job], hands: Crew) -> tuple[Figures, float]:
     """All jobs, telling how far they are: what they found, and plants times ticks per second."""
+    from rich.console import Console
+
     from hil.cli.progress import Steps
 
     plants = sum(job.plants for job in work)
     started = time.perf_counter()
-    with Steps(console, title, plants) as steps:
+    with Steps(Console(stderr=True), title, plants) as steps:
         figures = collect(resumed(hands, run_chunk, work), steps.advance)
     return figures, plants * work[0].ticks / (time.perf_counter() - started)
 
