@@ -233,16 +233,15 @@ class Rig(NamedTuple):
         self.reset_to("READY")
 
     def activate(self) -> None:
-        """To ACTIVE, from wherever it is."""
+        """To ACTIVE, from wherever it is; again where a guest that was not let run has fallen into FAULT meanwhile."""
 
-        def active() -> bool:
-            if self.shows("ACTIVE"):
-                return True
-            self.to_ready()
-            return self.order("activate") and self.shows("ACTIVE")
+        def carries() -> bool:
+            if not self.shows("ACTIVE"):
+                self.to_ready()
+                self.order("activate")
+            return self.shows("ACTIVE") and not self.no_torque()
 
-        eventually(active, "ACTIVE")
-        eventually(lambda: not self.no_torque(), "torque: Z has its weight to carry")
+        eventually(carries, "ACTIVE, with torque: Z has its weight to carry")
 
     def drives(self) -> dict:
         """What the emulated drives say of themselves, as of now (they write it twice a second)."""
