@@ -31,6 +31,7 @@ STAGES: dict[str, str] = {
     "ball-screw": "sim_plant.stages:ball_screw",
     "flexure": "sim_plant.stages:flexure",
 }
+REAL_STAGES = STAGES.keys() - {"ideal"}  # ours that add what real ones have
 STAGE_KIND = Kind("stage", "stages", "plant", "stage", "hil.stages", STAGES, ("begin", "advance"))
 
 

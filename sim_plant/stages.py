@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers import plugins
-from sim_plant.config import STAGES, ModeConfig, PlantConfig, VibrationConfig
+from sim_plant.config import REAL_STAGES, STAGES, ModeConfig, PlantConfig, VibrationConfig
 
 VC_C = VibrationConfig(acceleration=2.8e-3, frequency_hz=25.0)  # sqrt(2) 2 pi 25 Hz 12.5 um/s
 Scaled = Callable[[float], list[float]]
@@ -100,7 +100,7 @@ def ideal(of_mass: Scaled, of_friction: Scaled) -> dict[str, Any]:
 
 def staged(plant: PlantConfig) -> PlantConfig:
     """The plant with the values of its kind of stage wherever it states none."""
-    if plant.stage not in STAGES or plant.stage == "ideal":
+    if plant.stage not in REAL_STAGES:
         return plant
 
     def scaled(values: Sequence[float]) -> Scaled:

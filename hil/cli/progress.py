@@ -10,9 +10,13 @@ LINE_S = 30.0  # between two lines of a log
 
 
 class Steps:
-    """So many steps of one kind, as a context. Nothing is left of the bar; lines stay, and short work has none."""
+    """So many steps of one kind, as a context. Nothing is left of the bar; lines stay, and short work has none.
 
-    def __init__(self, console: Console, text: str, total: int) -> None:
+    On standard error, as it is no result.
+    """
+
+    def __init__(self, text: str, total: int, console: Console | None = None) -> None:
+        console = console or Console(stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
             TimeRemainingColumn(),

@@ -32,7 +32,7 @@ from hil.telemetry.blackbox import run_directory
 from hil.telemetry.client import DEFAULT_ENDPOINT, NoSidecarError, RigClient
 from hil.telemetry.command_client import NoGatewayError, local_client
 from hil.telemetry.recording import RecordingError
-from sim_plant.config import STAGES
+from sim_plant.config import REAL_STAGES
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
@@ -55,7 +55,6 @@ STALL_FAULTS = (
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 LOG_WIDTH = 120  # of tables where there is no terminal
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
-SLOW_STAGES = STAGES.keys() - {"ideal"}
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
 
 
@@ -344,7 +343,7 @@ def _that_keeps_up(rig: Path, overrides: tuple[str, ...]) -> tuple[RigConfig, tu
     chosen = (*overrides, *ALWAYS)
     config = load_rig(rig, chosen)
     stated = any(override.startswith("plant.stage=") for override in overrides)
-    if config.plant.stage not in SLOW_STAGES or stated or control_path() == "compiled":
+    if config.plant.stage not in REAL_STAGES or stated or control_path() == "compiled":
         return config, chosen, ""
     note = (
         f"the emulated stage is an ideal one here: interpreted code is too slow for {config.plant.stage} live (make "

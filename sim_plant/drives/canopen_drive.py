@@ -229,7 +229,7 @@ class Cia402Drive(CanopenNode):
     def _hand_over(self, *, feed: bool = False, reset: bool = False) -> None:
         """Give the servo what is demanded now. Only SYNC with a new target torque feeds its watchdog."""
         deadline_ns = self.servo.deadline_ns
-        powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
+        powered = self._powered()
         if not powered:
             self._ramp.jump(0.0)
         self.servo.on_command(self._ramp.follow(self.now_ns), powered, reset, 0, self.now_ns)
@@ -237,6 +237,10 @@ class Cia402Drive(CanopenNode):
             self.servo.deadline_ns = deadline_ns
         if self._defects() and not self._failed():
             self._fail(self._diagnosis())
+
+    def _powered(self) -> bool:
+        """The power stage is on: in operation, or on the way out of it."""
+        return self.state is DriveState.OPERATION_ENABLED or self._stop is not None
 
     def _failed(self) -> bool:
         return self.state in (DriveState.FAULT, DriveState.FAULT_REACTION)
@@ -252,8 +256,7 @@ class Cia402Drive(CanopenNode):
             return
         if self._defects():
             self._ramp.jump(0.0)
-        powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
-        ramp = stopping.option(self.dictionary, stopping.FAULT_REACTION).ramp if powered else Ramp.LET_GO
+        ramp = stopping.option(self.dictionary, stopping.FAULT_REACTION).ramp if self._powered() else Ramp.LET_GO
         self._come_to_rest(Stop(ramp, DriveState.FAULT), DriveState.FAULT_REACTION)
 
     def _come_to_rest(self, stop: Stop, meanwhile: DriveState) -> None:
@@ -321,7 +324,7 @@ class Cia402Drive(CanopenNode):
             if self._may_enable():
                 self._enable()
         else:
-            powered = self.state is DriveState.OPERATION_ENABLED or self._stop is not None
+            powered = self._powered()
             self.state, self._stop, self._enabling_ns = following, None, NEVER_NS
             if powered:
                 self._command_servo(0.0)

@@ -19,7 +19,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_a_log_gets_a_line_now_and_then(clock: list[float]) -> None:
     out = io.StringIO()
-    with Steps(Console(file=out, width=120), "work", 20) as steps:
+    with Steps("work", 20, Console(file=out, width=120)) as steps:
         for number in range(20):
             clock[0] += 20.0
             steps.advance(text=f"part [{number}]")
@@ -32,7 +32,7 @@ def test_a_log_gets_a_line_now_and_then(clock: list[float]) -> None:
 
 def test_of_what_is_soon_over_a_log_says_nothing(clock: list[float]) -> None:
     out = io.StringIO()
-    with Steps(Console(file=out), "work", 2) as steps:
+    with Steps("work", 2, Console(file=out)) as steps:
         clock[0] += 20.0
         steps.advance()
         clock[0] += 20.0
@@ -42,7 +42,7 @@ def test_of_what_is_soon_over_a_log_says_nothing(clock: list[float]) -> None:
 
 def test_a_terminal_has_a_bar_that_goes_away(clock: list[float]) -> None:
     out = io.StringIO()
-    with Steps(Console(file=out, force_terminal=True, width=100), "work", 100) as steps:
+    with Steps("work", 100, Console(file=out, force_terminal=True, width=100)) as steps:
         clock[0] += 40.0
         steps.advance(2, "half [x]")
         steps._bar.refresh()

@@ -13,7 +13,6 @@ from typing import Any
 
 import canopen
 import pytest
-from canopen.profiles.p402 import BaseNode402
 from typer.testing import CliRunner
 
 from drivers.bus.any_bus import joined
@@ -22,7 +21,7 @@ from hil.cli.app import build_app
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drive_double import DoubleSettings, DriveDouble, make_drive, stated_inputs
 from tests.support.foreign_drive import MOTION_DRIVE, eds_text
-from tests.support.foreign_master import NODE, PATIENCE_S, eventually, patient
+from tests.support.foreign_master import NODE, PATIENCE_S, eventually, master_of
 from tests.support.paths import ROOT
 
 
@@ -90,12 +89,7 @@ def double(eds: Path) -> Iterator[Double]:
 
 @pytest.fixture
 def client(double: Double, network: canopen.Network, eds: Path) -> Any:
-    node = BaseNode402(NODE, str(eds))
-    network.add_node(node)
-    patient(node)
-    node.nmt.state = "RESET COMMUNICATION"
-    assert node.sdo[0x1001].raw == 0  # frames keep their order: its boot-up message came before this answer
-    return node
+    return master_of(network, eds)
 
 
 @pytest.mark.live

@@ -90,9 +90,7 @@ def test_every_transition_in_every_mode(mode: int, bench: Bench) -> None:
 
 
 def test_a_402_master_goes_from_any_state_to_any_other(bench: Bench) -> None:
-    node = bench.node()
-    node.setup_402_state_machine()
-    node.nmt.state = "OPERATIONAL"
+    node = bench.operational()
     node.sdo[0x605A].raw = 6
     bench.network.sync.start(0.005)
     states = ("SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED")
@@ -135,9 +133,7 @@ def test_positions_speeds_and_torques_are_reached(bench: Bench) -> None:
 
 
 def test_it_homes(bench: Bench) -> None:
-    node = bench.node()
-    node.setup_402_state_machine()
-    node.nmt.state = "OPERATIONAL"
+    node = bench.operational()
     node.sdo[0x607C].raw = 1234
     bench.network.sync.start(0.005)
     assert node.homing()

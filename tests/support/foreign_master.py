@@ -26,6 +26,15 @@ _PATIENT = (
 )
 
 
+def master_of(network: canopen.Network, eds: Path, *, profile: bool = True) -> Any:
+    """A fresh master's view of the drive NODE, which has just reset its communication. profile: with CiA 402's."""
+    made = patient(BaseNode402(NODE, str(eds)) if profile else canopen.RemoteNode(NODE, str(eds)))
+    network.add_node(made)
+    made.nmt.state = "RESET COMMUNICATION"
+    assert made.sdo[0x1001].raw == 0  # frames keep their order: its boot-up message came before this answer
+    return made
+
+
 def patient(node: Any) -> Any:
     """The same node with time-outs that a loaded computer keeps."""
     node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
@@ -53,13 +62,15 @@ class Bench:
         self._eds = eds
 
     def node(self, *, profile: bool = True) -> Any:
-        """A fresh master's view of the drive, which has just reset its communication. profile: with CiA 402's."""
-        made = BaseNode402(NODE, str(self._eds)) if profile else canopen.RemoteNode(NODE, str(self._eds))
-        self.network.add_node(made)
-        made = patient(made)
-        made.nmt.state = "RESET COMMUNICATION"
-        assert made.sdo[0x1001].raw == 0  # frames keep their order: its boot-up message came before this answer
-        return made
+        """See master_of."""
+        return master_of(self.network, self._eds, profile=profile)
+
+    def operational(self) -> Any:
+        """A master of CiA 402 whose drive exchanges PDOs."""
+        node = self.node()
+        node.setup_402_state_machine()
+        node.nmt.state = "OPERATIONAL"
+        return node
 
 
 @contextmanager

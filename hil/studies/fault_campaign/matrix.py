@@ -31,7 +31,7 @@ from hil.studies.fault_campaign.layout_capabilities import (
     lacking_text,
 )
 from hil.studies.fault_campaign.trial import Trial, periods, ticks, watchdog
-from sim_plant.config import STAGES
+from sim_plant.config import REAL_STAGES
 
 HORIZON_S = 0.075  # a cell is watched after a detection was due: a damped stop takes 50 ms
 DRIVES_REACT = 3  # ticks from the gate's zero to drives that have let go, two lost frames included
@@ -278,7 +278,7 @@ class Chunk:
 
 def _playable(rig: RigConfig, trial: Trial) -> bool:
     """Whether the trial's fault is there at all: under the rig's layout, on its stage."""
-    if trial.staged and (rig.plant.stage == "ideal" or rig.plant.stage not in STAGES):
+    if trial.staged and rig.plant.stage not in REAL_STAGES:
         return False
     return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
 

@@ -74,13 +74,11 @@ def sweep(
 
 def _run(title: str, work: Sequence[Job], hands: Crew) -> tuple[Figures, float]:
     """All jobs, telling how far they are: what they found, and plants times ticks per second."""
-    from rich.console import Console
-
     from hil.cli.progress import Steps
 
     plants = sum(job.plants for job in work)
     started = time.perf_counter()
-    with Steps(Console(stderr=True), title, plants) as steps:
+    with Steps(title, plants) as steps:
         figures = collect(resumed(hands, run_chunk, work), steps.advance)
     return figures, plants * work[0].ticks / (time.perf_counter() - started)
 

@@ -88,7 +88,7 @@ def tune(
     choice = Choice((population, generations), seed, least, start, chosen, repeats, kind, unseen)
     found: list[Found] = []
     console.print(announced(rig, name, choice), markup=False, highlight=False, soft_wrap=True)
-    with Steps(Console(stderr=True), f"{rig.name}: {name}", (generations + 1) * len(rig.axes)) as steps:
+    with Steps(f"{rig.name}: {name}", (generations + 1) * len(rig.axes)) as steps:
         if scheduler:
             document = rig.model_dump_json()
             work = [AxisSearch(document, name, axis, choice) for axis in range(len(rig.axes))]
