@@ -22,7 +22,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
-test: setup  ## unit, lockstep and live tests on this machine (about five minutes)
+test: setup  ## unit, lockstep and live tests on this machine (about six minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
 
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
