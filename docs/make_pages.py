@@ -102,9 +102,9 @@ def _kind_lines() -> list[str]:
     lines = ["", "## Events", ""]
     lines += [
         "Whatever happens is told with tick, time, axis, measured value, limit, cause and what to do next:",
-        "`journalctl -u 'hil-*@NAME'` and `hil events NAME` at the rig; `hil events RUN`, summary.json, the marks of",
-        "tracking.png and the topic `events` of the recording afterwards; on Zenoh the key `KEY/RIG/events`, published",
-        "as it happens, and queried by whoever joins late (message `Events`, hil/telemetry/events.proto).",
+        "`journalctl -u 'hil-*@NAME.service'` and `hil events NAME` at the rig; `hil events RUN`, summary.json, the",
+        "marks of tracking.png and the topic `events` of the recording afterwards; on Zenoh the key `KEY/RIG/events`,",
+        "published as it happens, and queried by whoever joins late (message `Events`, hil/telemetry/events.proto).",
         "",
         "| kind | it says | measured | usual cause | what to do next |",
         "|---|---|---|---|---|",
