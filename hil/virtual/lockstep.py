@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.bus.counters import PortCounters
 from drivers.frame import ECHO, Frame
 from drivers.wire.faults import Random, WireFault
 from drivers.wire.wire import Wire
@@ -84,7 +85,7 @@ class LockstepRun:
         self.activated_at = -1  # tick of the first ACTIVE
         self.stop = False
         self.estop = False  # the stop line is pressed: for one tick
-        self._true = self.stage.sampled  # of the samples the latest tick worked on
+        self.truth = self.stage.sampled  # positions, velocities at the samples the latest tick worked on, m, m/s
         self._task: LoadedTask | None = None  # to be loaded in the next tick
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
@@ -126,7 +127,7 @@ class LockstepRun:
             self.index,
             now,
             now,
-            self.host.counters()._replace(discarded=self._discarded),
+            self._counters(),
             self._commands(now),
             stop=self.stop,
             estop=self.estop,
@@ -138,7 +139,7 @@ class LockstepRun:
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:
             self.activated_at = self.index
-        self._true = self.stage.sampled
+        self.truth = self.stage.sampled
         self._send(result.frames, now)
         self._note(frames, result.frames)
         if self._observer:
@@ -155,6 +156,10 @@ class LockstepRun:
         frames = self.received[-limit:]
         self.received.clear()
         return frames
+
+    def _counters(self) -> PortCounters:
+        counters = self.host.counters()
+        return counters._replace(discarded=self._discarded) if self._discarded else counters
 
     def _phase(self) -> str:
         """Name of the task's phase; empty outside ACTIVE."""
@@ -204,9 +209,9 @@ class LockstepRun:
     @property
     def true_position(self) -> NDArray[np.float64]:
         """Position (m) of the samples the latest tick worked on, before the encoder, (n_axes,)."""
-        return np.array(self._true[0])
+        return np.array(self.truth[0])
 
     @property
     def true_velocity(self) -> NDArray[np.float64]:
         """The same for velocity, m/s."""
-        return np.array(self._true[1])
+        return np.array(self.truth[1])

@@ -1,5 +1,6 @@
 """A whole run in lockstep and its figures: what `hil sim` shows."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from hil.cycle.event_notes import CycleEvents
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig, RigError
-from hil.virtual.figures_of_merit import axis_statistics
+from hil.virtual.figures_of_merit import Array, axis_statistics
 from hil.virtual.lockstep import LockstepRun, Observer
 from sim_plant.scenario.language import Scenario
 
@@ -70,11 +71,11 @@ def simulate(
 
     run = LockstepRun(rig, base_dir, observer=observe, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
-    traces = Traces(ticks, len(rig.axes))
+    traces = Traces(len(rig.axes))
     started = time.perf_counter()
     for index in range(ticks):
         run.tick()
-        traces.take(index, run)
+        traces.take(run)
         if progress and index % 1000 == 0:
             progress(index)
     elapsed = time.perf_counter() - started
@@ -122,28 +123,48 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
 
 
 class Traces:
-    """Per tick and axis: true position; true error, setpoint and velocity at the samples' instants (NaN where a tick
-    brought none), and applied force.
+    """Per tick and axis, (ticks, n_axes): true position; setpoint at the sample's instant and true error there (NaN
+    where a tick brought none), m; applied force, N.
+
+    Lists while the run goes on: to write a few numbers into an array costs a tick more than its law.
     """
 
-    def __init__(self, ticks: int, n_axes: int) -> None:
-        shape = (ticks, n_axes)
-        self.true = np.zeros(shape)
-        self.error = np.full(shape, np.nan)
-        self.setpoint = np.full(shape, np.nan)
-        self.velocity_error = np.full(shape, np.nan)
-        self.force = np.zeros(shape)
+    def __init__(self, n_axes: int) -> None:
+        self._none = (math.nan,) * n_axes
+        self._true: list[Sequence[float]] = []
+        self._setpoint: list[Sequence[float]] = []
+        self._force: list[Sequence[float]] = []
 
-    def take(self, index: int, run: LockstepRun) -> None:
+    def take(self, run: LockstepRun) -> None:
         """Note the tick just run."""
         cycle = run.cycle
-        self.force[index] = cycle.gate.force
-        self.true[index] = run.true_position
-        if cycle.state is not State.ACTIVE or cycle.setpoints.trajectory is None or not all(cycle.inbox.fresh):
-            return
-        self.setpoint[index] = setpoint = [x.sample.position for x in cycle.inputs]
-        self.error[index] = self.true[index] - setpoint
-        self.velocity_error[index] = [shown.velocity for shown in cycle.axes.shown] - run.true_velocity
+        self._force.append(tuple(cycle.gate.force))
+        self._true.append(tuple(run.truth[0]))
+        judged = cycle.state is State.ACTIVE and cycle.setpoints.trajectory is not None and all(cycle.inbox.fresh)
+        self._setpoint.append([x.sample.position for x in cycle.inputs] if judged else self._none)
+
+    def _columns(self, rows: Sequence[Sequence[float]]) -> Array:
+        return np.array(rows).reshape(-1, len(self._none))
+
+    @property
+    def true(self) -> Array:
+        """True position."""
+        return self._columns(self._true)
+
+    @property
+    def setpoint(self) -> Array:
+        """Setpoint."""
+        return self._columns(self._setpoint)
+
+    @property
+    def error(self) -> Array:
+        """True error."""
+        return self.true - self.setpoint
+
+    @property
+    def force(self) -> Array:
+        """Force."""
+        return self._columns(self._force)
 
 
 def usable(rig: RigConfig, rig_file: Path) -> RigConfig:

@@ -1,7 +1,6 @@
 """Circle and Lissajous figure, entered by a minimum-jerk blend from wherever the stage stands."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -18,19 +17,21 @@ INT64_LIMIT = 2**62
 Motion = tuple[Number, Number, Number]  # position, velocity, acceleration; or s and its derivatives
 
 
-@dataclass(frozen=True)
 class Oscillation:
-    """amplitude * cos(2 pi (frequency t + offset)); offset in turns."""
+    """amplitude * cos(2 pi (frequency t + offset)); offset in turns.
 
-    amplitude: float
-    frequency_hz: Fraction
-    offset: float
+    cycle: (p, m), so that the phase is (p t mod m) / m turns for t in ns, in exact integers. speed, acceleration:
+    amplitudes of the derivatives. Worked out once: a division of fractions costs a tick more than the rest of it.
+    """
 
-    @property
-    def cycle(self) -> tuple[int, int]:
-        """(p, m): the phase is (p t mod m) / m turns for t in ns, in exact integers."""
-        exact = self.frequency_hz / SECOND
-        return exact.numerator, exact.denominator
+    def __init__(self, amplitude: float, frequency_hz: Fraction, offset: float) -> None:
+        exact, omega = frequency_hz / SECOND, TURN * float(frequency_hz)
+        self.amplitude = amplitude
+        self.frequency_hz = frequency_hz
+        self.offset = offset
+        self.cycle: tuple[int, int] = (exact.numerator, exact.denominator)
+        self.speed = amplitude * omega
+        self.acceleration = self.speed * omega
 
 
 def rational_hz(frequency_hz: float) -> Fraction:
@@ -102,9 +103,7 @@ class Figure(Trajectory):
 
     @staticmethod
     def _derivatives(oscillation: Oscillation, sine: Number, cosine: Number) -> Motion:
-        omega = TURN * float(oscillation.frequency_hz)
-        speed = oscillation.amplitude * omega
-        return oscillation.amplitude * cosine, -speed * sine, -(speed * omega) * cosine
+        return oscillation.amplitude * cosine, -oscillation.speed * sine, -oscillation.acceleration * cosine
 
     def _blend(self, axis: int, figure: Motion, s: Number, ds: Number, dds: Number) -> Motion:
         start, rate = self._start[axis], self._per_second
