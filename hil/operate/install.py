@@ -171,7 +171,7 @@ def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
     try:
         return tomlkit.dumps(document), build_rig(document.unwrap(), folder=source.parent)
     except RigError as error:
-        raise RigError([f"{source}: {line}" for line in error.problems]) from None
+        raise error.of_file(source) from None
 
 
 def _files_beside(rig: RigConfig, source: Path) -> Files:

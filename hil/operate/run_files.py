@@ -13,7 +13,7 @@ from drivers.text_file import UnsuitableFileError, open_untrusted
 from drivers.toml_file import short
 from hil.rig.file import build_rig
 from hil.rig.npz_file import read_arrays
-from hil.rig.schema import RigConfig
+from hil.rig.schema import RigConfig, RigError
 from hil.telemetry.recording import RecordingError
 
 Columns = Mapping[str, NDArray[Any]]
@@ -57,4 +57,7 @@ def read_npz(path: Path) -> tuple[RigConfig, dict[str, NDArray[Any]], NDArray[np
     if any(values.ndim not in (1, 2) or len(values) != ticks for values in columns.values()):
         raise RecordingError(f"{path}: not a run that hil has exported: columns of other lengths")
     true = columns.pop(_TRUE, None)
-    return build_rig(document), columns, true
+    try:
+        return build_rig(document), columns, true
+    except RigError as error:
+        raise error.of_file(path) from None

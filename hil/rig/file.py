@@ -130,7 +130,7 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     try:
         rig, lines = _build(document, overrides, Path(path).parent)
     except RigError as error:
-        raise RigError([f"{path}: {line}" for line in error.problems]) from None
+        raise error.of_file(path) from None
     for line in lines:
         warnings.warn(f"{path}: {line}", FormerKeyWarning, stacklevel=2)
     return rig
@@ -156,7 +156,7 @@ def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> T
     try:
         return build_rig({**rig.model_dump(mode="json"), "task": table}, overrides, folder=path.parent).task
     except RigError as error:
-        raise RigError([f"{path}: {line}" for line in error.problems]) from None
+        raise error.of_file(path) from None
 
 
 def rig_hash(rig: RigConfig) -> str:

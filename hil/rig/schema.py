@@ -51,6 +51,10 @@ class RigError(Exception):
         self.problems = [short(problem, LONGEST_PROBLEM) for problem in problems]
         super().__init__("\n".join(self.problems))
 
+    def of_file(self, path: object) -> "RigError":
+        """The same, each line with the file it is about."""
+        return RigError([f"{path}: {line}" for line in self.problems])
+
     def __reduce__(self) -> tuple[type["RigError"], tuple[list[str]]]:
         """As it travels from a worker process: by its problems, not their text."""
         return type(self), (self.problems,)

@@ -62,6 +62,18 @@ def test_an_npz_file_loses_nothing(run: hil.Simulation, tmp_path: Path) -> None:
     assert read.true.tobytes() == run.true.tobytes()
 
 
+def test_an_npz_file_whose_rig_is_none_of_ours_is_refused_by_its_name(run: hil.Simulation, tmp_path: Path) -> None:
+    with np.load(run.export(tmp_path / "whole.npz")) as whole:
+        arrays = dict(whole)
+    rig = arrays["rig_json"].tobytes().replace(b"following_error", b"followinq_error")
+    np.savez(tmp_path / "other.npz", **(arrays | {"rig_json": np.frombuffer(rig, np.uint8)}))
+    with pytest.raises(hil.RigError) as refused:
+        hil.load_run(tmp_path / "other.npz")
+    lines = str(refused.value).splitlines()
+    assert all(line.startswith(f"{tmp_path / 'other.npz'}: axes.") for line in lines)
+    assert any("followinq_error" in line for line in lines)
+
+
 def test_a_csv_file_has_every_digit(run: hil.Simulation, tmp_path: Path) -> None:
     with run.export(tmp_path / "run.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
