@@ -15,6 +15,7 @@ import select
 import signal
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ _HEARTBEAT_WAIT_MS = 2  # where drives speak unasked: how late they may be
 _REPORT_NS = 500_000_000
 _REBIND_NS = 200_000_000
 _LONGEST_NAP_NS = 5_000_000
+_ALL_OF_A_CORE = 0.9  # the kernel leaves a real-time process 95 %
+_PATIENCE = 4  # reports in turn with no time left
 
 
 class StopSignals:
@@ -98,10 +101,17 @@ class Emulator:
     """The process' loop around an EmulatedStage whose clock starts now (time.monotonic_ns).
 
     status_path: where the drives' state is written as JSON: as soon as they are on the bus, which tells others that
-    they are, after every watchdog expiry, twice a second, and at the end.
+    they are, after every watchdog expiry, twice a second, and at the end. too_slow: called once, when the stage has
+    taken all of a core for two seconds: its answers come later and later then, or never in time.
     """
 
-    def __init__(self, stage: EmulatedStage, port: Port, status_path: Path | None = None) -> None:
+    def __init__(
+        self,
+        stage: EmulatedStage,
+        port: Port,
+        status_path: Path | None = None,
+        too_slow: Callable[[], object] = lambda: None,
+    ) -> None:
         self.stage = stage
         self.port = port
         self.realtime = False
@@ -111,6 +121,10 @@ class Emulator:
         self._reported_trips = 0
         self._rebind_ns = 0
         self.rhythm = Rhythm()
+        self.busy = 0.0  # of a core, over the last half second
+        self._too_slow = too_slow
+        self._busy_reports = 0
+        self._judged_ns, self._cpu_ns = time.monotonic_ns(), time.process_time_ns()
 
     def run(self) -> None:
         """Answer until SIGTERM, SIGINT or SIGHUP; the last status is on disk when this returns."""
@@ -152,7 +166,20 @@ class Emulator:
         if trips != self._reported_trips or now_ns - self._reported_ns > _REPORT_NS:
             self._reported_trips = trips
             self._reported_ns = now_ns
+            self._judge(now_ns)
             self._write_status(running=True)
+
+    def _judge(self, now_ns: int) -> None:
+        """Whether there is time left beside the stage."""
+        if now_ns - self._judged_ns < _REPORT_NS:
+            return
+        cpu_ns = time.process_time_ns()
+        self.busy = (cpu_ns - self._cpu_ns) / (now_ns - self._judged_ns)
+        self._judged_ns, self._cpu_ns = now_ns, cpu_ns
+        self._busy_reports = self._busy_reports + 1 if self.busy > _ALL_OF_A_CORE else 0
+        if self._busy_reports == _PATIENCE:
+            self._too_slow()
+            self._too_slow = lambda: None
 
     def status(self, *, running: bool) -> dict[str, Any]:
         """Everything a demo or a test needs to judge the drives; SI units, times in ns of the monotonic clock."""
@@ -180,6 +207,7 @@ class Emulator:
             "running": running,
             "now_ns": stage.now_ns,
             "realtime": self.realtime,
+            "busy": self.busy,
             "commands": stage.commands,
             "rejected": {reason.name.lower(): count for reason, count in stage.rejected.items() if count},
             "axes": axes,

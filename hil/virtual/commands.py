@@ -18,6 +18,12 @@ from hil.cli.output import axis_table, drawable, print_plant_notes, writable, wr
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 
+_TOO_SLOW = (
+    "hil emulate: the emulated stage takes all of a core and comes behind: its answers are late, and the rig sees "
+    "drives that do not answer. Compile it (make compiled, the Debian package), take a lighter stage (--set "
+    "plant.stage=ideal) or a lower rate"
+)
+
 
 def sim(
     rig: RigFile,
@@ -212,7 +218,9 @@ def emulate(
         stack.callback(port.close)
         for note in plant_notes(config):
             print(f"hil emulate: {note}", flush=True)
-        emulator = Emulator(stage, port, status or files.emulator)
+        emulator = Emulator(
+            stage, port, status or files.emulator, lambda: print(_TOO_SLOW, file=sys.stderr, flush=True)
+        )
         print(f"hil emulate: {config.name} on {config.bus.channel}, status in {status or files.emulator}", flush=True)
         emulator.run()
     if emulator.status_error:

@@ -275,6 +275,34 @@ def test_on_a_live_bus_canopen_drives_announce_themselves(tmp_path: Path, monkey
     emulator.port.close()
 
 
+@pytest.mark.parametrize(("share", "told"), [(0.93, 1), (0.85, 0)])
+def test_a_stage_that_takes_all_of_a_core_says_so_once(
+    share: float, told: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Live, its answers would come later and later, and whoever waits for READY would not know why."""
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    bus, cpu_ns = BusConfig(interface="local", channel="emu2"), 0
+    monkeypatch.setattr("sim_plant.process.time.process_time_ns", lambda: cpu_ns)
+    said: list[float] = []
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), time.monotonic_ns())
+    emulator = Emulator(
+        stage, open_port(bus, role="device", fd=True), tmp_path / "status.json", lambda: said.append(emulator.busy)
+    )
+    now_ns = begun_ns = time.monotonic_ns()
+    for _ in range(3):  # 1.8 s: not yet
+        now_ns += 600 * MS
+        cpu_ns = round((now_ns - begun_ns) * share)
+        emulator.step(now_ns)
+    assert said == []
+    for _ in range(5):
+        now_ns += 600 * MS
+        cpu_ns = round((now_ns - begun_ns) * share)
+        emulator.step(now_ns)
+    assert len(said) == told
+    assert json.loads((tmp_path / "status.json").read_text())["busy"] == pytest.approx(share)
+    emulator.port.close()
+
+
 def test_the_status_says_that_the_drives_are_there_before_any_frame_comes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
