@@ -139,7 +139,9 @@ class UserHost:
     def problems(self) -> Sequence[str]:
         """That, and why drives were refused."""
         said = self._of_side("problems")
-        return [*self.own_problems, *map(str, said if isinstance(said, list | tuple) else ())]
+        silent = [f"{self._failure}; nothing is sent until a reset"] if self._failure else []
+        garbled = [self._garbled] if self._garbled else []
+        return [*silent, *garbled, *map(str, said if isinstance(said, list | tuple) else ())]
 
     def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
         """See HostProtocol."""
@@ -188,7 +190,7 @@ class UserHost:
         try:
             return checked_frames(self._encode(command), self._own, "messages() of the host")
         except _RAISED as error:
-            self._failure = self._maker.told("nothing is sent any more: host().encode", error)
+            self._failure = self._maker.told("host().encode", error)
             return []
         finally:
             watch.within = False

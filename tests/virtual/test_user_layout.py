@@ -83,7 +83,7 @@ def test_a_layout_that_raises_in_a_tick_ends_in_a_fault_that_names_its_line(rig_
     report, traces = simulate(wrong(rig_file, encode("1 // (self.k - 300)")), rig_file.parent, 0.4)
     assert report.state == "FAULT"
     (told,) = [event.cause for event in report.events if "ZeroDivisionError" in event.cause]
-    assert told.startswith("bus.protocol = './wrong.py:Wrong': nothing is sent any more: host().encode: ./wrong.py:")
+    assert told.startswith("bus.protocol = './wrong.py:Wrong': host().encode: ./wrong.py:")
     assert abs(traces.force[-1]).max() == 0.0
     assert list(report.faults) == ["encoder_lost", "encoder_gap", "encoder_dead"]  # as of drives that do not answer
 
@@ -112,7 +112,9 @@ def test_drives_that_go_wrong_end_the_run_with_their_line(rig_file: Path) -> Non
 
 def test_a_layout_that_is_none_is_refused_by_its_key(rig_file: Path) -> None:
     rig = wrong(rig_file, encode("1 / 0"))
-    with pytest.raises(RigError, match=r"bus\.protocol = '\./wrong\.py:Wrong': nothing is sent any more"):
+    with pytest.raises(
+        RigError, match=r"bus\.protocol = '\./wrong\.py:Wrong': host\(\)\.encode: \./wrong\.py:\d+: ZeroDivisionError"
+    ):
         usable(rig, rig_file)
     with pytest.raises(RigError, match=r"none\.py: No such file"):
         load_rig(rig_file, ["bus.protocol=./none.py:Maker"])
@@ -125,9 +127,7 @@ def test_bought_drives_that_speak_otherwise_are_not_understood(rig_file: Path) -
     assert report.state == "CONNECTED"
 
 
-@pytest.mark.parametrize("words", [
-    ["sim", "--seconds", "0.3"], ["check"], ["compare", "--laws", "pd-feedforward", "--seconds", "1"],
-])  # fmt: skip
+@pytest.mark.parametrize("words", [["sim", "--seconds", "0.3"], ["check"]])
 def test_commands_take_a_users_layout(words: list[str], rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rig_file.parent)
     done = RUNNER.invoke(build_app(words[0]), [words[0], str(rig_file), *words[1:], "--set", MADE])

@@ -149,8 +149,8 @@ def test_a_host_that_raises_sends_nothing_until_a_reset() -> None:
     sent = [len(host.encode(command)) for _ in range(65)]
     assert sent == [3] * 59 + [0] * 6
     (problem,) = host.problems
-    assert problem.startswith("bus.protocol = './wrong.py:Wrong': nothing is sent any more: host().encode: ./wrong.py:")
-    assert problem.endswith("ZeroDivisionError: division by zero")
+    assert problem.startswith("bus.protocol = './wrong.py:Wrong': host().encode: ./wrong.py:")
+    assert problem.endswith("ZeroDivisionError: division by zero; nothing is sent until a reset")
     assert len(host.encode(command._replace(reset=True))) == 3
     assert host.problems == []
     assert len(host.encode(command)) == 3
