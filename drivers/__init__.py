@@ -7,6 +7,7 @@ Knows nothing of `hil` and `sim_plant`. Inside, imports run one way only; from t
     protocols        frame layouts: bytes to values and back, no I/O
     bus              real buses: SocketCAN and the local bus behind one Port
     config           what a rig file says of the bus
+    plugins          where classes come from, ours and those of users
     frame_length, arbitration      facts of ISO 11898-1 about one frame
     runtime, toml_file, frame      the runtime directory, configuration files, and the frame itself
 

@@ -5,9 +5,13 @@ schema for editors and `hil explain` are made from these declarations.
 """
 
 import re
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from drivers.plugins import Kind, known, unknown
 
 CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
 CHANNEL_RULE = "1 to 15 letters, digits, '_', '.' or '-', not '.' first"
@@ -208,6 +212,17 @@ class MoteusConfig(BaseModel):
     )
 
 
+# Our own frame layouts, and where the two sides of each are made. A user's is a class like
+# drivers.protocols.frame_layout.FrameLayout.
+LAYOUTS: dict[str, str] = {
+    "stage_fd": "drivers.protocols.built_in:StageFd",
+    "stage_classic": "drivers.protocols.built_in:StageClassic",
+    "cia402": "drivers.protocols.built_in:Cia402",
+    "moteus": "drivers.protocols.built_in:Moteus",
+    "dbc:FILE": "drivers.protocols.built_in:Dbc",
+}
+LAYOUT_KIND = Kind("frame layout", "frame layouts", "bus", "protocol", "hil.layouts", LAYOUTS, ("host", "drives"))
+
 KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emulated drives run on
 
 
@@ -229,9 +244,13 @@ class BusConfig(BaseModel):
     options: dict[str, Option] = key(
         {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
     )
-    protocol: Annotated[str, Field(pattern=r"^(stage_fd|stage_classic|cia402|moteus|dbc:.+)$")] = key(
-        "stage_fd", "frame layout: stage_fd, stage_classic, cia402, moteus, or dbc:FILE with FILE beside the rig file"
+    protocol: str = key(
+        "stage_fd",
+        f"frame layout: {', '.join(LAYOUTS)} with FILE beside the rig file; or one of your own: its registered name, "
+        "package.module:Class, or ./file.py:Class beside the rig file",
     )
+    parameters: dict[str, Any] = key({}, "of a frame layout of your own: what its class takes")
+    source: str = key("", "of such a layout: its file's text, or its package's digest; filled in when loaded")
     bitrate: int = key(1_000_000, "nominal bit rate", "bit/s", ge=10_000, le=1_000_000)
     data_bitrate: int = key(5_000_000, "bit rate of the data phase of CAN FD", "bit/s", ge=10_000, le=8_000_000)
     transmit_queue: int = key(16, "frames that may wait to be sent", "frames", ge=1, le=1000)
@@ -243,8 +262,17 @@ class BusConfig(BaseModel):
     moteus: MoteusConfig | None = key(None, "moteus: the controllers, where they are not as the defaults say")
     cia402: Cia402Config | None = key(None, "the drives' own EDS files; cia402 without it: the project's own drive")
 
+    @field_validator("protocol")
+    @classmethod
+    def _known_layout(cls, name: str) -> str:
+        if not known(LAYOUT_KIND, name):
+            raise ValueError(unknown(LAYOUT_KIND, name))
+        return name
+
     @model_validator(mode="after")
     def _every_key_acts(self) -> "BusConfig":
+        if self.parameters and LAYOUT_KIND.own(self.protocol):
+            raise ValueError(f"parameters: of a frame layout of your own; protocol = {self.protocol!r} takes none")
         for table, layout in (("dbc", "dbc:FILE"), ("cia402", "cia402"), ("moteus", "moteus")):
             if getattr(self, table) is not None and self.protocol.partition(":")[0] != table:
                 raise ValueError(f"{table}: a table of protocol = {layout!r}, not of {self.protocol!r}")
@@ -254,6 +282,21 @@ class BusConfig(BaseModel):
             if self.options:
                 raise ValueError(f"options: none are taken with interface = {self.interface!r}")
         return self
+
+
+class Wiring(NamedTuple):
+    """What a frame layout is made for.
+
+    bus: [bus] of the rig file. n_axes: number of axes. rated_force: N or N m per drive, its full scale. period_ns: of
+    the control loop. base_dir: folder of the rig file, for the files that our own layouts name; a layout of users reads
+    none.
+    """
+
+    bus: BusConfig
+    n_axes: int
+    rated_force: Sequence[float]
+    period_ns: int
+    base_dir: Path
 
 
 class WireConfig(BaseModel):

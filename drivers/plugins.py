@@ -42,6 +42,11 @@ class Kind(NamedTuple):
         """The key in full, such as law.name."""
         return f"{self.table}.{self.key}"
 
+    def own(self, name: str) -> str:
+        """`package.module:Name` of one of ours; empty for others. Ours that end in :FILE stand for every file."""
+        before, colon, _ = name.partition(":")
+        return self.ours.get(name, "") or (self.ours.get(f"{before}:FILE", "") if colon else "")
+
 
 def find(kind: Kind, name: str, source: str = "") -> Any:
     """What a name stands for; source: what the rig carries of it, the text of './file.py:Class' or a package's digest.
@@ -49,8 +54,8 @@ def find(kind: Kind, name: str, source: str = "") -> Any:
     Raises ValueError naming key, value and what is allowed, also where the installed package is another than that; and
     whatever the plug-in's own module raises, as a ValueError with its file and line.
     """
-    if name in kind.ours:
-        return load(kind.ours[name])
+    if ours := kind.own(name):
+        return load(ours)
     if file := file_of(name):
         attribute = name.rpartition(":")[2]
         return _checked(kind, getattr(_from_source(kind, file, source), attribute, None), name, attribute)
@@ -71,7 +76,7 @@ def package_digest(kind: Kind, name: str) -> str:
     """The digest of the installed package that a name stands for; empty for our own, for files, and for what is not to
     be had. Raises OSError where it cannot be read.
     """
-    if name in kind.ours or file_of(name):
+    if kind.own(name) or file_of(name):
         return ""
     return _digest_of(_target(kind, name).partition(":")[0])
 

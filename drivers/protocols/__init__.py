@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
 from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_straight
@@ -12,7 +12,15 @@ if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
-# The modules are imported where they are needed: a rig pays only for its own layout.
+
+class FrameLayout(Protocol):
+    """A frame layout, ours or a user's."""
+
+    def host(self) -> HostProtocol:
+        """A new host's side."""
+
+    def drives(self) -> DeviceProtocol:
+        """A new drives' side."""
 
 
 def host_protocol(
@@ -33,28 +41,7 @@ def host_protocol(
     if not is_straight(mountings):
         at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         return MountedHost(host_protocol(bus, n_axes, at_drive, base_dir, period_ns), mountings)
-    match bus.protocol:
-        case "stage_fd":
-            from drivers.protocols.stage_fd import StageFdHost
-
-            return StageFdHost(bus, n_axes, rated_force)
-        case "stage_classic":
-            from drivers.protocols.stage_classic import StageClassicHost
-
-            return StageClassicHost(bus, n_axes, rated_force)
-        case "cia402":
-            from drivers.protocols.canopen.host import Cia402Host
-
-            return Cia402Host(bus, n_axes, rated_force, period_ns, base_dir)
-        case "moteus":
-            from drivers.protocols.moteus import MoteusHost
-
-            return MoteusHost(bus, n_axes, rated_force, period_ns)
-        case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc import DbcHost
-
-            return DbcHost(bus, n_axes, rated_force, base_dir, period_ns)
-    raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
+    return _layout(bus, n_axes, rated_force, period_ns, base_dir).host()
 
 
 def device_protocol(
@@ -64,25 +51,17 @@ def device_protocol(
     if not is_straight(mountings):
         at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         return MountedDevice(device_protocol(bus, n_axes, at_drive, base_dir), mountings)
-    match bus.protocol:
-        case "stage_fd":
-            from drivers.protocols.stage_fd import StageFdDevice
+    return _layout(bus, n_axes, rated_force, 1_000_000, base_dir).drives()
 
-            return StageFdDevice(bus, n_axes, rated_force)
-        case "stage_classic":
-            from drivers.protocols.stage_classic import StageClassicDevice
 
-            return StageClassicDevice(bus, n_axes, rated_force)
-        case "cia402":
-            from drivers.protocols.canopen.listener import Cia402Listener
+def _layout(bus: "BusConfig", n_axes: int, rated_force: Sequence[float], period_ns: int, base_dir: Path) -> FrameLayout:
+    from drivers import plugins
+    from drivers.config import LAYOUT_KIND, Wiring
 
-            return Cia402Listener(bus, n_axes, rated_force, base_dir)
-        case "moteus":
-            from drivers.protocols.moteus import MoteusListener
+    wiring = Wiring(bus, n_axes, rated_force, period_ns, base_dir)
+    if ours := LAYOUT_KIND.own(bus.protocol):
+        made: FrameLayout = plugins.load(ours)(wiring)
+        return made
+    from drivers.protocols.user_layout import UserLayout
 
-            return MoteusListener(bus, n_axes, rated_force)
-        case name if name.startswith("dbc:"):
-            from drivers.protocols.dbc_device import DbcDevice
-
-            return DbcDevice(bus, n_axes, rated_force, base_dir)
-    raise LayoutError(f"bus.protocol = {bus.protocol!r}: not known")
+    return UserLayout(wiring)

@@ -7,6 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from drivers.protocols.base import LayoutError
 from drivers.runtime import RuntimeDirectoryError
 from drivers.text_file import printable
 from hil.cli.commands import Entry, add_commands, first_word, load
@@ -115,7 +116,7 @@ def run(app: typer.Typer) -> None:
         app()
     except RigError as error:
         _fail(EXIT_CONFIG, *error.problems)
-    except PlantError as error:
+    except (PlantError, LayoutError) as error:
         _fail(EXIT_CONFIG, error)
     except (RuntimeDirectoryError, IncompleteError) as error:
         _fail(EXIT_UNAVAILABLE, error)

@@ -32,7 +32,7 @@ from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
-from hil.rig.bus_load import refuse_unschedulable
+from hil.rig.bus_load import layout_problem, refuse_unschedulable
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.former_keys import show_former_keys
@@ -103,7 +103,7 @@ def validated(path: Path, overrides: list[str]) -> RigConfig:
     try:
         wrapping = encoder_range_problems(config, path.parent)
     except (ValueError, OSError) as error:
-        raise RigError([f"{path}: bus.protocol = {config.bus.protocol!r}: {error}"]) from None
+        raise RigError([f"{path}: {layout_problem(config, error)}"]) from None
     if doubtful := [*wrapping, *unit_questions(config)]:
         raise RigError([f"{path}: {problem}" for problem in doubtful])
     try:

@@ -19,7 +19,15 @@ from hil.control.feasibility import start_notes, task_problems
 from hil.control.learning_check import check_learning
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
-from hil.rig.bus_load import analyse_rig, feedback_notes, layout_warnings, microseconds, problems, rig_messages
+from hil.rig.bus_load import (
+    analyse_rig,
+    emulation_notes,
+    feedback_notes,
+    layout_warnings,
+    microseconds,
+    problems,
+    rig_messages,
+)
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import encoder_notes
@@ -46,7 +54,8 @@ def check_rig(
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
     warnings = layout_warnings(rig, rig_file.parent)
-    for note in [*encoder_notes(rig), *feedback_notes(rig, rig_file.parent), *interface_notes(rig), *warnings]:
+    layout = [*feedback_notes(rig, rig_file.parent), *emulation_notes(rig)]
+    for note in [*encoder_notes(rig), *layout, *interface_notes(rig), *warnings]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)

@@ -230,11 +230,12 @@ def _reload(root: Path, channel: str = "") -> None:
 
 def _needs_fd(rig: RigConfig, base_dir: Path) -> bool:
     from drivers.protocols import host_protocol  # slow, and only needed where a rig is installed
+    from hil.rig.bus_load import layout_problem
 
     try:
         return host_protocol(rig.bus, len(rig.axes), [axis.rated_force for axis in rig.axes.values()], base_dir).fd
     except ValueError as error:
-        raise RigError([f"bus.protocol = '{rig.bus.protocol}': {error}"]) from None
+        raise RigError([layout_problem(rig, error)]) from None
 
 
 def install_rig(

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.config import LAYOUT_KIND
 from drivers.plugins import DIGEST, Kind, file_of, known, package_digest
 from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import shown
@@ -18,7 +19,7 @@ from hil.rig.task_kinds import KIND, is_users, run_task
 from sim_plant.config import STAGE_KIND
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-PLUGINS = (law_names.KIND, KIND, STAGE_KIND)
+PLUGINS = (law_names.KIND, KIND, STAGE_KIND, LAYOUT_KIND)
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
@@ -52,7 +53,8 @@ def named_files(rig: RigConfig) -> dict[str, str]:
     """The files that a rig names, by key: their paths, as the rig has them."""
     named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key)) for plugin in PLUGINS}
     kind, _, dbc = rig.bus.protocol.partition(":")
-    named["bus.protocol"] = dbc if kind == "dbc" else ""
+    if kind == "dbc":
+        named["bus.protocol"] = dbc
     named["task.file"] = rig.task.file
     named["law.learnt"] = rig.law.learnt
     return {key: name for key, name in named.items() if name}
@@ -64,7 +66,7 @@ def _read_source(document: dict[str, Any], plugin: Kind, folder: Path, *, chosen
     if not isinstance(table, dict):
         return
     name, source = table.get(plugin.key), table.pop("source", "")
-    if not isinstance(name, str) or name in plugin.ours:
+    if not isinstance(name, str) or plugin.own(name):
         return
     file = file_of(name)
     try:

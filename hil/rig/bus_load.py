@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 from drivers.bus_load.schedulability import Analysis, analyse
+from drivers.config import LAYOUT_KIND
 from drivers.protocols import host_protocol
 from drivers.protocols.base import HostProtocol, Message
 from drivers.protocols.mounting import MountedHost
@@ -16,7 +17,13 @@ def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     try:
         return host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
     except (ValueError, OSError) as error:
-        raise RigError([f"bus.protocol = {rig.bus.protocol!r}: {error}"]) from None
+        raise RigError([layout_problem(rig, error)]) from None
+
+
+def layout_problem(rig: RigConfig, error: Exception) -> str:
+    """Why the rig cannot have its layout, with the key."""
+    text = str(error)
+    return text if text.startswith("bus.protocol = ") else f"bus.protocol = {rig.bus.protocol!r}: {text}"
 
 
 def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
@@ -36,6 +43,18 @@ def feedback_notes(rig: RigConfig, base_dir: Path) -> list[str]:
         f"drives sample in their own time: a position is {least_ms:.1f} to {most_ms:.1f} ms old when the force made of "
         f"it acts; the stability below counts {rig.period_ns * 1e-6:g} ms. The rest, {more_ms:.1f} ms, costs "
         f"{0.36 * more_ms:.2f} degrees of phase per Hz of the loop's crossover"
+    ]
+
+
+def emulation_notes(rig: RigConfig) -> list[str]:
+    """What runs against the emulated drives of a layout cannot show, for people; nothing where those drives are made
+    from another document than the layout.
+    """
+    if LAYOUT_KIND.own(rig.bus.protocol) or rig.plant.drive is not None:
+        return []
+    return [
+        f"emulated drives: the drives' side of {rig.bus.protocol} itself. A run with them shows that its two "
+        "sides agree, not that a drive you bought does; plant.drive has drives made from their makers' documents"
     ]
 
 

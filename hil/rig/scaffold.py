@@ -8,9 +8,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from drivers.config import LAYOUTS as OF_DRIVERS
 from hil.rig.tables import MAX_AXES
 
-LAYOUTS = ("stage_fd", "stage_classic", "cia402", "moteus", "dbc")
+LAYOUTS = tuple(name.partition(":")[0] for name in OF_DRIVERS)
 MOTEUS_COUNTS = 100_000  # per turn of a controller's output shaft
 GRAVITY = 9.81  # m/s^2
 MOVE_SHARE, FORCE_SHARE, SPEED_SHARE = 0.1, 0.2, 0.5  # the first move: of the travel, the rated force, the speed limit

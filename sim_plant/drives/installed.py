@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from drivers.config import BusConfig
+from drivers.config import LAYOUT_KIND, BusConfig
 from drivers.frame import Frame
 from drivers.protocols.mounting import Mounting
 from sim_plant.config import EmulatedDriveConfig
@@ -58,7 +58,7 @@ def installed_drives(
     """
     layout = "dbc" if bus.protocol.startswith("dbc:") else bus.protocol
     kind = config.kind if config else layout
-    if layout != SPOKEN.get(kind, "dbc"):
+    if LAYOUT_KIND.own(bus.protocol) and layout != SPOKEN.get(kind, "dbc"):  # of a user's, it is to be seen
         raise ValueError(f"plant.drive.kind = {kind!r}: such drives do not speak bus.protocol = {bus.protocol!r}")
     if kind == "cia402":
         return _cia402(bus, config, base_dir, servos, positions, start_ns)

@@ -221,3 +221,15 @@ for path in LAWS_OF_USERS:
     compiled = told(HERE / "bin" / "python", "-P", "-c", hash_all)
     assert len(set(compiled.split()[1::2])) == 5
     assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_all)
+
+
+@needs_build
+def test_a_users_frame_layout_runs_in_it_and_carries_the_same_bytes() -> None:
+    hash_it = """
+from tests.support.hashes import run_hash
+from tests.support.wrong_layouts import MAKER
+print(run_hash("paper.toml", (f"bus.protocol={MAKER}:Maker", "task.radius=1e-3"), 300))
+"""
+    compiled = told(HERE / "bin" / "python", "-P", "-c", hash_it)
+    assert len(compiled.strip()) == 64
+    assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_it)
