@@ -30,9 +30,12 @@ ROOMS = {
          "tests/telemetry/test_recorder.py", _PAGES, *_RUNS,
          *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
-    "users' laws": Room(
-        ("hil/control/laws/users.py", "hil/control/law_registry.py"),
-        ("tests/control/test_user_laws.py", "tests/control/test_laws.py"),
+    "plug-ins": Room(
+        ("hil/control/laws/users.py", "hil/control/law_registry.py", "drivers/plugins.py", "drivers/package_digest.py",
+         "drivers/call_limit.py"),
+        ("tests/drivers/test_plugin_folder.py", "tests/drivers/test_package_digest.py",
+         "tests/drivers/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+         "tests/virtual/test_installed_law.py", "tests/control/test_laws.py"),
     ),
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
