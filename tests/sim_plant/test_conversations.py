@@ -11,7 +11,7 @@ import pytest
 from drivers.protocols.base import DriveStatus
 from tests.support.conversation_reference import FILE, PIECES, digest, drives, talk
 
-KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["pieces"]
+KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["drives"]
 
 
 def test_there_are_hashes_of_every_conversation(tmp_path: Path) -> None:

@@ -1,10 +1,11 @@
-"""What every emulated drive says and does in long conversations, as hashes kept in tests/reference/conversations.json.
+"""What drives and hosts say and do in long conversations, as hashes kept in tests/reference/conversations.json.
 
     python -m tests.support.reference conversations     renew it, after a change that is meant to change what drives do
 
 A conversation is drawn from a seed: commands in any order, reads of everything there is, frames that are too short, for
 others or of the wrong kind, times of silence, and what fault injection does to a servo. Each piece of it has a hash, so
 that the first that differs tells where to look: `python -m tests.support.conversation_reference NAME PIECE` shows it.
+Those of hosts are in host_conversations.py.
 """
 
 import hashlib
@@ -29,6 +30,7 @@ from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.drives.vesc import Motor as VescMotor
 from sim_plant.drives.vesc import Vesc
+from tests.support import host_conversations
 from tests.support.foreign_drive import FULL_DRIVE, I16, MOTION_DRIVE, U8, U32, Fact, eds_text
 from tests.support.paths import ROOT
 
@@ -263,15 +265,15 @@ OPTIONS |= {(0x6087, 0): Fact(U32, "rw", "4000"), (0x1029, 1): Fact(U8, "rw", "0
 def drives(folder: Path) -> dict[str, tuple[Node, Ask]]:
     """Every kind of drive, fresh, with who asks it. folder: for EDS files."""
     made: dict[str, tuple[Node, Ask]] = {
-        "odrive": _odrive(0),
-        "odrive that takes its time": _odrive(2 * MS),
-        "vesc": _vesc(),
-        "moteus": _moteus(0),
-        "moteus that takes its time": _moteus(2 * MS),
+        "an odrive": _odrive(0),
+        "an odrive that takes its time": _odrive(2 * MS),
+        "a vesc": _vesc(),
+        "a moteus": _moteus(0),
+        "a moteus that takes its time": _moteus(2 * MS),
     }
     quirky = Quirks(enable_delay_ns=3 * MS, answer_delay_ns=MS // 2, status_bits=0x4000, answers="segmented")
     blocks = NO_QUIRKS._replace(answers="block", missing=frozenset({0x601700}), aborts={0x100100: 0x08000000})
-    for name, quirks in (("cia402", NO_QUIRKS), ("cia402, quirky", quirky), ("cia402, by blocks", blocks)):
+    for name, quirks in (("canopen", NO_QUIRKS), ("canopen, quirky", quirky), ("canopen, by blocks", blocks)):
         eds, sizes = _by_eds(folder, "full.eds", FULL_DRIVE | OPTIONS)
         drive = Cia402Drive(5, _servo(brake=True), lambda: 0.00125, eds=eds, quirks=quirks)
         made[name] = drive, Master(5, sizes)
@@ -316,20 +318,30 @@ def digest(lines: Sequence[str]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def hashes() -> dict[str, list[str]]:
-    """Of every piece, by conversation."""
+def hashes() -> dict[str, dict[str, list[str]]]:
+    """Of every piece, by conversation: of emulated drives, and of hosts."""
     with TemporaryDirectory() as folder:
+        of_drives = {name: talk(*made, Random(name)) for name, made in drives(Path(folder)).items()}
+        of_hosts = {name: host_conversations.talk(name) for name in host_conversations.TALKS}
+        kinds = {"drives": of_drives, "hosts": of_hosts}
         return {
-            name: [digest(lines) for lines in talk(*made, Random(name))] for name, made in drives(Path(folder)).items()
+            kind: {name: [digest(lines) for lines in pieces] for name, pieces in talks.items()}
+            for kind, talks in kinds.items()
         }
 
 
 def renew() -> None:
     """Write the file anew."""
-    document = {"renew": "python -m tests.support.reference conversations", "pieces": hashes()}
+    document = {"renew": "python -m tests.support.reference conversations", **hashes()}
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
+def _pieces(name: str) -> list[list[str]]:
+    if name in host_conversations.TALKS:
+        return list(host_conversations.talk(name))
+    with TemporaryDirectory() as folder:
+        return list(talk(*drives(Path(folder))[name], Random(name)))
+
+
 if __name__ == "__main__":
-    with TemporaryDirectory() as here:
-        print(*list(talk(*drives(Path(here))[sys.argv[1]], Random(sys.argv[1])))[int(sys.argv[2])], sep="\n")
+    print(*_pieces(sys.argv[1])[int(sys.argv[2])], sep="\n")
