@@ -5,7 +5,8 @@ import math
 import pytest
 
 from hil.control.laws.base import Model
-from hil.cycle.axes import Axes
+from hil.control.nominal_model import rig_model
+from hil.cycle.axes import axis_model  # in the compiled build, that of native floats
 from hil.cycle.damped_stop import DampedStop
 from hil.rig.file import load_rig
 from tests.support.paths import RIGS
@@ -20,7 +21,8 @@ def models() -> list[Model]:
     stated = {"x": (0.5, 1.5), "y": (0.25, 0.0)}
     changes = [f"axes.{name}.model.mass={mass}" for name, (mass, _) in stated.items()]
     changes += [f"axes.{name}.model.gravity={gravity}" for name, (_, gravity) in stated.items()]
-    return list(Axes(load_rig(RIGS / "paper.toml", ["task.kind=hold", *changes])).models)
+    whole = rig_model(load_rig(RIGS / "paper.toml", ["task.kind=hold", *changes]))
+    return [axis_model(whole, axis) for axis in range(2)]
 
 
 @pytest.fixture(scope="module")

@@ -72,15 +72,17 @@ ROOMS = {
     "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/test_runtime.py")),
     "layouts": Room(
         ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py"),
-        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/protocols",
+        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py",
+         "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/protocols/test_drive_plans.py",
+         "tests/drivers/protocols",
          "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,
          "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py"),
     ),
     "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
     "drives": Room(
-        ("sim_plant/drives",), ("tests/sim_plant/test_drive.py", "tests/drivers/protocols", "tests/sim_plant",
-         "tests/virtual/test_seeded_mistakes.py", *_RUNS)
+        ("sim_plant/drives",), ("tests/sim_plant/test_conversations.py", "tests/sim_plant/test_drive.py",
+         "tests/drivers/protocols", "tests/sim_plant", "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(
