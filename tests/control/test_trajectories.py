@@ -107,6 +107,21 @@ def test_any_frequency_keeps_its_phase(frequency: float, t_ns: int) -> None:
     assert np.hypot(*sample.position[0]) == pytest.approx(0.5, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("off", "first"), [(1e-6, "approach"), (-1e-6, "approach"), (1.01e-6, "home"), (-1.01e-6, "home")]
+)
+def test_an_injection_goes_home_first_from_wherever_else_the_stage_stands(off: float, first: str) -> None:
+    task = injection_task()
+    assert task.injection is not None
+    for axis in range(4):
+        start = np.array(task.injection.home)
+        assert start[axis] == 0.0
+        start[axis] = off
+        trajectory = make_trajectory(task, ["x", "y", "z", "theta"], start, PERIOD)
+        assert trajectory.phase_names[trajectory.phase_at(1)] == first
+        assert trajectory.sample(np.zeros(4, np.int64)).position.tolist() == start.tolist()
+
+
 def test_start_elsewhere_is_blended_without_a_jump() -> None:
     circle = make_trajectory(CIRCLE, ["x", "y"], np.array([0.1, -0.3]), PERIOD)
     times = np.arange(0, 2_100 * MS, MS)

@@ -177,3 +177,14 @@ def test_words_of_the_cycle_are_an_event_of_their_tick() -> None:
     assert (refused.tick, refused.time_ns, refused.run_ns) == (3, 77, 3 * PERIOD)
     assert event_of(Note(Kind.LAW, "my_law.py:7: no", 5, 78), PERIOD).name == "failed"
     assert event_of(Note(Kind.LAW, "my_law.py:7: no", -1, 78), PERIOD).run_ns == 0
+
+
+def test_what_a_busy_machine_has_in_every_second_is_told_once_in_it() -> None:
+    records = quiet(1000, first=1000)
+    for tick in (100, 300, 500, 700):
+        records["index"][tick:] += 2
+        records["now_ns"][tick + 50] += PERIOD
+    events = told(records)
+    kinds = (Kind.TICKS_LOST, Kind.TICK_LATE)
+    found = {kind: [(event.tick - 1000, event.times) for event in events if event.kind is kind] for kind in kinds}
+    assert found == {Kind.TICKS_LOST: [(102, 1), (708, 3)], Kind.TICK_LATE: [(152, 1), (758, 3)]}

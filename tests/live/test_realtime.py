@@ -94,7 +94,7 @@ def test_a_refusal_names_what_was_refused_and_what_to_do():
 def test_asking_for_nothing_is_granted_and_leaves_the_scheduler_alone():
     seen = probe(before=POWERLESS, realtime=False)
     assert seen["ok"]
-    assert seen["policy"] == os.SCHED_OTHER
+    assert seen["policy"] == os.sched_getscheduler(0)  # whatever it was: tests may run in the idle class
     assert seen["locked"] == "0"
     assert seen["affinity"] == sorted(os.sched_getaffinity(0))
 

@@ -60,7 +60,7 @@ class Verdict(NamedTuple):
 
 def copy_tree(root: Path, into: Path) -> None:
     """The checkout's sources, tests and data as they are on disk, committed or not."""
-    for name in ("drivers", "hil", "sim_plant", "tests", "deploy", "docs"):
+    for name in ("drivers", "hil", "sim_plant", "tests", "deploy", "docs", "examples"):
         shutil.copytree(root / name, into / name, ignore=shutil.ignore_patterns("__pycache__", "*.so", "build"))
     for name in ("pyproject.toml", "README.md", "Makefile", "CHANGELOG.md", "LICENSE", "requirements.lock"):
         shutil.copy2(root / name, into / name)

@@ -30,9 +30,12 @@ ROOMS = {
          "tests/telemetry/test_recorder.py", _PAGES, *_RUNS,
          *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
-    "users' laws": Room(
-        ("hil/control/laws/users.py", "hil/control/law_registry.py"),
-        ("tests/control/test_user_laws.py", "tests/control/test_laws.py"),
+    "plug-ins": Room(
+        ("hil/control/laws/users.py", "hil/control/law_registry.py", "drivers/plugins.py", "drivers/package_digest.py",
+         "drivers/call_limit.py"),
+        ("tests/drivers/test_plugin_folder.py", "tests/drivers/test_package_digest.py",
+         "tests/drivers/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+         "tests/virtual/test_installed_law.py", "tests/control/test_laws.py"),
     ),
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
@@ -69,15 +72,17 @@ ROOMS = {
     "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/test_runtime.py")),
     "layouts": Room(
         ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py"),
-        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/protocols",
+        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py",
+         "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/protocols/test_drive_plans.py",
+         "tests/drivers/protocols",
          "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,
          "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py"),
     ),
     "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
     "drives": Room(
-        ("sim_plant/drives",), ("tests/sim_plant/test_drive.py", "tests/drivers/protocols", "tests/sim_plant",
-         "tests/virtual/test_seeded_mistakes.py", *_RUNS)
+        ("sim_plant/drives",), ("tests/sim_plant/test_conversations.py", "tests/sim_plant/test_drive.py",
+         "tests/drivers/protocols", "tests/sim_plant", "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
     "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
     "admission": Room(

@@ -85,6 +85,14 @@ def test_no_file_is_in_two_rooms_and_the_safety_core_is_in_one() -> None:
     assert {file for path in core for file in python_files(ROOT, path)} <= set(files)
 
 
+def test_every_test_of_the_mutated_folders_is_in_a_room() -> None:
+    """A file that is left out notices no mutant, and nobody would miss it."""
+    taken = {test for room in ROOMS.values() for test in files_to_run(ROOT, room, room.sources[0])}
+    for folder in ("cycle", "control", "drivers", "sim_plant", "live", "telemetry", "rig"):
+        tests = {path for path in python_files(ROOT, f"tests/{folder}") if Path(path).name.startswith("test_")}
+        assert tests <= taken
+
+
 def test_every_explanation_says_why() -> None:
     explained = Explained()
     for row in explained.rows:

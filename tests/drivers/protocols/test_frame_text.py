@@ -67,3 +67,22 @@ def test_a_command_says_each_axis_force_and_what_is_disabled() -> None:
     said = command_text(Command(7, [0.5, -1.25], 0b01, True), ["x", "y"])
     assert said == "force x +0.5, y -1.25 (disabled), reset"
     assert command_text(Command(7, [0.0, 0.0], 0b11, False), ["x", "y"]) == "force x +0, y +0"
+
+
+def test_every_code_that_has_words_of_its_own_says_them() -> None:
+    known = {
+        0x2310: "continuous over-current at the output", 0x2320: "short circuit or earth leakage at the output",
+        0x3210: "over-voltage of the DC link", 0x3220: "under-voltage of the DC link",
+        0x4210: "excess temperature of the device", 0x4310: "excess temperature of the drive",
+        0x6320: "parameter error", 0x7121: "motor blocked", 0x7305: "incremental encoder 1", 0x7320: "position sensor",
+        0x8110: "CAN overrun", 0x8120: "CAN in error passive",
+        0x8130: "heartbeat or life guarding: the host fell silent", 0x8140: "recovered from bus-off",
+        0x8210: "PDO not processed: too short", 0x8220: "PDO too long", 0x8240: "unexpected length of SYNC",
+        0x8250: "RPDO timed out", 0x8611: "following error", 0x8612: "reference limit",
+    }  # fmt: skip
+    for code, words in known.items():
+        assert emergency_words(struct.pack("<HB5x", code, 0)) == f"emergency {code:04X}h: {words}; error register none"
+    for high, words in CLASSES.items():
+        for code in (high << 8, high << 8 | 0xFF):
+            assert emergency_words(struct.pack("<HB5x", code, 0)).split(": ")[1] == f"{words}; error register none"
+    assert emergency_words(bytes(8)) == "emergency 0000h: no error any more"

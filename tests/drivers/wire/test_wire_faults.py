@@ -5,7 +5,7 @@ import pytest
 from drivers.bus.counters import BusState
 from drivers.frame import BRS, FD, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
-from drivers.wire.faults import FaultKind, Random, WireFault
+from drivers.wire.faults import FOREVER_NS, FaultKind, Random, WireFault
 from drivers.wire.wire import Wire
 from tests.support.wire_rig import BIT, COMMAND, FEEDBACK, MS, Rig, bits
 
@@ -198,6 +198,41 @@ def test_faults_can_be_injected_while_the_bus_runs() -> None:
 def test_an_impossible_fault_is_refused_by_name(options: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         WireFault(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high"),
+    [
+        ("from_ns", 0, FOREVER_NS - 1),
+        ("until_ns", 8, FOREVER_NS),  # from_ns is 7
+        ("count", 0, 2**31),
+        ("delay_ns", 0, FOREVER_NS),
+        ("bit", -1, 1000),
+        ("period_ns", 0, FOREVER_NS),
+        ("length", 0, 8),
+    ],
+)
+def test_every_number_of_a_fault_has_a_range_whose_ends_belong_to_it(key: str, low: int, high: int) -> None:
+    given = {"from_ns": 7} if key == "until_ns" else {}
+    for value in (low, high):
+        assert getattr(WireFault(FaultKind.DROP, **given, **{key: value}), key) == value  # type: ignore[arg-type]
+    most = FOREVER_NS if key == "from_ns" else high
+    for value in (low - 1, most + 1):
+        with pytest.raises(ValueError, match=f"wire fault drop: {key} = {value}, allowed {low} to {most}"):
+            WireFault(FaultKind.DROP, **given, **{key: value})  # type: ignore[arg-type]
+
+
+def test_the_defaults_are_a_fault_that_lasts_of_every_frame() -> None:
+    fault = WireFault(FaultKind.DROP)
+    assert (fault.from_ns, fault.until_ns, fault.can_id, fault.node, fault.receiver) == (
+        0,
+        FOREVER_NS,
+        None,
+        None,
+        None,
+    )
+    assert (fault.count, fault.probability, fault.delay_ns, fault.bit) == (0, 1.0, MS, -1)
+    assert (fault.period_ns, fault.length) == (0, 8)
 
 
 def test_a_fault_of_an_unknown_node_names_those_there_are() -> None:

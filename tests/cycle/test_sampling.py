@@ -1,0 +1,182 @@
+"""Sampling by numbers: instants, intervals, latency and shares of every axis, against the rules written down."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.config import BusConfig
+from drivers.protocols import host_protocol
+from drivers.protocols.base import Sample
+from hil.cycle.axes import axis_inputs  # in the compiled build, those that a rig's cycle works with
+from hil.cycle.fault_monitor import FaultMonitor
+from hil.cycle.fault_table import Fault
+from hil.cycle.inbox import Inbox
+from hil.cycle.sampling import LATENCY_STEP_NS, LONGEST_PERIODS, Sampling
+from tests.cycle.test_fault_thresholds import INNOVATION, LIMITS, PERIOD_NS, SAFETY
+
+AXES = 2
+RESOLUTION = [1e-6, 2e-6]
+JUMP = [round(limit.jump_step / step) for limit, step in zip(LIMITS, RESOLUTION, strict=True)]  # counts a period
+
+
+class Bench:
+    """Sampling of two axes, shown one tick after the other. acts_ns: of drives that sample in their own time."""
+
+    def __init__(self, *acts_ns: int) -> None:
+        self.inputs = [axis_inputs() for _ in range(AXES)]
+        self.inbox = Inbox(host_protocol(BusConfig(), AXES, [5.0, 5.0], Path()), 100)
+        self.monitor = FaultMonitor(SAFETY, LIMITS, PERIOD_NS, INNOVATION)
+        self.sampling = Sampling(self.inputs, self.inbox, RESOLUTION, PERIOD_NS, acts_ns)
+
+    def tick(self, now_ns: int, *samples: tuple[int, int] | None, sent_ns: int = -1) -> None:
+        """samples: stamp and counts of each axis, or None where no answer came."""
+        self.monitor.begin()
+        self.inbox.samples = [None if s is None else Sample(axis, s[1], 0, 0, s[0]) for axis, s in enumerate(samples)]
+        self.inbox.fresh = [s is not None for s in samples]
+        self.sampling.take(now_ns, now_ns - PERIOD_NS if sent_ns < 0 else sent_ns, self.monitor)
+
+    def faults(self) -> list[Fault]:
+        return [fault for fault in Fault if self.monitor.active >> fault & 1]
+
+
+def test_a_sample_s_instant_is_its_stamp_and_a_missing_one_s_a_period_later() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 10), (301_000, 20))
+    assert bench.sampling.instants == [300_000, 301_000]
+    assert [x.position for x in bench.inputs] == [10 * RESOLUTION[0], 20 * RESOLUTION[1]]
+    assert [(x.sample_interval, x.fresh, x.answered) for x in bench.inputs] == [(1e-3, 1.0, 1.0)] * 2
+    bench.sampling.tracked = True
+    bench.tick(2_000_000, (1_300_500, 11), None)
+    assert bench.sampling.instants == [1_300_500, 1_301_000]
+    assert [x.sample_interval for x in bench.inputs] == [pytest.approx(1.0005e-3, rel=1e-12), 1e-3]
+    assert [(x.fresh, x.answered) for x in bench.inputs] == [(1.0, 1.0), (0.0, 1.0)]
+    bench.tick(3_000_000, None, None)
+    assert [(x.fresh, x.answered) for x in bench.inputs] == [(0.0, 0.0)] * 2
+    assert [x.position for x in bench.inputs] == [11 * RESOLUTION[0], 20 * RESOLUTION[1]], "left as they were"
+
+
+@pytest.mark.parametrize(
+    ("step_ns", "stretch"),
+    [(PERIOD_NS, 1.0), (3 * PERIOD_NS // 2, 1.0), (3 * PERIOD_NS // 2 + 1, 1.500001), (5 * PERIOD_NS, 5.0)],
+)
+def test_an_interval_is_stretched_where_more_than_half_a_slot_was_skipped(step_ns: int, stretch: float) -> None:
+    bench = Bench()
+    bench.sampling.tracked = True
+    for axis in range(AXES):
+        bench.sampling.clocks[axis].instant = 400_000
+    bench.tick(1_000_000 + step_ns, (400_000 + step_ns, 0), None)
+    assert [clock.stretch for clock in bench.sampling.clocks] == [pytest.approx(stretch, rel=1e-12), 1.0]
+    assert bench.inputs[0].sample_interval == pytest.approx(step_ns * 1e-9, rel=1e-12)
+    bench.tick(2_000_000 + step_ns, None, None)
+    assert [clock.stretch for clock in bench.sampling.clocks] == [1.0, 1.0]
+
+
+def test_before_the_axes_are_tracked_every_position_is_believed_and_every_interval_is_a_period() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 0), (300_000, 0))
+    bench.tick(9_000_000, (8_700_000, 9_000_000), (8_700_000, 9_000_000))
+    assert bench.faults() == []
+    assert [(x.sample_interval, x.fresh) for x in bench.inputs] == [(1e-3, 1.0)] * 2
+
+
+def test_a_stamp_that_jumps_makes_no_interval_of_hours_and_none_below_zero() -> None:
+    bench = Bench()
+    bench.sampling.tracked = True
+    bench.tick(1_000_000, (300_000, 0), (300_000, 0))
+    bench.tick(2_000_000, (10**13, 0), (200_000, 0))
+    assert [x.sample_interval for x in bench.inputs] == [LONGEST_PERIODS * 1e-3, 0.0]
+
+
+def test_a_step_that_cannot_be_true_is_left_out_and_measured_from_the_last_that_was_believed() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 0), (300_000, 0))
+    bench.sampling.tracked = True
+    bench.tick(2_000_000, (1_300_000, JUMP[0] + 2), (1_300_000, JUMP[1] - 2))
+    assert bench.faults() == [Fault.ENCODER_GLITCH]
+    assert [(x.fresh, x.position, x.answered) for x in bench.inputs] == [
+        (0.0, 0.0, 1.0),
+        (1.0, (JUMP[1] - 2) * RESOLUTION[1], 1.0),
+    ]
+    assert bench.sampling.instants == [1_300_000] * 2
+    bench.tick(3_000_000, (2_300_000, 2 * JUMP[0] - 2), (2_300_000, JUMP[1]))
+    assert bench.faults() == [], "two periods from the last that was believed"
+    assert [x.position for x in bench.inputs] == [(2 * JUMP[0] - 2) * RESOLUTION[0], JUMP[1] * RESOLUTION[1]]
+
+
+def test_nobody_answered_where_all_that_came_was_left_out() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 0), (300_000, 0))
+    bench.sampling.tracked = True
+    bench.tick(2_000_000, (1_300_000, 9 * JUMP[0]), None)
+    assert [x.answered for x in bench.inputs] == [0.0, 0.0]
+
+
+# latency --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_first_sample_tells_the_latency_and_a_reset_forgets_it() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (250_000, 0), (270_000, 0))
+    assert [clock.latency for clock in bench.sampling.clocks] == [250_000, 270_000]
+    assert bench.sampling.starts == [1_250_000, 1_270_000]
+    assert [x.ahead for x in bench.inputs] == [1e-3, 1e-3]
+    bench.sampling.tracked = True
+    bench.sampling.restart()
+    assert not bench.sampling.tracked
+    bench.tick(2_000_000, (1_900_000, 0), (1_900_000, 0))
+    assert [clock.latency for clock in bench.sampling.clocks] == [900_000] * 2
+
+
+@given(st.lists(st.integers(0, 500_000), min_size=1, max_size=60))
+def test_the_latency_follows_its_average_in_steps(delays: list[int]) -> None:
+    """The average over 64 samples in whole nanoseconds; what is used stays until it is off by more than a step."""
+    bench = Bench()
+    average = used = delays[0]
+    for k, delay in enumerate(delays):
+        sent = k * PERIOD_NS
+        bench.tick(sent + PERIOD_NS, (sent + delay, 0), None, sent_ns=sent)
+        average += (delay - average) // 64 if k else 0
+        used = average if abs(average - used) > 1000 else used
+        assert bench.sampling.clocks[0].latency == used
+        assert bench.sampling.starts[0] == sent + PERIOD_NS + used
+        assert bench.inputs[0].ahead == (sent + PERIOD_NS + used - (sent + delay)) * 1e-9
+    assert LATENCY_STEP_NS == 1000
+
+
+@pytest.mark.parametrize(("off", "used"), [(1000, 0), (1001, 1001), (-1000, 0), (-1001, -1001)])
+def test_a_latency_is_followed_when_its_average_is_off_by_more_than_a_step(off: int, used: int) -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 0), None)
+    bench.tick(2_000_000, (1_300_000 + 64 * off, 0), None)
+    assert bench.sampling.clocks[0].latency == 300_000 + used
+
+
+# drives that sample in their own time ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("latency", "acts", "share"),
+    [(300_000, 100_000, 0.2), (300_000, 300_000, 0.0), (100_000, 300_000, 0.0), (1_600_000, 200_000, 1.0)],
+)
+def test_where_sampling_and_the_force_s_beginning_are_two_instants_both_are_known(
+    latency: int, acts: int, share: float
+) -> None:
+    bench = Bench(acts, acts + 50_000)
+    now = 5_000_000
+    bench.tick(now, (now - PERIOD_NS + latency, 0), (now - PERIOD_NS + latency, 0))
+    sampled = now - PERIOD_NS + latency
+    assert bench.sampling.instants == [sampled] * 2
+    assert bench.sampling.starts == [now + acts, now + acts + 50_000]
+    assert [x.ahead for x in bench.inputs] == [max(0, start - sampled) * 1e-9 for start in bench.sampling.starts]
+    assert bench.sampling.shares == [
+        pytest.approx(share, rel=1e-12),
+        pytest.approx(min(max(latency - acts - 50_000, 0) / PERIOD_NS, 1.0), rel=1e-12),
+    ]
+
+
+def test_of_all_other_drives_the_latest_force_acts_in_no_part_of_the_interval() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (900_000, 0), (900_000, 0))
+    assert bench.sampling.shares == [0.0, 0.0]

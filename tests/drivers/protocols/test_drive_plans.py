@@ -1,0 +1,24 @@
+"""What is written to a drive, in which order, and what refuses it, in full, for drives that differ in one thing each.
+Where a change is meant, `python -m tests.support.reference drives` renews tests/reference/drive_plans.json.
+"""
+
+import json
+
+import pytest
+
+from drivers.protocols.canopen.profile import FULL_SCALE, rated_torque
+from tests.support.drive_plan_reference import FILE, texts
+
+
+def test_a_drive_is_told_what_it_always_was() -> None:
+    known = json.loads(FILE.read_text(encoding="utf-8"))["plans"]
+    assert texts() == known, "python -m tests.support.reference drives"
+    assert sum(not lines for lines in known.values()) <= 3, "they do differ"
+
+
+@pytest.mark.parametrize("rated_force", [1e-9, 0.032767, 0.0327671, 0.5, 3.0, 32.767, 1000.0])
+def test_a_rated_force_is_said_in_the_finest_unit_that_can_say_it(rated_force: float) -> None:
+    unit, most = rated_torque(rated_force)
+    assert 1 <= most <= FULL_SCALE or rated_force < 1e-6
+    assert most * unit <= rated_force * 1e6 < (most + 1) * unit or most == FULL_SCALE
+    assert unit == 1 or rated_force * 1e6 / (unit - 1) > FULL_SCALE, "a finer unit could not say it"

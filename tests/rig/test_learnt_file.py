@@ -1,0 +1,61 @@
+"""Files of what a law has learnt: read as they were written, refused by name and key, and never read beyond a bound."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.rig import learnt_file
+from hil.rig.learnt_file import LearntFileError, read_learnt_file, write_learnt_file
+
+STATE = {"x": [1.0, -0.5], "y": [0.25, 0.0]}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "learnt.json"
+
+
+def test_it_is_read_as_it_was_written(path: Path) -> None:
+    write_learnt_file(path, "paper", "0123abcd", STATE)
+    assert read_learnt_file(path, ["x", "y"]) == ("0123abcd", [[1.0, -0.5], [0.25, 0.0]])
+    assert read_learnt_file(path, ["y"]) == ("0123abcd", [[0.25, 0.0]])
+    assert json.loads(path.read_text()) == {"rig": "paper", "rig_hash": "0123abcd", "state": STATE}
+
+
+def test_a_file_of_just_the_bound_is_read_and_one_byte_more_is_not(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_learnt_file(path, "paper", "0123abcd", STATE)
+    size = path.stat().st_size
+    monkeypatch.setattr(learnt_file, "LARGEST", size)
+    assert read_learnt_file(path, ["x"])[1] == [[1.0, -0.5]]
+    monkeypatch.setattr(learnt_file, "LARGEST", size - 1)
+    with pytest.raises(LearntFileError, match=f"no file of `hil learnt`: .* at most {size - 1} bytes"):
+        read_learnt_file(path, ["x"])
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"state": []}', "[" * 100_000])
+def test_what_is_no_such_file_is_refused_by_name(text: str, path: Path) -> None:
+    path.write_text(text)
+    with pytest.raises(LearntFileError, match=r"learnt\.json: no file of `hil learnt`"):
+        read_learnt_file(path, ["x"])
+
+
+def test_a_missing_file_is_refused_by_name(path: Path) -> None:
+    with pytest.raises(LearntFileError, match=r"learnt\.json: No such file or directory"):
+        read_learnt_file(path, ["x"])
+
+
+@pytest.mark.parametrize("values", [None, 1.0, [True], ["1"], [1e100], [-1e100], [float("nan")], [float("inf")]])
+def test_values_that_are_no_list_of_finite_numbers_are_refused_by_axis(values: Any, path: Path) -> None:
+    path.write_text(json.dumps({"rig_hash": "0", "state": {"x": [0.0], "y": values}}))
+    assert read_learnt_file(path, ["x"])[1] == [[0.0]]
+    with pytest.raises(LearntFileError, match=r"state\.y: expected a list of finite numbers"):
+        read_learnt_file(path, ["x", "y"])
+
+
+def test_axes_of_different_lengths_are_refused(path: Path) -> None:
+    path.write_text(json.dumps({"state": {"x": [0.0], "y": [0.0, 1]}}))
+    assert read_learnt_file(path, ["y"]) == ("None", [[0.0, 1.0]])
+    with pytest.raises(LearntFileError, match="axes of different lengths"):
+        read_learnt_file(path, ["x", "y"])

@@ -1,0 +1,347 @@
+"""What drives and hosts say and do in long conversations, as hashes kept in tests/reference/conversations.json.
+
+    python -m tests.support.reference conversations     renew it, after a change that is meant to change what drives do
+
+A conversation is drawn from a seed: commands in any order, reads of everything there is, frames that are too short, for
+others or of the wrong kind, times of silence, and what fault injection does to a servo. Each piece of it has a hash, so
+that the first that differs tells where to look: `python -m tests.support.conversation_reference NAME PIECE` shows it.
+Those of hosts are in host_conversations.py.
+"""
+
+import hashlib
+import json
+import struct
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
+from drivers.protocols.base import DriveStatus
+from drivers.protocols.canopen import cia301
+from sim_plant.drives.canopen_drive import Cia402Drive
+from sim_plant.drives.moteus import Moteus
+from sim_plant.drives.motion_drive import MotionDrive
+from sim_plant.drives.motor import Motor
+from sim_plant.drives.odrive import Odrive
+from sim_plant.drives.quirks import NO_QUIRKS, Quirks
+from sim_plant.drives.servo import NEVER_NS, ServoDrive
+from sim_plant.drives.vesc import Motor as VescMotor
+from sim_plant.drives.vesc import Vesc
+from tests.support import host_conversations
+from tests.support.foreign_drive import FULL_DRIVE, I16, MOTION_DRIVE, U8, U32, Fact, eds_text
+from tests.support.paths import ROOT
+
+FILE = ROOT / "tests" / "reference" / "conversations.json"
+MS = 1_000_000
+PIECES, TURNS = 12, 250  # of a conversation; what is asked in a piece
+PAUSES = (0, 0, MS // 10, MS // 10, MS // 2, MS // 2, MS // 2, MS, MS, MS, MS, 3 * MS) * 3 + (12 * MS,)
+DEFECTS = (0, 0, 0, 0, 0, 0, 0, int(DriveStatus.FAULT), int(DriveStatus.ENCODER_FAULT), int(DriveStatus.TORQUE_LIMITED))
+
+
+class Node(Protocol):
+    """A drive on a bus."""
+
+    servo: ServoDrive
+
+    def on_frame(self, frame: Frame) -> list[Frame]:
+        """What it answers."""
+
+    def advance(self, now_ns: int) -> list[Frame]:
+        """What it sends by itself."""
+
+
+Ask = Callable[[Random], list[Frame]]  # one frame, or what leads a drive into operation
+
+
+def _servo(*, brake: bool = False, watchdog_ns: int = 10 * MS) -> ServoDrive:
+    return ServoDrive(0, 2.0, 1e-7, watchdog_ns, brake, 0)
+
+
+def _word(text: str, *values: Any) -> bytes:
+    return struct.pack(text, *values)
+
+
+def _mostly_whole(data: bytes, draw: Random) -> bytes:
+    return data if draw.randrange(12) else data[: draw.randrange(len(data) + 1)]
+
+
+def _torque(draw: Random) -> float:
+    return draw.choice((0.0, 0.5, -1.25, 1.999, 2.0, -2.5, 40.0, float("nan"), float("inf"), -1e-3))
+
+
+# drives ---------------------------------------------------------------------------------------------------------------
+
+
+def _odrive(delay_ns: int) -> tuple[Node, Ask]:
+    def position() -> float:
+        return 1.5 + drive.now_ns * 1e-9 * 0.25
+
+    def ask(draw: Random) -> list[Frame]:
+        if draw.randrange(6) == 0:
+            steps = (0x18, b""), (0x0B, _word("<II", 1, 1)), (0x07, _word("<I", 8)), (0x0E, _word("<f", _torque(draw)))
+            return [Frame(3 << 5 | command, data) for command, data in steps]
+        bodies = {
+            0x02: b"",
+            0x07: _word("<I", draw.choice((8, 8, 8, 1, 3, 0))),
+            0x0B: _word("<II", draw.choice((1, 1, 1, 2, 3)), draw.choice((1, 1, 1, 2))),
+            0x0E: _word("<f", _torque(draw)),
+            0x16: b"",
+            0x18: b"\0" * draw.randrange(3),
+            0x1F: b"x",
+        }
+        command = draw.choice((0x02, 0x07, 0x07, 0x0B, 0x0E, 0x0E, 0x0E, 0x0E, 0x0E, 0x0E, 0x0E, 0x16, 0x18, 0x1F))
+        node, flags = (4 if draw.randrange(30) == 0 else 3), FD if draw.randrange(40) == 0 else 0
+        if draw.randrange(4) == 0:
+            return [Frame(REMOTE | node << 5 | draw.choice((0x01, 0x03, 0x09, 0x14)), b"", flags)]
+        return [Frame(node << 5 | command, _mostly_whole(bodies[command], draw), flags)]
+
+    drive = Odrive(3, _servo(), position, 0, feedback_ns=MS, heartbeat_ns=20 * MS, enable_delay_ns=delay_ns)
+    return drive, ask
+
+
+def _vesc() -> tuple[Node, Ask]:
+    def position() -> float:
+        return -0.25 + drive.now_ns * 1e-9 * 3.0
+
+    def ask(draw: Random) -> list[Frame]:
+        value = draw.choice((0, 1, -1, 20_000, -39_999, 40_001, -(2**31), 2**31 - 1, 7))
+        can_id = draw.choice((1, 1, 1, 1, 1, 0, 2, 3, 4, 5, 9)) << 8 | draw.choice((7, 7, 7, 7, 7, 8))
+        flags = FD if draw.randrange(40) == 0 else 0
+        return [Frame((EXTENDED if draw.randrange(20) else 0) | can_id, _mostly_whole(_word(">i", value), draw), flags)]
+
+    drive = Vesc(7, _servo(), position, 0, motor=VescMotor(0.05, 7), feedback_ns=MS, status_ns=20 * MS)
+    return drive, ask
+
+
+def _moteus(delay_ns: int) -> tuple[Node, Ask]:
+    registers = (*range(0x10), *range(0x20, 0x2E), 0x7F, 0x3F0)
+
+    def position() -> float:
+        return -0.5 + drive.now_ns * 1e-9 * 0.125
+
+    def varuint(value: int) -> bytes:
+        return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80, value >> 7))
+
+    def subframe(draw: Random) -> bytes:
+        kind, register, count = draw.randrange(4), draw.choice(registers), draw.choice((0, 1, 2, 3))
+        head = draw.choice((0x10, 0x10, 0x10, 0x00, 0x20)) if draw.randrange(3) == 0 else 0x10
+        few = draw.choice((0, 1, 4, 5)) if count == 0 else count
+        told = varuint(few) if count == 0 else b""
+        values = b"" if head == 0x10 else b"".join(_number(kind, draw) for _ in range(few))
+        return bytes((head | kind << 2 | count,)) + told + varuint(register) + values
+
+    def command(draw: Random, modes: Sequence[int]) -> bytes:
+        mode = draw.choice(modes)
+        scale, torque = draw.choice((0.0, 0.0, 0.0, 1.0)), _torque(draw)
+        most, timeout = draw.choice((float("nan"), 0.25, 1.0, -1.5, 9.0)), draw.choice((0.0, 0.02, 0.5, float("nan")))
+        data = bytes((0x01, 0x00, mode, 0x0C, 4, 0x22)) + _word("<4f", torque, scale, 0.0, most)
+        return data + bytes((0x0D, 0x27)) + _word("<f", timeout) if draw.randrange(2) else data
+
+    def ask(draw: Random) -> list[Frame]:
+        if draw.randrange(6) == 0:
+            return [_padded(0x8003, bytes((0x01, 0x00, 0))), _padded(0x8003, command(draw, (10,)) + b"\x14\x04\x00")]
+        any_mode = (0, 10, 10, 10, 10, 10, 15, 5, 1, 12, 3)
+        parts = [subframe(draw) for _ in range(draw.randrange(1, 4))]
+        data = command(draw, any_mode) if draw.randrange(3) else b"".join(parts)
+        if draw.randrange(4) == 0:
+            data += subframe(draw)
+        data = _mostly_whole(data, draw)[:64]
+        can_id = draw.choice((0x8003, 0x8003, 0x8003, 0x8003, 0x0003, 0x8004, 0xA503))
+        flags = FD | BRS if draw.randrange(30) else 0
+        return [_padded(can_id, data, flags=flags, extended=can_id > 0x7FF or draw.randrange(2) == 0)]
+
+    drive = Moteus(3, _servo(watchdog_ns=100 * MS), position, 0, enable_delay_ns=delay_ns)
+    return drive, ask
+
+
+def _padded(can_id: int, data: bytes, *, flags: int = FD | BRS, extended: bool = True) -> Frame:
+    length = next(n for n in FD_LENGTHS if n >= len(data))
+    return Frame((EXTENDED if extended else 0) | can_id, data + b"\x50" * (length - len(data)), flags)
+
+
+def _number(kind: int, draw: Random) -> bytes:
+    if kind == 3:
+        return _word("<f", draw.choice((0.0, 10.0, -1.5, 0.25, float("nan"), 3e9)))
+    most = (1 << (8 * (1, 2, 4)[kind] - 1)) - 1
+    return _word("<" + "bhi"[kind], draw.choice((0, 1, 10, -7, most, -most, -most - 1)))
+
+
+class Master:
+    """Asks a CANopen drive. size_of: bytes of each object to write and read, by index and sub-index as one number."""
+
+    WORDS = (0x06, 0x07, 0x0F, 0x0F, 0x0F, 0x0F, 0x1F, 0x5F, 0x02, 0x00, 0x80, 0x80, 0x10F, 0x0B)
+    NUMBERS = (0, 1, 2, 3, 8, 10, 100, 0xFF, 500, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0x60710010, 0x60640020, 0x60410010)
+    COMMANDS = (0x40, 0x40, 0x40, 0x60, 0x70, 0xA0, 0xA4, 0xA3, 0xA2, 0xA1, 0x80, 0xC0)
+    TORQUES = (0, 100, -100, 500, 1200, -32768, 32767)
+    TARGETS = ((0x6071, 300), (0x6071, -900), (0x607A, 500), (0x60FF, -4000), (0x60FF, 20_000))
+
+    def __init__(self, node_id: int, size_of: Mapping[int, int]) -> None:
+        self._node, self._size_of = node_id, size_of
+        self._places = sorted(size_of)
+        self._of_drive = [place for place in self._places if place >> 8 in range(0x6040, 0x60FF)]
+        self._modes = (10, 10, 1, 3, 4, 6, 8, 9) if 0x607A00 in size_of else (10,)
+        self._targets = [target for target in self.TARGETS if target[0] << 8 in size_of]
+
+    def __call__(self, draw: Random) -> list[Frame]:
+        """What it asks next."""
+        kinds = (
+            self._into_operation,
+            self._sdo,
+            self._sdo,
+            self._network,
+            self._sync,
+            self._sync,
+            self._word,
+            self._rpdo,
+        )
+        return draw.choice(kinds)(draw)
+
+    def _write(self, index: int, subindex: int, value: int, size: int = 0) -> Frame:
+        size = size or self._size_of.get(index << 8 | subindex, 4)
+        body = _word("<BHBI", 0x23 | (4 - size) << 2, index, subindex, value % (1 << 8 * size))
+        return Frame(cia301.SDO_REQUEST_ID + self._node, body)
+
+    def _sdo(self, draw: Random) -> list[Frame]:
+        place = draw.choice(self._of_drive if draw.randrange(2) else self._places)
+        if draw.randrange(20) == 0:
+            place = draw.choice((0x1FFF00, 0x604005, 0x101802))
+        if draw.randrange(3) == 0:
+            body = _word("<BHB4x", draw.choice(self.COMMANDS), place >> 8, place & 0xFF)
+            return [Frame(cia301.SDO_REQUEST_ID + self._node, body)]
+        value = draw.choice(self.WORDS if place == 0x604000 else self.NUMBERS)
+        asked = self._write(place >> 8, place & 0xFF, value, 0 if draw.randrange(10) else draw.choice((1, 2, 3, 4)))
+        return [asked._replace(data=_mostly_whole(asked.data, draw))]
+
+    def _pdo(self, communication: int, can_id: int, kind: int, *mapped: int) -> list[Frame]:
+        write, mapping = self._write, communication + 0x200
+        steps = [write(communication, 1, 1 << 31 | can_id), write(communication, 2, kind), write(mapping, 0, 0)]
+        steps += [write(mapping, at, entry) for at, entry in enumerate(mapped, 1)]
+        return [*steps, write(mapping, 0, len(mapped)), write(communication, 1, can_id)]
+
+    def _into_operation(self, draw: Random) -> list[Frame]:
+        """PDOs, start, mode and the four controlwords; a target and two SYNCs."""
+        write, steps = self._write, []
+        if draw.randrange(2):
+            steps += self._pdo(0x1400, 0x200 + self._node, draw.choice((1, 255)), 0x60400010, 0x60710010)
+        if draw.randrange(2):
+            steps += self._pdo(0x1800, 0x180 + self._node, draw.choice((0, 1, 2, 254, 255)), 0x60640020, 0x60410010)
+        steps += [Frame(0x000, bytes((1, self._node))), write(0x6060, 0, draw.choice(self._modes))]
+        steps += [write(0x6040, 0, word) for word in (0x00, 0x80, 0x06, 0x07, 0x0F)]
+        index, value = draw.choice(self._targets)
+        steps += [write(index, 0, value)] + ([write(0x6040, 0, 0x1F)] if index == 0x607A else [])
+        return [*steps, Frame(0x080, b""), Frame(0x080, b"")]
+
+    def _network(self, draw: Random) -> list[Frame]:
+        if draw.randrange(2):
+            return [Frame(0x77F, draw.choice((b"\5", b"\5", b"", b"\0\0")))]
+        told = draw.choice((1, 1, 1, 1, 2, 0x80, 0x81, 0x82, 5)), draw.choice((0, self._node, self._node + 1))
+        return [Frame(0x000, bytes(told))]
+
+    def _sync(self, draw: Random) -> list[Frame]:
+        return [Frame(0x080, draw.choice((b"", b"", b"", b"", bytes((draw.randrange(1, 241),)))))]
+
+    def _word(self, draw: Random) -> list[Frame]:
+        return [self._write(0x6040, 0, draw.choice(self.WORDS))]
+
+    def _rpdo(self, draw: Random) -> list[Frame]:
+        body = _word("<Hh", draw.choice((0x0F, 0x0F, 0x0F, *self.WORDS)), draw.choice(self.TORQUES))
+        return [Frame(0x200 + self._node, _mostly_whole(body, draw))]
+
+
+def _by_eds(folder: Path, name: str, facts: dict[tuple[int, int], Fact]) -> tuple[Path, dict[int, int]]:
+    sizes = {U8: 1, 0x2: 1, 0x6: 2, I16: 2}
+    (folder / name).write_text(eds_text(facts))
+    return folder / name, {index << 8 | sub: sizes.get(fact.data_type, 4) for (index, sub), fact in facts.items()}
+
+
+OPTIONS = {(0x605A + at, 0): Fact(I16, "rw", value) for at, value in enumerate(("2", "1", "1", "1", "2"))}
+OPTIONS |= {(0x6084, 0): Fact(U32, "rw", "50000"), (0x6085, 0): Fact(U32, "rw", "90000")}
+OPTIONS |= {(0x6087, 0): Fact(U32, "rw", "4000"), (0x1029, 1): Fact(U8, "rw", "0"), (0x6007, 0): Fact(I16, "rw", "3")}
+
+
+def drives(folder: Path) -> dict[str, tuple[Node, Ask]]:
+    """Every kind of drive, fresh, with who asks it. folder: for EDS files."""
+    made: dict[str, tuple[Node, Ask]] = {
+        "an odrive": _odrive(0),
+        "an odrive that takes its time": _odrive(2 * MS),
+        "a vesc": _vesc(),
+        "a moteus": _moteus(0),
+        "a moteus that takes its time": _moteus(2 * MS),
+    }
+    quirky = Quirks(enable_delay_ns=3 * MS, answer_delay_ns=MS // 2, status_bits=0x4000, answers="segmented")
+    blocks = NO_QUIRKS._replace(answers="block", missing=frozenset({0x601700}), aborts={0x100100: 0x08000000})
+    for name, quirks in (("canopen", NO_QUIRKS), ("canopen, quirky", quirky), ("canopen, by blocks", blocks)):
+        eds, sizes = _by_eds(folder, "full.eds", FULL_DRIVE | OPTIONS)
+        drive = Cia402Drive(5, _servo(brake=True), lambda: 0.00125, eds=eds, quirks=quirks)
+        made[name] = drive, Master(5, sizes)
+    for name, more in (("motion", {}), ("motion, with ramps", OPTIONS)):
+        eds, sizes = _by_eds(folder, f"{len(more)}.eds", MOTION_DRIVE | more)
+        motion = MotionDrive(9, _servo(watchdog_ns=NEVER_NS), Motor(1e-3, 1e-3, 1e-3, 0), eds=eds)
+        made[name] = motion, Master(9, sizes)
+    return made
+
+
+# conversations --------------------------------------------------------------------------------------------------------
+
+
+def talk(node: Node, ask: Ask, draw: Random) -> Iterator[list[str]]:
+    """Piece by piece what was asked, what it sent, and what its servo then did."""
+    now = 0
+    for _ in range(PIECES):
+        lines = []
+        for _ in range(TURNS):
+            now += draw.choice(PAUSES)
+            sent = node.advance(now)
+            if now >= node.servo.deadline_ns:  # as the stage does
+                node.servo.trip(node.servo.deadline_ns)
+            servo = node.servo
+            if draw.randrange(25) == 0:
+                servo.extra_status = draw.choice(DEFECTS)
+            if draw.randrange(100) == 0 and not isinstance(node, Vesc):  # which tells and clears no fault
+                servo.fail()
+            for asked in ask(draw):
+                answers = node.on_frame(asked._replace(timestamp_ns=now))
+                did = f"{servo.force!r} {servo.status} {servo.deadline_ns - now}"
+                lines.append(f"{now} < {_text([asked])} > {_text(sent)} | {_text(answers)} : {did}")
+        yield lines
+
+
+def _text(frames: Sequence[Frame]) -> str:
+    return " ".join(f"{frame.can_id:X}#{frame.flags}{frame.data.hex()}" for frame in frames)
+
+
+def digest(lines: Sequence[str]) -> str:
+    """Of a piece."""
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def hashes() -> dict[str, dict[str, list[str]]]:
+    """Of every piece, by conversation: of emulated drives, and of hosts."""
+    with TemporaryDirectory() as folder:
+        of_drives = {name: talk(*made, Random(name)) for name, made in drives(Path(folder)).items()}
+        of_hosts = {name: host_conversations.talk(name) for name in host_conversations.TALKS}
+        kinds = {"drives": of_drives, "hosts": of_hosts}
+        return {
+            kind: {name: [digest(lines) for lines in pieces] for name, pieces in talks.items()}
+            for kind, talks in kinds.items()
+        }
+
+
+def renew() -> None:
+    """Write the file anew."""
+    document = {"renew": "python -m tests.support.reference conversations", **hashes()}
+    FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _pieces(name: str) -> list[list[str]]:
+    if name in host_conversations.TALKS:
+        return list(host_conversations.talk(name))
+    with TemporaryDirectory() as folder:
+        return list(talk(*drives(Path(folder))[name], Random(name)))
+
+
+if __name__ == "__main__":
+    print(*_pieces(sys.argv[1])[int(sys.argv[2])], sep="\n")

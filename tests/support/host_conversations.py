@@ -1,0 +1,108 @@
+"""What the host's side of every frame layout says and makes of answers, over long conversations with emulated drives.
+
+Of the same kind as conversation_reference.py, and kept in the same file. Drives are enabled, commanded, fail, fall
+silent and are reset as it happens; among their answers are frames that are damaged, repeated, for others or nothing.
+"""
+
+from collections.abc import Iterator
+from random import Random
+from typing import NamedTuple
+
+from drivers.frame import Frame
+from drivers.protocols import device_protocol, host_protocol
+from drivers.protocols.base import Command, DriveStatus, Reject, Sample
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from sim_plant.emulator import EmulatedStage
+from tests.support.fuzz_frames import Mutator
+from tests.support.paths import RIGS
+
+PIECES, TICKS = 8, 100
+
+
+class Talk(NamedTuple):
+    """A rig and what is changed of it."""
+
+    rig: str
+    overrides: tuple[str, ...] = ()
+
+
+TALKS = {
+    "stage_fd": Talk("microscope-ideal"),
+    "stage_fd, turned": Talk("paper", ("axes.x.direction=-1",)),
+    "stage_classic": Talk("microscope-ideal", ("bus.protocol=stage_classic",)),
+    "cia402": Talk("microscope-ideal", ("bus.protocol=cia402",)),
+    "dbc": Talk("paper-dbc"),
+    "odrive": Talk("odrive"),
+    "vesc": Talk("vesc"),
+    "moteus": Talk("moteus"),
+}
+
+
+def talk(name: str) -> Iterator[list[str]]:
+    """Piece by piece what was sent, what came in and what the host made of it."""
+    asked = TALKS[name]
+    rig = load_rig(RIGS / f"{asked.rig}.toml", list(asked.overrides))
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    host = host_protocol(rig.bus, len(rated), rated, RIGS, rig.period_ns, rig.mountings)
+    device = device_protocol(rig.bus, len(rated), rated, RIGS, rig.mountings)
+    stage = _stage(rig, rated)
+    draw, mutator, heard = Random(name), Mutator(rig.bus.protocol, 1), list[Frame]()
+    enable, bus = 0, f"{host.fd} {host.echo_id} {host.sequence_modulus} {host.positions} {host.acts_ns} {host.state_ns}"
+    head = [bus, *map(repr, host.messages(rig.period_ns))]
+    for piece in range(PIECES):
+        lines = head if piece == 0 else []
+        for tick in range(piece * TICKS, (piece + 1) * TICKS):
+            now_ns = (tick + 1) * rig.period_ns
+            noise = [mutator.frame(now_ns) for _ in range(draw.randrange(3))] if tick > 3 * TICKS else []
+            lines += [f"{_hex(frame)} : {_told(host.decode(frame))}" for frame in [*heard, *noise]]
+            lines += [f"{_hex(frame)} . {_obeyed(device.decode_command(frame))}" for frame in noise]
+            if draw.randrange(40) == 0 or tick == 2 * TICKS:
+                enable = draw.choice((0, (1 << len(rated)) - 1, (1 << len(rated)) - 1, 1))
+            force = [
+                draw.choice((0.0, 0.01, -0.3, 0.9, -1.0)) * most * (enable >> at & 1) for at, most in enumerate(rated)
+            ]
+            sent = host.encode(Command(tick, force, enable, tick % 90 < 8))
+            lines.append(f"{now_ns} {enable} {force} > {' '.join(map(_hex, sent))} {list(host.problems)}")
+            heard = _answers(stage, sent, now_ns, mutator) if draw.randrange(50) else []
+            _hurt(stage, draw)
+        yield lines
+
+
+def _stage(rig: RigConfig, rated: list[float]) -> EmulatedStage:
+    return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, RIGS, drives=rig.drives, mountings=rig.mountings)
+
+
+def _answers(stage: EmulatedStage, sent: list[Frame], now_ns: int, mutator: Mutator) -> list[Frame]:
+    heard = []
+    for frame in sent:
+        mutator.keep(frame)
+        for answer in stage.on_frame(frame._replace(timestamp_ns=now_ns + 300_000)):
+            heard.append(answer._replace(timestamp_ns=now_ns + 400_000))
+            mutator.keep(heard[-1])
+    return heard
+
+
+def _hurt(stage: EmulatedStage, draw: Random) -> None:
+    """Now and then a drive fails, or says more than it should."""
+    drive = draw.choice(stage.drives)
+    if draw.randrange(120) == 0:
+        drive.fail()
+    if draw.randrange(30) == 0:
+        said = (0, 0, 0, DriveStatus.FAULT, DriveStatus.ENCODER_FAULT, DriveStatus.TORQUE_LIMITED, DriveStatus.WATCHDOG)
+        drive.extra_status = int(draw.choice(said))
+
+
+def _hex(frame: Frame) -> str:
+    return f"{frame.can_id:X}#{frame.flags}{frame.data.hex()}"
+
+
+def _told(outcome: Sample | Reject | tuple[Sample, ...]) -> str:
+    if isinstance(outcome, Reject):
+        return outcome.name
+    samples = outcome if isinstance(outcome, tuple) else (outcome,)
+    return " ".join(f"{s.axis}:{s.position}:{int(s.status)}:{s.sequence}:{s.stamp_ns}" for s in samples)
+
+
+def _obeyed(outcome: Command | Reject) -> str:
+    return outcome.name if isinstance(outcome, Reject) else repr(tuple(outcome))
