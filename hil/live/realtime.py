@@ -108,15 +108,26 @@ def _promote(priority: int) -> tuple[bool, str, str]:
 def _mappings() -> Iterator[tuple[int, int]]:
     """(address, length) of what the loop may touch: all but BLAS and its pools, 80 MB the control path never uses."""
     span, used = "", False
-    for line in Path("/proc/self/smaps").read_text(encoding="utf-8").splitlines():
-        key, *rest = line.split(maxsplit=5)
-        if not key.endswith(":"):  # 7f12..-7f13.. r-xp 00000000 fe:00 123 /path
-            span = key
-            used = not (rest[0].startswith("---") or "blas" in rest[-1] or rest[-1].startswith("[v"))
-        elif key == "Rss:" and used:
-            low, high = (int(part, 16) for part in span.split("-"))
-            if high - low < _POOL_BYTES or int(rest[0]) * 1024 > (high - low) * _POOL_USE:
-                yield low, high - low
+    with Path("/proc/self/smaps").open(encoding="utf-8") as lines:  # whole, it would be a mapping of its own
+        for line in lines:
+            key, *rest = line.split(maxsplit=5)
+            if not key.endswith(":"):  # 7f12..-7f13.. r-xp 00000000 fe:00 123 /path
+                span = key
+                used = not (rest[0].startswith("---") or "blas" in rest[-1] or rest[-1].startswith("[v"))
+            elif key == "Rss:" and used:
+                low, high = (int(part, 16) for part in span.split("-"))
+                if high - low < _POOL_BYTES or int(rest[0]) * 1024 > (high - low) * _POOL_USE:
+                    yield low, high - low
+
+
+def _unlockable(libc: ctypes.CDLL) -> int:
+    """Number of mappings that cannot be locked. What has been unmapped meanwhile needs no lock."""
+
+    def refused() -> set[tuple[int, int]]:
+        return {mapping for mapping in list(_mappings()) if libc.mlock(*mapping) != 0}
+
+    first = refused()
+    return len(first & refused()) if first else 0
 
 
 def _lock_memory() -> tuple[bool, str, str]:
@@ -127,8 +138,7 @@ def _lock_memory() -> tuple[bool, str, str]:
     # What is mapped already is pinned as it comes in, what is mapped from now on at once.
     if libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) or libc.mlockall(_MCL_FUTURE):
         return False, f"mlockall: {os.strerror(ctypes.get_errno())}", remedy
-    failed = sum(libc.mlock(address, length) != 0 for address, length in list(_mappings()))
-    if failed:
+    if failed := _unlockable(libc):
         return False, f"mlock of {failed} mappings: {os.strerror(ctypes.get_errno())}", remedy
     locked = _locked_bytes()
     return locked > 0, f"{locked / 1e6:.0f} MB locked", remedy
