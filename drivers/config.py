@@ -215,11 +215,11 @@ class MoteusConfig(BaseModel):
 # Our own frame layouts, and where the two sides of each are made. A user's is a class like
 # drivers.protocols.frame_layout.FrameLayout.
 LAYOUTS: dict[str, str] = {
-    "stage_fd": "drivers.protocols.built_in:StageFd",
-    "stage_classic": "drivers.protocols.built_in:StageClassic",
-    "cia402": "drivers.protocols.built_in:Cia402",
-    "moteus": "drivers.protocols.built_in:Moteus",
-    "dbc:FILE": "drivers.protocols.built_in:Dbc",
+    "stage_fd": "drivers.protocols:StageFd",
+    "stage_classic": "drivers.protocols:StageClassic",
+    "cia402": "drivers.protocols:Cia402",
+    "moteus": "drivers.protocols:Moteus",
+    "dbc:FILE": "drivers.protocols:Dbc",
 }
 LAYOUT_KIND = Kind("frame layout", "frame layouts", "bus", "protocol", "hil.layouts", LAYOUTS, ("host", "drives"))
 
