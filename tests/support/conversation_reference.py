@@ -12,6 +12,7 @@ import hashlib
 import json
 import struct
 import sys
+from binascii import crc_hqx
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from random import Random
@@ -25,13 +26,14 @@ from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.moteus import Moteus
 from sim_plant.drives.motion_drive import MotionDrive
 from sim_plant.drives.motor import Motor
+from sim_plant.drives.object_dictionary import load_entries
 from sim_plant.drives.odrive import Odrive
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.drives.vesc import Motor as VescMotor
 from sim_plant.drives.vesc import Vesc
 from tests.support import host_conversations
-from tests.support.foreign_drive import FULL_DRIVE, I16, MOTION_DRIVE, U8, U32, Fact, eds_text
+from tests.support.foreign_drive import FULL_DRIVE, I16, MOTION_DRIVE, STRING, U8, U32, Fact, eds_text
 from tests.support.paths import ROOT
 
 FILE = ROOT / "tests" / "reference" / "conversations.json"
@@ -187,17 +189,8 @@ class Master:
 
     def __call__(self, draw: Random) -> list[Frame]:
         """What it asks next."""
-        kinds = (
-            self._into_operation,
-            self._sdo,
-            self._sdo,
-            self._network,
-            self._sync,
-            self._sync,
-            self._word,
-            self._rpdo,
-        )
-        return draw.choice(kinds)(draw)
+        often = self._into_operation, self._network, self._word, self._rpdo, self._long
+        return draw.choice((*often, self._sdo, self._sdo, self._sync, self._sync))(draw)
 
     def _write(self, index: int, subindex: int, value: int, size: int = 0) -> Frame:
         size = size or self._size_of.get(index << 8 | subindex, 4)
@@ -214,6 +207,38 @@ class Master:
         value = draw.choice(self.WORDS if place == 0x604000 else self.NUMBERS)
         asked = self._write(place >> 8, place & 0xFF, value, 0 if draw.randrange(10) else draw.choice((1, 2, 3, 4)))
         return [asked._replace(data=_mostly_whole(asked.data, draw))]
+
+    def _long(self, draw: Random) -> list[Frame]:
+        """A value in segments or in a block, down or up; now and then not as announced, or in the wrong order."""
+        place = draw.choice((*self._places, 0x200000, 0x200000, 0x100800))
+        where, length = _word("<HB", place >> 8, place & 0xFF), draw.choice((1, 2, 4, 7, 8, 14, 20, 256, 300))
+        value = bytes(at & 0xFF for at in range(length))
+        announced = _word("<I", len(value) + (draw.randrange(8) == 0))
+        parts = [value[at : at + 7] for at in range(0, len(value), 7)]
+        unused = 7 - len(parts[-1])
+        last = len(parts) - 1
+        match draw.randrange(4):
+            case 0:  # segments down, with their toggle bit
+                heads = [(at & 1) << 4 | (7 - len(part)) << 1 | (at == last) for at, part in enumerate(parts)]
+                steps = [bytes((draw.choice((0x21, 0x21, 0x20)),)) + where + announced]
+                steps += [bytes((head,)) + part.ljust(7, b"\0") for head, part in zip(heads, parts, strict=True)]
+            case 1:  # a block down
+                crc = crc_hqx(value, 0) ^ (draw.randrange(6) == 0)
+                steps = [bytes((draw.choice((0xC6, 0xC6, 0xC2, 0xC4, 0xC0)),)) + where + announced]
+                numbers = [(at + 1) & 0x7F | (0x80 if at == last else 0) for at in range(len(parts))]
+                steps += [bytes((number,)) + part.ljust(7, b"\0") for number, part in zip(numbers, parts, strict=True)]
+                steps.append(_word("<BH5x", 0xC1 | unused << 2, crc))
+            case 2:  # segments up
+                steps = [b"\x40" + where + bytes(4), *(bytes((0x60 | (at & 1) << 4, *bytes(7))) for at in range(9))]
+            case _:  # a block up
+                size = draw.choice((1, 2, 127, 0, 128))
+                steps = [bytes((draw.choice((0xA4, 0xA0)),)) + where + bytes((size, 0, 0, 0)), b"\xa3" + bytes(7)]
+                told = [draw.choice((size, size, 1, 0, 9)) for _ in range(3)]
+                steps += [bytes((0xA2, number, size, *bytes(5))) for number in told]
+                steps.append(b"\xa1" + bytes(7))
+        if draw.randrange(8) == 0:
+            steps.insert(draw.randrange(len(steps) + 1), draw.choice(steps))
+        return [Frame(cia301.SDO_REQUEST_ID + self._node, step) for step in steps]
 
     def _pdo(self, communication: int, can_id: int, kind: int, *mapped: int) -> list[Frame]:
         write, mapping = self._write, communication + 0x200
@@ -259,6 +284,7 @@ def _by_eds(folder: Path, name: str, facts: dict[tuple[int, int], Fact]) -> tupl
 
 OPTIONS = {(0x605A + at, 0): Fact(I16, "rw", value) for at, value in enumerate(("2", "1", "1", "1", "2"))}
 OPTIONS |= {(0x6084, 0): Fact(U32, "rw", "50000"), (0x6085, 0): Fact(U32, "rw", "90000")}
+OPTIONS |= {(0x2000, 0): Fact(STRING, "rw", "as it was made")}
 OPTIONS |= {(0x6087, 0): Fact(U32, "rw", "4000"), (0x1029, 1): Fact(U8, "rw", "0"), (0x6007, 0): Fact(I16, "rw", "3")}
 
 
@@ -277,6 +303,8 @@ def drives(folder: Path) -> dict[str, tuple[Node, Ask]]:
         eds, sizes = _by_eds(folder, "full.eds", FULL_DRIVE | OPTIONS)
         drive = Cia402Drive(5, _servo(brake=True), lambda: 0.00125, eds=eds, quirks=quirks)
         made[name] = drive, Master(5, sizes)
+    sizes = {key: entry.layout.size if entry.layout else 4 for key, entry in load_entries(cia301.EDS, 5).items()}
+    made["canopen, our own"] = Cia402Drive(5, _servo(brake=True), lambda: -0.00025), Master(5, sizes)
     for name, more in (("motion", {}), ("motion, with ramps", OPTIONS)):
         eds, sizes = _by_eds(folder, f"{len(more)}.eds", MOTION_DRIVE | more)
         motion = MotionDrive(9, _servo(watchdog_ns=NEVER_NS), Motor(1e-3, 1e-3, 1e-3, 0), eds=eds)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
-from drivers.protocols.base import Command, DriveStatus, Reject, Sample
+from drivers.protocols.base import Command, DeviceProtocol, DriveStatus, HostProtocol, Reject, Sample
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
@@ -48,15 +48,14 @@ def talk(name: str) -> Iterator[list[str]]:
     device = device_protocol(rig.bus, len(rated), rated, RIGS, rig.mountings)
     stage = _stage(rig, rated)
     draw, mutator, heard = Random(name), Mutator(rig.bus.protocol, 1), list[Frame]()
-    enable, bus = 0, f"{host.fd} {host.echo_id} {host.sequence_modulus} {host.positions} {host.acts_ns} {host.state_ns}"
-    head = [bus, *map(repr, host.messages(rig.period_ns))]
+    enable = 0
+    head = _facts(host, device, rig.period_ns)
     for piece in range(PIECES):
         lines = head if piece == 0 else []
         for tick in range(piece * TICKS, (piece + 1) * TICKS):
             now_ns = (tick + 1) * rig.period_ns
             noise = [mutator.frame(now_ns) for _ in range(draw.randrange(3))] if tick > 3 * TICKS else []
             lines += [f"{_hex(frame)} : {_told(host.decode(frame))}" for frame in [*heard, *noise]]
-            lines += [f"{_hex(frame)} . {_obeyed(device.decode_command(frame))}" for frame in noise]
             if draw.randrange(40) == 0 or tick == 2 * TICKS:
                 enable = draw.choice((0, (1 << len(rated)) - 1, (1 << len(rated)) - 1, 1))
             force = [
@@ -64,9 +63,25 @@ def talk(name: str) -> Iterator[list[str]]:
             ]
             sent = host.encode(Command(tick, force, enable, tick % 90 < 8))
             lines.append(f"{now_ns} {enable} {force} > {' '.join(map(_hex, sent))} {list(host.problems)}")
+            lines += [f"{_hex(frame)} . {_obeyed(device.decode_command(frame))}" for frame in [*sent, *noise]]
+            at, status = tick % len(rated), tick * 37 % 128
+            sample = Sample(
+                at, tick * 7919 % 20_001 - 10_000, status, max(tick - 1, 0) % (host.sequence_modulus or 1), now_ns
+            )
+            lines.append(_hex(device.encode_feedback(sample)))
             heard = _answers(stage, sent, now_ns, mutator) if draw.randrange(50) else []
             _hurt(stage, draw)
         yield lines
+
+
+def _facts(host: HostProtocol, device: DeviceProtocol, period_ns: int) -> list[str]:
+    """What both ends say of themselves; numbers of one kind, so that the compiled build says them alike."""
+    ends = [(float(low), float(high)) for low, high in host.positions]
+    lines = [f"{host.fd} {host.echo_id} {host.sequence_modulus} {ends} {list(host.acts_ns)} {host.state_ns}"]
+    for name, can_id, length, fd, *times, sender, after in host.messages(period_ns):
+        lines.append(f"{name} {can_id} {length} {bool(fd)} {[int(time_ns) for time_ns in times]} {sender} {after}")
+    lag, resolution = getattr(device, "enable_lag", 0), float(getattr(device, "force_resolution", 0.0))
+    return [*lines, f"{device.n_axes} {lag} {resolution!r}"]
 
 
 def _stage(rig: RigConfig, rated: list[float]) -> EmulatedStage:
@@ -105,4 +120,6 @@ def _told(outcome: Sample | Reject | tuple[Sample, ...]) -> str:
 
 
 def _obeyed(outcome: Command | Reject) -> str:
-    return outcome.name if isinstance(outcome, Reject) else repr(tuple(outcome))
+    if isinstance(outcome, Reject):
+        return outcome.name
+    return f"{outcome.sequence} {[float(force) for force in outcome.force]} {int(outcome.enable)} {bool(outcome.reset)}"
