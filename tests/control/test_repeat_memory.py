@@ -147,3 +147,17 @@ def test_floats_and_arrays_learn_the_same_bits() -> None:
         for i, one in enumerate(each):
             one.note(tick, float(d[i]), float(e[i]), float(good[i]))
             assert one.force(tick) == together[i]
+
+
+def test_what_else_learns_is_frozen_from_the_start_where_something_is_known_and_when_learning_begins() -> None:
+    fresh, known = memory(), memory()
+    known.begin_with([0.25] * COUNT)
+    assert (fresh.frozen, known.frozen) == (0.0, 1.0)
+    play(fresh, wave(1.0), WARM_REPEATS)
+    assert fresh.frozen == 0.0
+    play(fresh, wave(1.0), 1, first=WARM_REPEATS)
+    assert fresh.frozen == 1.0
+    for learnt in (fresh, known):
+        play(learnt, wave(1.0), 3, first=WARM_REPEATS + 1)
+        learnt.forget()
+    assert (fresh.frozen, known.frozen) == (0.0, 1.0)

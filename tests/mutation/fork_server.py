@@ -27,6 +27,7 @@ PRELOADED = (
     "filterpy.kalman", "can", "cantools", "canopen", "pydantic", "tomlkit", "typer", "rich.console", "rich.table",
     "mcap.reader", "mcap_protobuf.writer", "google.protobuf.descriptor_pool", "librt.vecs", "mypy_extensions",
 )  # fmt: skip
+COPIED = ("drivers", "hil", "sim_plant", "tests", "deploy", "docs", "examples")
 CPU_S_PER_TEST = 20  # of processor time, ten times what any honest one takes: a loaded machine makes no hang of one
 WALL_S_PER_TEST = 300  # of one that waits for what never comes
 MEMORY = 6 << 30
@@ -60,7 +61,7 @@ class Verdict(NamedTuple):
 
 def copy_tree(root: Path, into: Path) -> None:
     """The checkout's sources, tests and data as they are on disk, committed or not."""
-    for name in ("drivers", "hil", "sim_plant", "tests", "deploy", "docs", "examples"):
+    for name in COPIED:
         shutil.copytree(root / name, into / name, ignore=shutil.ignore_patterns("__pycache__", "*.so", "build"))
     for name in ("pyproject.toml", "README.md", "Makefile", "CHANGELOG.md", "LICENSE", "requirements.lock"):
         shutil.copy2(root / name, into / name)

@@ -1,11 +1,13 @@
 """The mutation lane itself: its mutants are what they say, its tables name what exists, its rule is fair."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
 
 from tests.mutation.explained import Explained
+from tests.mutation.fork_server import COPIED
 from tests.mutation.mutants import differs, mutants_of
 from tests.mutation.rooms import ROOMS, files_to_run, python_files, sources_of
 from tests.mutation.sample import DEMANDED, UNFAIR, Case, draw, most_survivors
@@ -91,6 +93,15 @@ def test_every_test_of_the_mutated_folders_is_in_a_room() -> None:
     for folder in ("cycle", "control", "drivers", "sim_plant", "live", "telemetry", "rig"):
         tests = {path for path in python_files(ROOT, f"tests/{folder}") if Path(path).name.startswith("test_")}
         assert tests <= taken
+
+
+def test_whatever_a_rooms_tests_read_is_in_the_tree_that_they_run_in() -> None:
+    """A test that misses a file there fails with every mutant, and seems to have noticed it."""
+    files = {test for room in ROOMS.values() for test in files_to_run(ROOT, room, room.sources[0])}
+    files |= set(python_files(ROOT, "tests/support"))
+    read = {name for file in files for name in re.findall(r'ROOT / "(\w+)', (ROOT / file).read_text(encoding="utf-8"))}
+    assert {"examples", "deploy"} <= read, "or it finds nothing"
+    assert {name for name in read if (ROOT / name).is_dir()} <= set(COPIED)
 
 
 def test_every_explanation_says_why() -> None:
