@@ -62,6 +62,7 @@ def asked() -> dict[str, Asked]:
         "a counter that it cannot have": Asked(CST_DRIVE, settings={"sync_counter": "on"}),
         "stated torque": Asked(FULL_DRIVE, 2, settings={"rated_torque": [0.5, 0.25], "write_rated_torque": True}),
         "stated torque, compared": Asked(FULL_DRIVE, settings={"rated_torque": [0.1]}),
+        "stated torque that 6076h cannot say": Asked(FULL_DRIVE, settings={"rated_torque": [0.0004]}),
         "torque written from the force": Asked(FULL_DRIVE, settings={"write_rated_torque": True}),
         "torque written, force unknown": Asked(FULL_DRIVE, settings={"write_rated_torque": True}, rated_force=None),
         "no 6076h, stated": Asked(_without(0x6076), settings={"rated_torque": [0.5]}),

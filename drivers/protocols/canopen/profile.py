@@ -253,6 +253,10 @@ class _Planner:
         """6076h and 6072h."""
         axis, settings = self._axis, self._settings
         unit = round(settings.rated_torque[axis.number] * 1000) if settings.rated_torque else None
+        if unit == 0:
+            text = f"counts in 0.001 N m (N); bus.cia402.rated_torque = {settings.rated_torque[axis.number]:g} is less"
+            self._refuse(cia301.TORQUE_RATED, 0, text, "bus.cia402.rated_torque")
+            unit = None
         if settings.write_rated_torque:
             if unit is None and axis.rated_force is not None:
                 unit = rated_torque(axis.rated_force)[0]
