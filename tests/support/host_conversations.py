@@ -11,6 +11,7 @@ from typing import NamedTuple
 from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, DeviceProtocol, DriveStatus, HostProtocol, Reject, Sample
+from drivers.protocols.canopen.cia301 import EDS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
@@ -18,6 +19,12 @@ from tests.support.fuzz_frames import Mutator
 from tests.support.paths import RIGS
 
 PIECES, TICKS = 8, 100
+
+NODES = (
+    "bus.cia402.write_rated_torque=true",
+    "bus.cia402.nodes=[3, 9, 4, 17]",
+    "bus.cia402.rated_torque=[0.65, 0.65, 0.5, 0.01]",
+)
 
 
 class Talk(NamedTuple):
@@ -32,6 +39,9 @@ TALKS = {
     "stage_fd, turned": Talk("paper", ("axes.x.direction=-1",)),
     "stage_classic": Talk("microscope-ideal", ("bus.protocol=stage_classic",)),
     "cia402": Talk("microscope-ideal", ("bus.protocol=cia402",)),
+    "cia402, rpdos of their own": Talk(
+        "microscope-ideal", ("bus.protocol=cia402", f'bus.cia402.eds=["{EDS}"]', "bus.cia402.rpdo=own", *NODES)
+    ),
     "dbc": Talk("paper-dbc"),
     "odrive": Talk("odrive"),
     "vesc": Talk("vesc"),
@@ -81,7 +91,8 @@ def _facts(host: HostProtocol, device: DeviceProtocol, period_ns: int) -> list[s
     for name, can_id, length, fd, *times, sender, after in host.messages(period_ns):
         lines.append(f"{name} {can_id} {length} {bool(fd)} {[int(time_ns) for time_ns in times]} {sender} {after}")
     lag, resolution = getattr(device, "enable_lag", 0), float(getattr(device, "force_resolution", 0.0))
-    return [*lines, f"{device.n_axes} {lag} {resolution!r}"]
+    fd, modulus = bool(getattr(device, "fd", False)), int(getattr(device, "sequence_modulus", 0))
+    return [*lines, f"{device.n_axes} {fd} {modulus} {lag} {resolution!r}"]
 
 
 def _stage(rig: RigConfig, rated: list[float]) -> EmulatedStage:

@@ -165,6 +165,18 @@ def test_a_closed_recording_holds_every_message_with_wall_clock_times(tmp_path: 
     assert recorder.errors == 0
 
 
+def test_what_went_in_and_out_has_the_wall_clock_time_of_its_last_tick_and_says_what_is_missing(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", METADATA | {"wall_offset_ns": 1_000_000})
+    write_batch(recorder, _records([([], [], [], 0)] * 3), first=7, lost=2)
+    write_batch(recorder, _records([([], [], [], 0)] * 2), first=10, lost=0)
+    write_batch(recorder, _records([([], [], [], 0)] * 2), first=15, lost=3)
+    recorder.close()
+    cycles = [item for item in Recording(tmp_path / "run.mcap") if item.topic == "cycle"]
+    assert [item.time_ns for item in cycles] == [1_000_000 + 1007, 1_000_000 + 1007]
+    found = [pb.Cycle.FromString(item.data) for item in cycles]
+    assert [(cycle.first, cycle.lost, len(cycle.index)) for cycle in found] == [(7, 2, 5), (15, 3, 2)]
+
+
 def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path) -> None:
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
