@@ -103,3 +103,22 @@ def test_a_push_that_cannot_tell_is_refused(push: dict[str, float], says: str) -
     rig["axes"]["x"]["push"] = push
     with pytest.raises(ValueError, match=says):
         ControlCycle(RigConfig.model_validate(rig), RIGS)
+
+
+def test_an_axis_is_pushed_towards_the_middle_of_its_travel_and_judged_in_that_direction() -> None:
+    """0.4 N beyond friction and 0.5 mm a tick: the way of the force is right, the other one is not."""
+    for start, sign in ((-0.25, 1.0), (0.0, 1.0), (0.25, -1.0)):
+        for moves, problem in ((sign, ""), (-sign, "the wrong way")):
+            commissioning = ControlCycle(RigConfig.model_validate(document()), RIGS).supervisor.commissioning
+            commissioning.start([start, 0.0])
+            pushed, held = commissioning.force([0.0, 0.0])
+            assert (pushed, held) == (1.6 * sign, 0.0)
+            position = start
+            for _ in range(3):
+                position += 0.5e-3 * moves
+                commissioning.advance([position, 0.0], [0.0, 0.0])
+            assert problem in commissioning.problem
+            assert bool(commissioning.problem) is bool(problem)
+            if problem:
+                assert f"pushed by {1.6 * sign:+g} for" in commissioning.problem
+                assert commissioning.moved * sign < 0.0 <= commissioning.expected * sign
