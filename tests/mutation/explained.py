@@ -7,13 +7,11 @@ from typing import Any
 
 
 class Explained:
-    """The table in explained.toml."""
+    """The tables in explained.toml, of survivors, and in green.toml, of tests that stay green in a hollow product."""
 
     def __init__(self) -> None:
-        text = (Path(__file__).parent / "explained.toml").read_text(encoding="utf-8")
-        document = tomllib.loads(text)
-        self.rows: list[dict[str, str]] = document.get("survivor", [])
-        self.green: dict[str, str] = {row["test"]: row["why"] for row in document.get("green", [])}
+        self.rows = _rows("explained.toml", "survivor")
+        self.green: dict[str, str] = {row["test"]: row["why"] for row in _rows("green.toml", "green")}
         self._known = {(row["file"], row["line"], row["mutant"]) for row in self.rows}
 
     def covers(self, case: Any) -> bool:
@@ -24,3 +22,9 @@ class Explained:
         """Explanations of mutants that are no longer among all cases: their lines have changed, or gone."""
         there = {(case.mutant.path, case.before, case.after) for case in cases}
         return sorted(f"{file}: {line}" for file, line, mutant in self._known - there)
+
+
+def _rows(name: str, table: str) -> list[dict[str, str]]:
+    document = tomllib.loads((Path(__file__).parent / name).read_text(encoding="utf-8"))
+    rows: list[dict[str, str]] = document[table]
+    return rows

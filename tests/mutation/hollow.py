@@ -4,7 +4,7 @@
 
 While a test's own body runs (not its fixtures, not imports), every function of the product but the constructors returns
 None at once. A test that passes all the same asserts nothing about what is done: it holds a table or a text (then
-explained.toml says so, under [[green]]), or it is vacuous.
+green.toml says so), or it is vacuous.
 """
 
 import ast
