@@ -13,6 +13,9 @@ class TooLongError(BaseException):
     """Raised in the midst of a plug-in's call; no Exception, so that the plug-in does not catch it by accident."""
 
 
+FAILED = (Exception, SystemExit, TooLongError)  # what a plug-in's call may end with beside an answer
+
+
 class Watch:
     """Ends a call that lasts too long, by a timer that looks every CALL_LIMIT_S whether the same call still runs.
 

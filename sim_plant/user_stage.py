@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers import plugins
-from drivers.call_limit import TooLongError, watch
+from drivers.call_limit import FAILED, watch
 from sim_plant.config import STAGE_KIND, PlantConfig, PlantError
 from sim_plant.physics.stage import Stage, Truth
 
@@ -121,7 +121,7 @@ class UserStage(Stage):
         watch.begin()
         try:
             method(*arguments)
-        except (Exception, SystemExit, TooLongError) as error:
+        except FAILED as error:
             raise PlantError(f"plant.stage = {self._name!r}: {plugins.where(error, self._file)}") from error
         finally:
             watch.within = False

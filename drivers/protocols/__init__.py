@@ -6,25 +6,16 @@ where they are needed: a rig pays only for its own layout.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
 from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_straight
 
 if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
     from drivers.config import BusConfig, Wiring
+    from drivers.protocols.frame_layout import FrameLayout
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
-
-
-class FrameLayout(Protocol):
-    """A frame layout, ours or a user's."""
-
-    def host(self) -> HostProtocol:
-        """A new host's side."""
-
-    def drives(self) -> DeviceProtocol:
-        """A new drives' side."""
 
 
 def host_protocol(
@@ -58,7 +49,9 @@ def device_protocol(
     return _layout(bus, n_axes, rated_force, 1_000_000, base_dir).drives()
 
 
-def _layout(bus: "BusConfig", n_axes: int, rated_force: Sequence[float], period_ns: int, base_dir: Path) -> FrameLayout:
+def _layout(
+    bus: "BusConfig", n_axes: int, rated_force: Sequence[float], period_ns: int, base_dir: Path
+) -> "FrameLayout":
     from drivers import plugins
     from drivers.config import LAYOUT_KIND, Wiring
 

@@ -11,16 +11,15 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from drivers import plugins
-from drivers.call_limit import TooLongError, watch
+from drivers.call_limit import FAILED, watch
 from drivers.config import LAYOUT_KIND, Wiring
 from drivers.frame import ECHO, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import Command, LayoutError, Message, Reject, Sample
-from drivers.protocols.frame_layout import HostSide
+from drivers.protocols.frame_layout import DriveSide, HostSide
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.stage_common import INT32, STATUS_MASK
 
 FARTHEST = 2**53  # counts that a float still tells apart
-_RAISED = (Exception, SystemExit, TooLongError)
 _COUNTS = ("sequence_modulus", "state_ns")
 _SWITCHES = ("checksum", "states", "causes", "fd")
 
@@ -54,7 +53,7 @@ class Maker:
         watch.begin()
         try:
             return method(*arguments, **parameters)
-        except _RAISED as error:
+        except FAILED as error:
             raise LayoutError(self.told(what, error)) from error
         finally:
             watch.within = False
@@ -97,7 +96,7 @@ class UserHost:
         self._own = {message.can_id for message in self.messages(wiring.period_ns) if message.sender == "host"}
 
     def _of_side(self, name: str) -> Any:
-        return getattr(self._side, name, getattr(HostSide, name))
+        return _of(self._side, HostSide, name)
 
     def _count(self, name: str) -> int:
         value = self._of_side(name)
@@ -157,7 +156,7 @@ class UserHost:
             if isinstance(outcome, tuple):
                 return tuple([self._checked(sample, frame) for sample in outcome])
             return self._checked(outcome, frame)
-        except _RAISED as error:
+        except FAILED as error:
             self._garbled = self._maker.told(f"host().decode of {shown(frame)}", error)
             return Reject.INVALID_VALUE
         finally:
@@ -189,7 +188,7 @@ class UserHost:
         watch.begin()
         try:
             return checked_frames(self._encode(command), self._own, "messages() of the host")
-        except _RAISED as error:
+        except FAILED as error:
             self._failure = self._maker.told("host().encode", error)
             return []
         finally:
@@ -214,10 +213,10 @@ class UserDrives:
         self._maker, self._side = maker, side
         self.name, self.n_axes = maker.name, maker.wiring.n_axes
         try:
-            self.fd = bool(getattr(side, "fd", False))
-            self.sequence_modulus = int(getattr(side, "sequence_modulus", 0))
-            self.force_resolution = float(getattr(side, "force_resolution", 0.0))
-            self.enable_lag = int(getattr(side, "enable_lag", 0))
+            self.fd = bool(_of(side, DriveSide, "fd"))
+            self.sequence_modulus = int(_of(side, DriveSide, "sequence_modulus"))
+            self.force_resolution = float(_of(side, DriveSide, "force_resolution"))
+            self.enable_lag = int(_of(side, DriveSide, "enable_lag"))
         except (TypeError, ValueError) as error:
             raise LayoutError(maker.told("drives()", str(error))) from None
         if not 0.0 <= self.force_resolution <= 1.0:
@@ -252,6 +251,11 @@ class UserDrives:
     def encode_feedback(self, sample: Sample) -> Frame:
         """See DeviceProtocol: of several frames that with the position."""
         return self.frames_of(sample)[-1]
+
+
+def _of(side: Any, contract: type, name: str) -> Any:
+    """What a side says of itself, or what holds where it says nothing."""
+    return getattr(side, name, getattr(contract, name))
 
 
 def shown(frame: Frame) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drivers import plugins
-from drivers.call_limit import TooLongError, watch
+from drivers.call_limit import FAILED, watch
 from drivers.plugins import Kind
 from hil.rig.task_file import MOST_ROWS, Rows, sample_problems
 
@@ -69,7 +69,7 @@ def run_task(kind: str, source: str, axes: Sequence[str], parameters: Mapping[st
     watch.begin()
     try:
         times, positions = made(list(axes), **parameters).samples()
-    except (Exception, SystemExit, TooLongError) as error:
+    except FAILED as error:
         raise ValueError(f"task.kind = {kind!r}: {plugins.where(error, file)}") from error
     finally:
         watch.within = False

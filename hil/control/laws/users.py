@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.call_limit import TooLongError, watch
+from drivers.call_limit import FAILED, watch
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
 
@@ -37,7 +37,7 @@ class UserAxes:
         watch.begin()
         try:
             self._reset(position, force)
-        except (Exception, SystemExit, TooLongError) as error:
+        except FAILED as error:
             self.failure = told(self._name, self._laws[0], error)
         finally:
             watch.within = False
@@ -60,7 +60,7 @@ class UserAxes:
         watch.begin()
         try:
             return self._of_all(axes) if self._coupled else self._of_each(axes)
-        except (Exception, SystemExit, TooLongError) as error:
+        except FAILED as error:
             self.failure = told(self._name, self._laws[0], error)
             return [math.nan] * self._n
         finally:
