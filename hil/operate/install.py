@@ -229,13 +229,9 @@ def _reload(root: Path, channel: str = "") -> None:
 
 
 def _needs_fd(rig: RigConfig, base_dir: Path) -> bool:
-    from drivers.protocols import host_protocol  # slow, and only needed where a rig is installed
-    from hil.rig.bus_load import layout_problem
+    from hil.rig.bus_load import rig_layout  # slow, and only needed where a rig is installed
 
-    try:
-        return host_protocol(rig.bus, len(rig.axes), [axis.rated_force for axis in rig.axes.values()], base_dir).fd
-    except ValueError as error:
-        raise RigError([layout_problem(rig, error)]) from None
+    return rig_layout(rig, base_dir).fd
 
 
 def install_rig(
