@@ -126,7 +126,7 @@ class Traces:
     """Per tick and axis, (ticks, n_axes): true position; setpoint at the sample's instant and true error there (NaN
     where a tick brought none), m; applied force, N.
 
-    Lists while the run goes on: to write a few numbers into an array costs a tick more than its law.
+    Lists while the run goes on: a few numbers at a time are dearer to write into an array.
     """
 
     def __init__(self, n_axes: int) -> None:

@@ -21,7 +21,7 @@ class Oscillation:
     """amplitude * cos(2 pi (frequency t + offset)); offset in turns.
 
     cycle: (p, m), so that the phase is (p t mod m) / m turns for t in ns, in exact integers. speed, acceleration:
-    amplitudes of the derivatives. Worked out once: a division of fractions costs a tick more than the rest of it.
+    amplitudes of the derivatives. Worked out once: each tick asks for them, and to divide fractions takes microseconds.
     """
 
     def __init__(self, amplitude: float, frequency_hz: Fraction, offset: float) -> None:
