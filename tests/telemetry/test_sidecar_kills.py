@@ -66,9 +66,13 @@ def test_a_sidecar_killed_at_random_moments_loses_no_tick_and_publishes_none_aga
     sidecar = bench.sidecar()
     subscriber = Subscriber(bench.endpoint, rig)
     subscriber.start()
+    parts = 0
     for kill in range(kills):
+        if kill % 2:  # on a busy machine few would live long enough to record anything
+            recording_again(bench.out, parts)
         time.sleep(moments.uniform(0.05, 1.5))
         end(sidecar, signal.SIGKILL)
+        parts = len(list(bench.out.glob("*.mcap")))
         sidecar = bench.sidecar()
         if kill % 10 == 9:
             whole_until_now(bench.out / "run.mcap")
@@ -86,10 +90,17 @@ def test_a_sidecar_killed_at_random_moments_loses_no_tick_and_publishes_none_aga
         produced = reader.written
     ticks, recording = recorded(bench.out / "run.mcap")
     assert [tick.ring for tick in ticks] == list(range(produced))
-    # Those killed before they recorded anything left no part: on a busy machine half of them.
-    assert len(recording.parts) > kills // 4
+    assert len(recording.parts) > kills // 2  # those killed before they recorded anything left no part
     assert len(subscriber.sequences) > 0
     assert all(later > earlier for earlier, later in zip(subscriber.sequences, subscriber.sequences[1:], strict=False))
+
+
+def recording_again(folder: Path, parts: int) -> None:
+    """Until the newest sidecar has begun a part beyond those there were."""
+    deadline = time.monotonic() + 60.0
+    while len(list(folder.glob("*.mcap"))) <= parts:
+        assert time.monotonic() < deadline, "no part of its own"
+        time.sleep(0.01)
 
 
 def whole_until_now(path: Path) -> None:
