@@ -112,6 +112,14 @@ def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def activated_while_active() -> subprocess.CompletedProcess[str]:
+    """The answer to ACTIVATE of a rig that is ACTIVE. Where this machine has just held a process up, the demo has reset
+    the rig to READY: the first one takes it back, and is asked again.
+    """
+    answers = (hil("command", str(RIG), "activate") for _ in range(3))
+    return next(answer for answer in answers if "accepted" not in answer.stdout)
+
+
 @pytest.mark.parametrize("show", [12.0], indirect=True)
 def test_a_demo_runs_is_seen_from_elsewhere_and_sums_up(show: Show) -> None:
     show.read_until("to go")
@@ -119,7 +127,7 @@ def test_a_demo_runs_is_seen_from_elsewhere_and_sums_up(show: Show) -> None:
     assert seen.returncode == 0, seen.stderr
     assert "theta" in seen.stdout
     assert "tick lateness" in seen.stdout
-    refused = hil("command", str(RIG), "activate")
+    refused = activated_while_active()
     assert refused.returncode == 1
     assert "not possible in state" in refused.stdout
     assert show.end() == 0, show.text
