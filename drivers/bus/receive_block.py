@@ -49,6 +49,7 @@ _ORDINARY = {
 }
 
 _SECOND: Final = 1_000_000_000
+STAMP_NS: Final = 1000  # what time stamps are a multiple of
 
 
 class ReceiveBlock:
@@ -89,7 +90,7 @@ class ReceiveBlock:
         return self.count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
-        """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns.
+        """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns, cut to STAMP_NS.
 
         None where the fast path is not for any of the `count` messages: of another size, length or flags than
         expected, an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present
@@ -111,7 +112,8 @@ class ReceiveBlock:
         expected, flags = self._head, self._flags
         for can_id, head, data, ns in self._unpack(slots):
             if head == expected and first <= ns <= last and (can_id < ERROR or not can_id & ERROR):
-                frames.append(Frame(can_id, data, flags, base_ns + ns))
+                stamp_ns = base_ns + ns
+                frames.append(Frame(can_id, data, flags, stamp_ns - stamp_ns % STAMP_NS))
         if len(frames) != count:
             return None
         used[:] = fresh

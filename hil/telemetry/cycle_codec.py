@@ -67,7 +67,9 @@ def _sums(values: Any) -> NDArray[np.int64]:
 def _encode_frames(slots: NDArray[np.void], counts: NDArray[np.uint16]) -> pb.FrameColumns:
     used = slots[np.arange(slots.shape[1]) < counts[:, None]]
     lengths = np.minimum(used["length"], _DATA_BYTES).astype(np.uint8)
-    message = pb.FrameColumns(timestamp_ns=_differences(used["timestamp_ns"]).tolist())
+    stamps = _differences(used["timestamp_ns"])
+    unit = max(1, int(np.gcd.reduce(stamps)))  # ports stamp in whole microseconds, a segment in its bit times
+    message = pb.FrameColumns(timestamp_ns=(stamps // unit).tolist(), timestamp_unit=unit)
     keys = used["can_id"].astype(np.uint64) << 16 | used["flags"].astype(np.uint64) << 8 | lengths
     found = keys.tolist()
     places = {key: place for place, key in enumerate(sorted(set(found)))}
@@ -148,7 +150,7 @@ def _decode_frames(message: pb.FrameColumns, expected: int) -> Iterator[Frame]:
         raise ValueError(f"frames of stream {int(numbers.max())}, where there are {len(message.streams)}")
     streams = [iter(rows) for rows in _streams_data(message, numbers)]
     heads = [(stream.can_id, stream.flags) for stream in message.streams]
-    times = _sums(message.timestamp_ns).tolist()
+    times = (_sums(message.timestamp_ns) * (message.timestamp_unit or 1)).tolist()
     return (
         Frame(heads[number][0], next(streams[number]), heads[number][1], stamp)
         for number, stamp in zip(numbers.tolist(), times, strict=True)

@@ -109,6 +109,7 @@ class FaultSnapshots:
         }
         self._next = job.first
         self._writing = Recorder(temporary, metadata)
+        self._writing.hurried = True
 
     def _end(self, job: _Pending, now_ns: int, over: bool) -> None:
         recorder, self._writing = self._writing, None

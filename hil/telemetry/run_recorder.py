@@ -26,6 +26,7 @@ RETRY_NS = 1_000_000_000
 HELD = 1024  # messages that wait for room
 PASSING = frozenset({"status"})  # topics whose old messages are of no use
 CAUGHT_UP = 512  # ticks taken from the ring at a time
+BEHIND = 250  # ticks at once: of a sidecar that keeps up, a few tens
 _OURS = re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap")
 
 
@@ -104,6 +105,7 @@ class RunRecorder:
             self._put(self._current, records, messages, first, 0)
 
     def _put(self, recorder: Recorder, records: Records, messages: Sequence[bytes], first: int, lost: int) -> None:
+        recorder.hurried = len(records) > BEHIND
         recorder.ticks(records, messages, first=first, lost=lost)
         if recorder.ok:
             self._next = first + len(records)

@@ -91,16 +91,18 @@ class Stream(_message.Message):
     def __init__(self, can_id: _Optional[int] = ..., flags: _Optional[int] = ..., length: _Optional[int] = ..., crc32: _Optional[bool] = ...) -> None: ...
 
 class FrameColumns(_message.Message):
-    __slots__ = ("timestamp_ns", "streams", "stream", "data")
+    __slots__ = ("timestamp_ns", "streams", "stream", "data", "timestamp_unit")
     TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
     STREAMS_FIELD_NUMBER: _ClassVar[int]
     STREAM_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
+    TIMESTAMP_UNIT_FIELD_NUMBER: _ClassVar[int]
     timestamp_ns: _containers.RepeatedScalarFieldContainer[int]
     streams: _containers.RepeatedCompositeFieldContainer[Stream]
     stream: _containers.RepeatedScalarFieldContainer[int]
     data: bytes
-    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping]]] = ..., stream: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
+    timestamp_unit: int
+    def __init__(self, timestamp_ns: _Optional[_Iterable[int]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping]]] = ..., stream: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ..., timestamp_unit: _Optional[int] = ...) -> None: ...
 
 class Command(_message.Message):
     __slots__ = ("kind", "sequence", "expires_ns", "accepted")

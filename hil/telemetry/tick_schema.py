@@ -47,6 +47,7 @@ TICK_FIELDS: Final = (
 # Of each axis, after the motion fields.
 _AXIS_FIELDS: Final = (("age_ticks", 11, "uint32"), ("drive_status", 12, "uint32"))
 _VELOCITIES = ("velocity_estimate", "setpoint_velocity")
+_DIFFERENCES = ("following_error", "innovation")
 _FORCES = ("force", "force_requested", "disturbance_estimate")
 _TYPES = {name: getattr(_FieldType, f"TYPE_{name.upper()}") for name in ("int64", "uint64", "uint32", "double")}
 _TYPES["sfixed64"] = _FieldType.TYPE_SFIXED64
@@ -55,19 +56,19 @@ _TYPES["sfixed64"] = _FieldType.TYPE_SFIXED64
 def scales(rig: dict[str, Any]) -> dict[str, dict[str, Scale]]:
     """Unit and step of every motion field, by axis and name. rig: a validated rig as JSON has it.
 
-    Steps: an eighth of a count, a 64th of a count per period, a 65536th of the force limit, or the power of two below.
+    Steps, or the power of two below: half a count of positions, a quarter of a count of their differences, an eighth of
+    a count per period, a 4096th of the force limit (drives that are bought take a thousandth of what they are rated).
     """
     found = {}
     for name, axis in rig["axes"].items():
         linear = axis.get("kind", "linear") == "linear"
         count = float(axis["encoder_resolution"])
-        position = Scale("m" if linear else "rad", _power_of_two(count / 8))
-        velocity = Scale(f"{position.unit}/s", _power_of_two(count * float(rig["rate_hz"]) / 64))
-        force = Scale("N" if linear else "N m", _power_of_two(float(axis["limits"]["force"]) / 2**16))
-        found[name] = {
-            field: velocity if field in _VELOCITIES else force if field in _FORCES else position
-            for field in MOTION_FIELDS
-        }
+        position = Scale("m" if linear else "rad", _power_of_two(count / 2))
+        difference = Scale(position.unit, _power_of_two(count / 4))
+        velocity = Scale(f"{position.unit}/s", _power_of_two(count * float(rig["rate_hz"]) / 8))
+        force = Scale("N" if linear else "N m", _power_of_two(float(axis["limits"]["force"]) / 4096))
+        found[name] = dict.fromkeys(MOTION_FIELDS, position) | dict.fromkeys(_DIFFERENCES, difference)
+        found[name] |= dict.fromkeys(_VELOCITIES, velocity) | dict.fromkeys(_FORCES, force)
     return found
 
 

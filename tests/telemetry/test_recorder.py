@@ -127,6 +127,16 @@ def test_everything_replay_needs_survives_the_way_through_protobuf(ticks: list) 
     assert [command.accepted for command in message.commands] == [ok for tick in ticks for _, ok in tick[2]]
 
 
+@pytest.mark.parametrize("unit", [1, 200, 1000])
+def test_time_stamps_are_told_in_the_unit_they_are_all_multiples_of(unit: int) -> None:
+    stamps = [unit * number for number in (10**12 + 1, 10**12 + 4, 10**12 - 6, 10**12 + 1)]
+    message = cycle_codec.encode(_records([([Frame(1, b"", 0, stamp)], [], [], 0) for stamp in stamps]), 3)
+    assert (message.received.timestamp_unit, list(message.received.timestamp_ns)[1:]) == (unit, [3, -10, 7])
+    message.received.timestamp_unit = 0  # as of recordings that have none
+    message.received.timestamp_ns[:] = [stamps[0], 3 * unit, -10 * unit, 7 * unit]
+    assert [frame.timestamp_ns for tick in cycle_codec.recorded_ticks(message) for frame in tick.received] == stamps
+
+
 def test_telemetry_columns_are_the_records_fields() -> None:
     records = _records([([], [], [], 0)] * 4)
     message = pb.Telemetry.FromString(codec.telemetry(records, 3, batch=9, lost=1).SerializeToString())
@@ -195,7 +205,7 @@ def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path)
         states = type(message).DESCRIPTOR.fields_by_name["state"].enum_type.values_by_number
         assert states[message.state].name == "ACTIVE"
         assert json.loads(channel.metadata["units"])["x.position"] == "m"
-        assert json.loads(channel.metadata["steps"])["x.position"] == 2.0**-23
+        assert json.loads(channel.metadata["steps"])["x.position"] == 2.0**-21  # half a count
         assert [(item.name, item.metadata["rig_hash"]) for item in reader.iter_metadata()] == [("hil", DIGEST)]
 
 

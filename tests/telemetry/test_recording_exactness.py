@@ -1,4 +1,5 @@
-"""What the cycle wrote is what a recording gives: to the last bit through hil, to the documented steps without it."""
+"""What the cycle wrote is what a recording gives: to the last bit through hil, to the documented steps without it. And
+how large it gets."""
 
 import json
 from pathlib import Path
@@ -83,3 +84,10 @@ def test_read_by_plain_mcap_and_protobuf_it_gives_the_same_series_to_the_documen
             assert not np.fmod(plain, step).any(), (axis, name)
         for name in ("age_ticks", "drive_status"):
             assert [getattr(row, name) for row in rows] == run.columns[name][:, number].tolist(), (axis, name)
+
+
+@pytest.mark.slow
+def test_ten_minutes_of_a_noisy_stage_take_at_most_60_megabytes(tmp_path: Path) -> None:
+    seconds = 10.0
+    hil.simulate(RIGS / "microscope.toml", seconds, record=tmp_path / RECORDING)
+    assert (tmp_path / RECORDING).stat().st_size * 600.0 / seconds <= 60e6

@@ -15,6 +15,7 @@ from hil.live.ring import RingReader, RingWriter
 from hil.telemetry import cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.fault_snapshots import AFTER_S, BEFORE_S, FaultSnapshots
+from hil.telemetry.recorder import Recorder, write_batch
 from hil.telemetry.recording import Recording
 from hil.telemetry.run_recorder import Limits, RunRecorder, Store, prune
 from hil.telemetry.sidecar_progress import Progress, ProgressFile
@@ -91,6 +92,30 @@ def test_a_long_run_is_in_as_many_parts_as_it_takes_and_reads_as_one(
     assert rings_of(tmp_path / "run.mcap") == list(range(40 * RATE))
     later = rings_of(recording.parts[-1])  # a part alone begins where it begins
     assert later == list(range(later[0], 40 * RATE))
+
+
+@pytest.mark.parametrize(("at_once", "hurried"), [(50, False), (500, True)])
+def test_who_is_behind_hurries(
+    ring: Ring, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int, hurried: bool
+) -> None:
+    found = []
+    monkeypatch.setattr(Recorder, "ticks", lambda self, *_, **__: found.append(self.hurried))
+    recorder = recorder_of(ring, tmp_path)
+    ring.tick(at_once)
+    recorder.keep_up(ring.writer.written, ring.now_ns)
+    assert found == [hurried]
+
+
+def test_what_is_written_in_a_hurry_is_the_same_and_larger(ring: Ring, tmp_path: Path) -> None:
+    ring.tick(500)
+    batch = ring.reader.look(0, 500)
+    for hurried in (False, True):
+        recorder = Recorder(tmp_path / f"{hurried}.mcap", ring.reader.metadata)
+        recorder.hurried = hurried
+        write_batch(recorder, batch.records, first=0, lost=0)
+        recorder.close()
+    assert rings_of(tmp_path / "True.mcap") == rings_of(tmp_path / "False.mcap") == list(range(500))
+    assert (tmp_path / "False.mcap").stat().st_size < 0.95 * (tmp_path / "True.mcap").stat().st_size
 
 
 def test_another_control_processs_part_is_not_read_as_this_ones(ring: Ring, tmp_path: Path) -> None:
