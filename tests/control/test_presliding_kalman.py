@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from hil.control.laws.base import Model
-from hil.control.laws.motion_observer import MotionModel
+from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
 from hil.control.laws.presliding_bank import Bank, moved, slopes
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
@@ -61,6 +61,36 @@ def test_the_tool_is_behind_the_encoder_by_what_its_spring_gives() -> None:
     omega = 2.0 * np.pi * 120.0
     assert MotionModel(model(120.0), PERIOD).tool_lag == pytest.approx(1.0 / omega**2)
     assert MotionModel(model(0.0), PERIOD).tool_lag == 0.0
+
+
+@pytest.mark.parametrize("frequency", [0.0, 120.0, 250.0])
+def test_a_force_that_was_another_than_expected_is_put_right_by_one_sample(frequency: float) -> None:
+    """The drive's force behind the lag was 0.4 N off when it took over: position, speed and mode are those after it."""
+    motion = MotionModel(model(frequency), PERIOD)
+    axis, observer = MotionObserver(motion, 0.0), MotionObserver(motion, 0.0)
+    axis.f = 0.4
+    axis.advance(0.0, 0.0)
+    observer.advance(0.0, 0.0)
+    observer.correct(axis.e + axis.x, motion.thrown)
+    assert axis.v == pytest.approx(0.4 * LAG * (1.0 - np.exp(-PERIOD / LAG)) / MASS)
+    assert [observer.e, observer.v, observer.x, observer.n] == pytest.approx([axis.e, axis.v, axis.x, axis.n], rel=1e-9)
+    assert observer.d == 0.0
+
+
+def test_the_mode_swings_after_a_throw_by_what_is_said_and_fades_as_is_said() -> None:
+    motion = MotionModel(model(120.0), PERIOD)
+    axis = MotionObserver(motion, 0.0)
+    axis.f = 1.0
+    swing = []
+    for _ in range(200):
+        axis.advance(0.0, 0.0)
+        swing.append(abs(axis.x))
+    assert max(swing) == pytest.approx(motion.swing, rel=0.05)
+    assert max(swing[100:]) == pytest.approx(motion.swing * motion.fade**100, rel=0.1)
+    assert MotionModel(model(0.0), PERIOD).swing == 0.0
+    undamped = model(120.0)
+    undamped.mode_damping = 0.0
+    assert MotionModel(undamped, PERIOD).fade < 1.0
 
 
 def test_gains_of_floats_and_of_arrays_are_the_same_bits() -> None:

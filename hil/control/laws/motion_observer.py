@@ -20,6 +20,7 @@ from hil.control.number import Number, at_least, root, select
 
 LEAST_LAG = 1e-3  # of a period: what no lag is calculated as
 SQUARINGS, TERMS = 12, 8  # of the matrix exponential
+SLOWEST_FADE = 0.995  # a period, of a mode that the model does not damp
 DOUBLINGS = 18  # of the Riccati equation: 2^18 periods
 TURN = 6.283185307179586
 Matrix = list[list[Number]]
@@ -152,6 +153,13 @@ class MotionModel:
         self.x_f, self.x_u, self.x_d = f[3][2] * metre, f[3][6] * metre, -f[3][5] * metre
         self.n_x, self.n_n = f[4][3] / period, f[4][4]
         self.n_f, self.n_u, self.n_d = f[4][2] * rate, f[4][6] * rate, -f[4][5] * rate
+        # A force behind the lag that was another than expected, once: gains that put an innovation down to it; how far
+        # the mode swings after it (m/N), and what a period leaves of that.
+        seen = self.e_f + self.x_f
+        self.thrown = Gains(self.e_f / seen, self.v_f / seen, self.x_f / seen, self.n_f / seen, zero)
+        n = self.n_f * period / select(rings, ring, one)
+        self.swing = root(self.x_f * self.x_f + n * n) * self._seen
+        self.fade = -at_least(-root(self.x_x * self.n_n - self.x_n * self.n_x), -SLOWEST_FADE)
         self._metre = metre
         self.time = period
 

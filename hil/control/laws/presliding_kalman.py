@@ -14,6 +14,9 @@ flexible mode inside the observer; a bias that is found.
   force acts. It is the tool that follows: the encoder goes ahead of the reference by what the spring bends under its
   acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
   soft, the loop then takes gains that are stable on any.
+- Where a weight hangs on the axis, its brake opens before the drive's force has come up over its lag, and throws it:
+  a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make it too
+  stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
 - Where the task repeats and law.iterative_learning says so, what d still is at each instant of it is fed forward in
   the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile.
 
@@ -34,6 +37,8 @@ from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
 from hil.control.number import Number, at_least, bounded, root, select
 
+TAKEN_OVER, SEEN, STARTED = 1, 2, 3  # ticks: the drive takes over; what that did is seen
+RINGING = 2.0  # times what the throw makes the mode swing by: noise to the weights
 REST_PERIODS = 20.0  # until an axis counts as at rest
 MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as known
 STRETCH = 4.0  # s stays within this many times the coarsest reach
@@ -194,7 +199,9 @@ class PreslidingKalman(Law):
         self._force_before = force
         self._position, self._velocity = zero, zero  # of the reference, at the newest sample
         self._place, self._ahead = zero, zero  # of the axis in its bank; of the reference in its own
-        self._begun = False
+        self._tick = 0  # since the start, up to STARTED
+        self._short, self._thrown = zero, zero  # force beyond the gravity hold before the drive takes over; 1.0: thrown
+        self._ringing = zero  # m, of the mode after the throw
         self._learnt, self._open = zero, zero + 1.0  # by repeating; 1.0 where weights and table learn
         if self._memory is not None:
             self._memory.forget()
@@ -208,17 +215,20 @@ class PreslidingKalman(Law):
 
     def _begin(self, inputs: LawInputs) -> None:
         """The axis rests, held by its drive or brake until the first command arrives; so does the reference."""
-        if self._begun:
-            return
         sample, start = inputs.sample, inputs.start
         self._position, self._velocity = sample.position + 0.0, sample.velocity + 0.0
         self._place, self._ahead = sample.position + 0.0, start.position + 0.0
-        self._begun = True
+        self._short = short = inputs.force_last - self._model.gravity
+        self._thrown = select(short != 0.0, 1.0 + 0.0 * short, 0.0 * short)
 
     def force(self, inputs: LawInputs) -> Number:
         """Correct the observer, learn, look ahead to `start`, feed forward what is known and back what is left."""
-        first = not self._begun
-        self._begin(inputs)
+        tick = self._tick
+        first = tick == 0
+        if first:
+            self._begin(inputs)
+        if tick < STARTED:
+            self._tick = tick + 1
         before = self._force_before
         # Where no axis answered, the command was lost, and drives hold the force before it.
         last = before if first else select(inputs.answered != 0.0, inputs.force_last, before)
@@ -230,12 +240,18 @@ class PreslidingKalman(Law):
         innovation = (inputs.position - q - error) * inputs.fresh
         moves = (v != 0.0) | (q != self._position)
         self._position, self._velocity = q + 0.0, v + 0.0
+        if tick == SEEN:  # for this sample alone: the next schedule replaces the gains
+            self._gains.blend(self._gains, self._motion.thrown, self._thrown)
+            moves = moves & (self._thrown == 0.0)
         observer.correct(innovation, self._gains)
         memory = self._memory
         if memory is not None:
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, 0.0 * inputs.fresh) * self._open
         self._learn(q + (observer.e + observer.x), innovation, learn)
+        if tick == TAKEN_OVER:
+            observer.f = self._short + 0.0
+            self._ringing = (RINGING * self._motion.swing) * self._short
         lost = (start.position - q) - half * (v + start.velocity)
         error, rate = observer.ahead(last - self._known_last, lost)
         known = self._feedforward(inputs)
@@ -278,9 +294,12 @@ class PreslidingKalman(Law):
             c[6].innovation(acting[6], motion, gains),
         )  # fmt: skip
         self._acting = self._coming
+        ringing = self._ringing
+        self._ringing = ringing * motion.fade
         if not anywhere(learn > 0.0):
             return
-        self._spread, k = learnt(self._spread, r, self._noise, self._walk, self._prior, learn)
+        noise = self._noise + ringing * ringing
+        self._spread, k = learnt(self._spread, r, noise, self._walk, self._prior, learn)
         missing = innovation - known
         self._weights = (
             w[0] + k[0] * missing, w[1] + k[1] * missing, w[2] + k[2] * missing, w[3] + k[3] * missing,
