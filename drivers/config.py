@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from drivers.frame import MAX_SEGMENTS
 from drivers.plugins import Kind, known, unknown
 
 CHANNEL_NAME = r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,14}$"  # as Linux names interfaces; a local bus is a directory, too
@@ -229,6 +230,16 @@ KERNEL_INTERFACES = ("auto", "socketcan", "local")  # what control loop and emul
 Option = bool | int | float | str
 
 
+class SegmentConfig(BaseModel):
+    """[[bus.segments]]: one of several CAN interfaces, each with some of the axes on it."""
+
+    model_config = STRICT
+    channel: Annotated[str, Field(pattern=CHANNEL_NAME)] = key(REQUIRED, f"name of the CAN interface: {CHANNEL_RULE}")
+    axes: Annotated[list[str], Field(min_length=1)] = key(
+        REQUIRED, "names of the axes whose drives are on it, in the order of [axes]"
+    )
+
+
 class BusConfig(BaseModel):
     """[bus]: which CAN interface, at what bit rates, with which frame layout."""
 
@@ -240,6 +251,11 @@ class BusConfig(BaseModel):
     )
     channel: Annotated[str, Field(pattern=r"^[!-~]{1,100}$")] = key(
         "can0", f"name of the CAN interface: {CHANNEL_RULE}; or what the adapter calls it"
+    )
+    segments: Annotated[list[SegmentConfig], Field(max_length=MAX_SEGMENTS)] = key(
+        [],
+        "where the drives are on more than one interface: every axis on one of them, in the order of [axes]; all with "
+        "the same bit rates and frame layout",
     )
     options: dict[str, Option] = key(
         {}, "what an interface of python-can takes besides channel and bit rate, as ttyBaudrate for slcan"
@@ -269,6 +285,14 @@ class BusConfig(BaseModel):
             raise ValueError(unknown(LAYOUT_KIND, name))
         return name
 
+    @model_validator(mode="before")
+    @classmethod
+    def _channel_of_segments(cls, table: Any) -> Any:
+        """`channel`, where the segments alone say it."""
+        segments = table.get("segments") if isinstance(table, dict) and "channel" not in table else None
+        first = segments[0] if isinstance(segments, list) and segments else None
+        return {**table, "channel": first["channel"]} if isinstance(first, dict) and "channel" in first else table
+
     @model_validator(mode="after")
     def _every_key_acts(self) -> "BusConfig":
         if self.parameters and LAYOUT_KIND.own(self.protocol):
@@ -281,7 +305,25 @@ class BusConfig(BaseModel):
                 raise ValueError(f"channel {self.channel!r}: {CHANNEL_RULE}")
             if self.options:
                 raise ValueError(f"options: none are taken with interface = {self.interface!r}")
+        if self.segments:
+            self._check_segments()
         return self
+
+    def _check_segments(self) -> None:
+        channels = self.channels
+        if self.channel != channels[0]:
+            raise ValueError(f"channel = {self.channel!r}: beside `segments` it is the first one's, {channels[0]!r}")
+        if self.interface not in KERNEL_INTERFACES:
+            raise ValueError(f"segments: with interface = {', '.join(KERNEL_INTERFACES)} alone, not {self.interface!r}")
+        if len(channels) == 1:
+            raise ValueError(f"segments: one alone; say channel = {channels[0]!r}")
+        if len(set(channels)) != len(channels):
+            raise ValueError(f"segments: a channel twice in {', '.join(channels)}")
+
+    @property
+    def channels(self) -> list[str]:
+        """The CAN interfaces by name: one, or one a segment."""
+        return [segment.channel for segment in self.segments] or [self.channel]
 
 
 class Wiring(NamedTuple):

@@ -13,6 +13,9 @@ BRS: Final = 0x01  # CANFD_BRS, in flags: data phase at the data bit rate
 ESI: Final = 0x02  # CANFD_ESI, in flags: the sender is error-passive
 FD: Final = 0x04  # CANFD_FDF, in flags: an FD frame
 ECHO: Final = 0x80  # in flags, on no wire: an own frame given back by the bus, stamped with when it was out
+SEGMENT: Final = 0x30  # in flags, on no wire: number of the rig's segment, 0 in a rig with one
+_SEGMENT_SHIFT: Final = 4
+MAX_SEGMENTS: Final = 4  # that SEGMENT can tell apart
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
@@ -22,7 +25,7 @@ class Frame(NamedTuple):
 
     can_id: 11- or 29-bit identifier, with EXTENDED, REMOTE and ERROR as Linux sets them.
     data: 0 to 8 bytes, or one of FD_LENGTHS for an FD frame. Of a remote frame only their number means something.
-    flags: BRS, ESI, FD, ECHO.
+    flags: BRS, ESI, FD, ECHO, and the segment.
     timestamp_ns: reception time on the receiver's monotonic (or virtual) clock; 0 for a frame not yet sent.
     """
 
@@ -40,6 +43,17 @@ _FD = struct.Struct("=IBB2x64s")  # can_id, len, flags, reserved, data
 _pack_classic: Final = _CLASSIC.pack
 _pack_fd: Final = _FD.pack
 _FD_LENGTHS: Final = frozenset(FD_LENGTHS)
+
+
+def segment_of(frame: Frame) -> int:
+    """Number of the segment that the frame is on."""
+    return (frame.flags & SEGMENT) >> _SEGMENT_SHIFT
+
+
+def on_segment(frame: Frame, segment: int) -> Frame:
+    """The same frame on that segment, from 0 to MAX_SEGMENTS - 1."""
+    can_id, data, flags, stamp_ns = frame
+    return Frame(can_id, data, flags & ~SEGMENT | segment << _SEGMENT_SHIFT, stamp_ns)
 
 
 def to_bytes(frame: Frame) -> bytes:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.config import BusConfig, DrivesConfig
-from drivers.frame import Frame
+from drivers.frame import SEGMENT, Frame, on_segment, segment_of
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
+from drivers.segments import segments_of
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
@@ -77,10 +78,13 @@ class EmulatedStage:
         self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
         self.frame_taps: list[FrameTap] = []
+        self._segments = [axes for axes, _ in segments_of(bus, n_axes)]
+        self._segment_numbers = [number for number, axes in enumerate(self._segments) for _ in axes]
         nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
         self.fd = bool(getattr(self._protocol, "fd", False))
         self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
+        self._decode = getattr(self._protocol, "decode_part", getattr(self._protocol, "decode_command", None))
         self._stage = stage_of(
             plant,
             Truth.from_config(plant, n_axes, axis_names),
@@ -275,40 +279,50 @@ class EmulatedStage:
         """
         if frame.can_id in self._senders:
             return []  # a drive's own answer, heard by the others
-        if self._protocol is None:
+        if self._decode is None:
             return self._to_nodes(frame)
-        command = self._protocol.decode_command(frame)
+        command = self._decode(frame)
         if isinstance(command, Reject):
             self.rejected[command] += 1
             if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
-                self._fail_all(frame.timestamp_ns)
+                self._fail(self._on_segment(frame), frame.timestamp_ns)
             return []
         self.advance(frame.timestamp_ns)
         self._run_physics()
-        return self._obey(command)
+        return self._obey(command, self._on_segment(frame))
+
+    def _on_segment(self, frame: Frame) -> range:
+        """The axes whose drives a frame comes to."""
+        if len(self._segments) == 1:
+            return self._segments[0]
+        segment = segment_of(frame)
+        return self._segments[segment] if segment < len(self._segments) else range(0)
 
     def sender_of(self, answer: Frame) -> str:
         """Name of the axis whose drive sent this answer."""
         return self._senders[answer.can_id]
 
-    def _fail_all(self, now_ns: int) -> None:
+    def _fail(self, axes: range, now_ns: int) -> None:
         self.advance(now_ns)
         self._run_physics()
-        for drive in self.drives:
-            drive.fail()
+        for axis in axes:
+            self.drives[axis].fail()
         self._update()
 
-    def _obey(self, command: Command) -> list[Frame]:
-        assert self._protocol is not None
+    def _obey(self, command: Command, axes: range) -> list[Frame]:
         now_ns = self.now_ns
-        self._note_sampling()
+        if len(axes) == len(self.drives):
+            self._note_sampling()
+        else:
+            self._note_sampling_of(axes)
         positions = self._stage.readings()
         if self._mountings:
             positions = [self._position_at_drive(axis) for axis in range(len(self.drives))]
         frames_of = self._frames_of
         sequence, forces, enable, reset = command
         answers: list[Frame] = []
-        for axis, drive in enumerate(self.drives):
+        for axis in axes:
+            drive = self.drives[axis]
             if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
                 sample = drive.sample(positions[axis], now_ns)
                 answers += self._from_axis(axis, frames_of(sample))
@@ -319,10 +333,12 @@ class EmulatedStage:
     def _to_nodes(self, frame: Frame) -> list[Frame]:
         answers = self.advance(frame.timestamp_ns)
         self._run_physics()
-        heard = frame._replace(timestamp_ns=self.now_ns)
+        heard = Frame(frame.can_id, frame.data, frame.flags & ~SEGMENT, self.now_ns)
         obeyed_ns, sampled_ns = self.drives[0].last_command_ns, [node.sampled_ns for node in self._nodes]
+        axes = self._on_segment(frame)
         for node in self._nodes:
-            answers += self._from_axis(node.servo.axis, node.on_frame(heard))
+            if node.servo.axis in axes:
+                answers += self._from_axis(node.servo.axis, node.on_frame(heard))
         self.commands += self.drives[0].last_command_ns != obeyed_ns
         # Also at a SYNC whose torques were lost
         sampling = [
@@ -352,6 +368,8 @@ class EmulatedStage:
         """What leaves the drive in place of these frames."""
         for tap in self.frame_taps:
             frames = [changed for frame in frames for changed in tap(axis, frame)]
+        if len(self._segments) > 1:
+            frames = [on_segment(frame, self._segment_numbers[axis]) for frame in frames]
         for frame in frames:
             self._senders[frame.can_id] = self.axis_names[axis]
         return frames

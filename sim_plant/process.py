@@ -147,8 +147,9 @@ class Emulator:
             return
         poll = select.poll()
         poll.register(stop.fileno(), select.POLLIN)
-        if self.port.counters().state is not BusState.DOWN:
-            poll.register(self.port.fileno(), select.POLLIN)
+        for port in self.port.members:
+            if port.counters().state is not BusState.DOWN:
+                poll.register(port.fileno(), select.POLLIN)
         poll.poll(until_expiry_ms)
 
     def step(self, now_ns: int) -> None:
@@ -161,7 +162,9 @@ class Emulator:
             self.port.send(unasked)
         if self.port.counters().state is BusState.DOWN and now_ns - self._rebind_ns > _REBIND_NS:
             self._rebind_ns = now_ns
-            self.port.rebind()
+            for port in self.port.members:
+                if port.counters().state is BusState.DOWN:
+                    port.rebind()
         trips = sum(len(drive.trips) for drive in self.stage.drives)
         if trips != self._reported_trips or now_ns - self._reported_ns > _REPORT_NS:
             self._reported_trips = trips

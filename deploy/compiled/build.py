@@ -58,7 +58,7 @@ hil/control/trajectories: base blends chosen_axes displaced figures minimum_jerk
 hil/cycle: record
 hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length
-drivers/bus: port counters local_link local_medium receive_block socketcan
+drivers/bus: port segmented_port counters local_link local_medium receive_block socketcan
 drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
 drivers/wire: node segment wire
 sim_plant: emulator

@@ -1,5 +1,6 @@
 """What a CAN port counts; the same for a socket, the local bus and the simulated wire."""
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -28,3 +29,9 @@ class PortCounters(NamedTuple):
     down: int = 0  # ENETDOWN, ENODEV
     echo: int = 0  # own frames seen again
     state: BusState = BusState.ERROR_ACTIVE
+
+
+def of_all(counters: Sequence[PortCounters]) -> PortCounters:
+    """The counters of several segments as those of one bus: their sums, and the worst of their states."""
+    sums = [sum(counts) for counts in zip(*(of_one[:-1] for of_one in counters), strict=True)]
+    return PortCounters._make([*sums, max(of_one.state for of_one in counters)])

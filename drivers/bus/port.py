@@ -112,6 +112,11 @@ class Port:
         self._drained_ns = now_ns - now_ns % STAMP_NS
         self._has_drained = False
 
+    @property
+    def members(self) -> "Sequence[Port]":
+        """The ports of the rig's segments: this one alone."""
+        return (self,)
+
     def fileno(self) -> int:
         """Descriptor that is readable when frames have arrived, for poll(2); another one after `rebind`."""
         return self._medium.fileno()
@@ -335,7 +340,7 @@ def resolve_interface(bus: BusConfig) -> str:
 
 
 def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = None) -> Port:
-    """Open the bus of a rig for its host or for its devices.
+    """Open the bus of a rig for its host or for its devices; one of several segments is segmented_port.py's.
 
     fd: the layout uses CAN FD.
     echo_id: of own frames that are to be given back, marked ECHO and stamped with when they were out.

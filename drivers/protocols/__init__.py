@@ -14,6 +14,7 @@ from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_
 if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
     from drivers.config import BusConfig, Wiring
     from drivers.protocols.frame_layout import FrameLayout
+    from drivers.segments import Segment
 
 __all__ = ["LayoutError", "device_protocol", "host_protocol"]
 
@@ -36,6 +37,14 @@ def host_protocol(
     if not is_straight(mountings):
         at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         return MountedHost(host_protocol(bus, n_axes, at_drive, base_dir, period_ns), mountings)
+    if bus.segments:
+        from drivers.protocols.segmented import SegmentedHost, on_each
+
+        def make(segment: "Segment") -> HostProtocol:
+            axes, part = segment
+            return host_protocol(part, len(axes), rated_force[axes.start : axes.stop], base_dir, period_ns)
+
+        return SegmentedHost(on_each(bus, n_axes, make))
     return _layout(bus, n_axes, rated_force, period_ns, base_dir).host()
 
 
@@ -46,6 +55,14 @@ def device_protocol(
     if not is_straight(mountings):
         at_drive = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         return MountedDevice(device_protocol(bus, n_axes, at_drive, base_dir), mountings)
+    if bus.segments:
+        from drivers.protocols.segmented import SegmentedDevice, on_each
+
+        def make(segment: "Segment") -> DeviceProtocol:
+            axes, part = segment
+            return device_protocol(part, len(axes), rated_force[axes.start : axes.stop], base_dir)
+
+        return SegmentedDevice(on_each(bus, n_axes, make))
     return _layout(bus, n_axes, rated_force, 1_000_000, base_dir).drives()
 
 

@@ -140,3 +140,9 @@ class DeviceProtocol(Protocol):
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """The feedback frame of one axis."""
+
+
+def echo_ids(layout: HostProtocol) -> Sequence[int | None]:
+    """The `echo_id` of every segment: of one, but where the layout has several."""
+    found: Sequence[int | None] = getattr(layout, "echo_ids", (layout.echo_id,))
+    return found

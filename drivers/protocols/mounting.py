@@ -63,6 +63,7 @@ class MountedHost:
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
+        self.echo_ids: Sequence[int | None] = getattr(layout, "echo_ids", (layout.echo_id,))  # by segment
         self.positions: Sequence[tuple[float, float]] = [
             (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))
             for mounting, ends in zip(mountings, layout.positions, strict=True)

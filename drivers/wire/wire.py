@@ -26,6 +26,7 @@ from drivers.wire.injection import LateDeliveries, NodeFaults
 from drivers.wire.node import DURATION, FRAME, READY, WireNode, attach
 from drivers.wire.segment import Observer, Segment, elapsed_ns
 
+NEVER_NS = 1 << 62
 COLLISION_BIT = 20  # two senders with one identifier differ behind the arbitration field
 
 
@@ -116,6 +117,16 @@ class Wire(Segment[WireNode]):
             else:
                 break
         self.now_ns = until_ns
+
+    @property
+    def next_ns(self) -> int:
+        """When something happens next that is known by now: what is planned, a frame's end or beginning; NEVER_NS."""
+        due_ns = self.agenda[0][0] if self.agenda else NEVER_NS
+        if self.sender is not None:
+            return min(due_ns, self.end_ns)
+        for node in self.waiting:
+            due_ns = min(due_ns, max(self.free_ns, node.queue[0][READY]))
+        return due_ns
 
     def _arbitrate(self, horizon_ns: int) -> bool:
         """Begin the next frame if it begins by `horizon_ns`."""

@@ -100,7 +100,8 @@ class ControlLoop:
         self._records = parts.cycle.records
         self._cpu_mark_ns = self._cpu_ns = 0
         self._told: tuple[State, tuple[Note, ...]] | None = None
-        self._silent = self._recall_due = False
+        self._silent = False
+        self._recall_due: list[Port] = []  # by segment, what may still hold frames
         self._next_rebind = 0
         self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
         self._intake: TaskIntake | None = None
@@ -176,7 +177,8 @@ class ControlLoop:
             self._stop_line.latched(self._cycle.state.name, pacer.index)
         self._measure(began, sending, clock(), sent_ns)
         if self._cycle.silent is not self._silent:
-            self._silent = self._recall_due = self._cycle.silent
+            self._silent = self._cycle.silent
+            self._recall_due = list(port.members) if self._silent else []
             self._recall()
         chore = self._chores.get(self.ticks % self._chore_ticks)
         if chore is not None:
@@ -255,12 +257,7 @@ class ControlLoop:
         Tried until it works. An interface that is down holds nothing; a controller in bus-off would be restarted by
         this, which is for the operator's reset.
         """
-        state = self._port.counters().state
-        if state is BusState.DOWN:
-            self._recall_due = False
-        elif self._recall_due and state is not BusState.BUS_OFF:
-            self._recall_due = not self._port.purge()
-            self._port.rebind()
+        self._recall_due = [port for port in self._recall_due if not _is_recalled(port)]
 
     def _recover_bus(self) -> None:
         """Look once a second for an interface that is gone; nothing moves meanwhile, so a slow call does no harm."""
@@ -269,7 +266,9 @@ class ControlLoop:
             return
         if self.ticks >= self._next_rebind:
             self._next_rebind = self.ticks + round(1e9 / self.pacer.period_ns)
-            self._port.rebind()
+            for port in self._port.members:
+                if port.counters().state is BusState.DOWN:
+                    port.rebind()
 
     def _after_commands(self) -> None:
         """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
@@ -283,5 +282,19 @@ class ControlLoop:
         if self._port.counters().state < BusState.BUS_OFF or self._cycle.state in TORQUE_STATES:
             return
         if any(command.kind == CommandKind.RESET for command in commands):
-            self._port.purge()
-            self._port.rebind()
+            for port in self._port.members:
+                if port.counters().state >= BusState.BUS_OFF:
+                    port.purge()
+                    port.rebind()
+
+
+def _is_recalled(port: Port) -> bool:
+    """Whether a segment holds no frame of ours any more."""
+    state = port.counters().state
+    if state is BusState.DOWN:
+        return True
+    if state is BusState.BUS_OFF:
+        return False
+    purged = port.purge()
+    port.rebind()
+    return purged

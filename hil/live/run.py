@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from drivers.bus.port import PortError, open_port
+from drivers.bus.port import Port, PortError, open_port
+from drivers.protocols.base import HostProtocol, echo_ids
 from drivers.runtime import RuntimeDirectoryError, stop_signals
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
 from hil.control.feasibility import unit_questions
@@ -129,7 +130,7 @@ def control_loop(
         stop_line = stack.enter_context(StopLine(files.directory))
         journal = Journal(files)  # before real time and locked memory, none of which is for it
         stack.callback(journal.leave)
-        port = open_port(rig.bus, role="host", fd=cycle.protocol.fd, echo_id=cycle.protocol.echo_id)
+        port = _open_bus(rig, cycle.protocol)
         stack.callback(port.close)
         notifier = Notifier()
         stack.callback(notifier.close)
@@ -144,11 +145,20 @@ def control_loop(
         stack.callback(mailbox.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         notes = NoteWriter(files.notes)
-        print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {rig.bus.channel}; {verdict}", flush=True)
+        print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {', '.join(rig.bus.channels)}; {verdict}", flush=True)
         yield ControlLoop(
             Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, files.task, journal),
             stage_clock,
         )
+
+
+def _open_bus(rig: RigConfig, layout: HostProtocol) -> Port:
+    """The rig's bus. Raises PortError."""
+    if rig.bus.segments:
+        from drivers.bus.segmented_port import open_segments  # which no other rig needs
+
+        return open_segments(rig.bus, role="host", fd=layout.fd, echo_ids=echo_ids(layout))
+    return open_port(rig.bus, role="host", fd=layout.fd, echo_id=layout.echo_id)
 
 
 def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:

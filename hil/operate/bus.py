@@ -32,6 +32,7 @@ from hil.operate.trace_file import read_trace
 from hil.operate.traces import open_writer, suffix_of
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
+from hil.rig.segments import rig_on
 
 REFRESH_HZ = 4
 POLL_S = 0.1
@@ -40,7 +41,12 @@ LAST_MESSAGES = 10_000  # taken after the end was asked for; more is a flood
 
 bus = typer.Typer(no_args_is_help=True, help="Watch, record or play back a CAN bus.")
 
-RigOption = Annotated[Path | None, typer.Option("--rig", help="take channel, interface and bit rates from a rig file")]
+RigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig", help="take channel (of several segments that of --channel), interface and bit rates from a rig file"
+    ),
+]
 ChannelOption = Annotated[str, typer.Option("--channel", "-c", help="such as can0")]
 SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after this time; otherwise at Ctrl-C")]
 
@@ -60,7 +66,7 @@ def view(
 ) -> None:
     """Rate, load, age and last data per identifier, and errors; live in a terminal, once at the end otherwise."""
     config = _config(channel, interface, bitrate, options, rig)
-    reader = _reader(rig, dbc)
+    reader = _reader(rig, dbc, channel)
     console = Console()
     with _until_stopped(seconds) as stopped, _open(config) as member:
         statistics = BusStatistics(config.bitrate, config.data_bitrate, time.monotonic())
@@ -167,7 +173,7 @@ def _at_speed(messages: Iterable[can.Message], speed: float) -> Iterator[can.Mes
 
 def _config(channel: str, interface: str, bitrate: int, options: list[str] | None, rig: Path | None) -> BusConfig:
     if rig is not None:
-        return load_rig(rig).bus
+        return rig_on(load_rig(rig), channel).bus
     return stated_bus(channel, interface, bitrate, options or [])
 
 
@@ -214,7 +220,7 @@ def _writer(file: Path) -> contextlib.AbstractContextManager[Callable[[can.Messa
         return open_writer(file)
 
 
-def _reader(rig: Path | None, dbc: Path | None) -> Reader | None:
+def _reader(rig: Path | None, dbc: Path | None, channel: str) -> Reader | None:
     """What a frame means, by a DBC file or a rig's layout; None where neither is given."""
     if dbc is not None:
         try:
@@ -223,7 +229,7 @@ def _reader(rig: Path | None, dbc: Path | None) -> Reader | None:
             raise typer.BadParameter(str(error), param_hint="--dbc") from None
     if rig is None:
         return None
-    config = load_rig(rig)
+    config = rig_on(load_rig(rig), channel)
     rated = [axis.rated_force for axis in config.axes.values()]
     try:
         return layout_reader(config.bus, config.axis_names, rated, rig.parent, config.mountings)

@@ -24,9 +24,9 @@ from hil.rig.bus_load import (
     emulation_notes,
     feedback_notes,
     layout_warnings,
+    messages_by_segment,
     microseconds,
     problems,
-    rig_messages,
 )
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
@@ -50,7 +50,6 @@ def check_rig(
     measured frequency response. frd: where the loop's frequency response goes, JSON.
     """
     rig = load_rig(rig_file, overrides)
-    messages = rig_messages(rig, rig_file.parent)
     analysis = analyse_rig(rig, rig_file.parent)
     console = Console(stderr=json_path == "-")
     warnings = layout_warnings(rig, rig_file.parent)
@@ -58,7 +57,8 @@ def check_rig(
     for note in [*encoder_notes(rig), *layout, *interface_notes(rig), *warnings]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
-    tolerated = faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate)
+    parts = messages_by_segment(rig, rig_file.parent)
+    tolerated = min(faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate) for messages in parts)
     if tolerated >= 0:
         console.print(f"Bus errors that may hit one response without a deadline missed: {tolerated}")
     target = picture or Path("runs") / f"{rig.name}-tick.png"
@@ -135,7 +135,7 @@ def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
     rates = f"{bus.bitrate} bit/s" + (f", data {bus.data_bitrate} bit/s" if _any_fd(analysis) else "")
     verdict = "fits" if analysis.schedulable else "[red]does not fit[/red]"
     title = (
-        f"{rig.name}: {bus.protocol} on {rates}, {rig.rate_hz:g} Hz: {verdict}\n"
+        f"{rig.name}: {bus.protocol} on {_segments(rig)}{rates}, {rig.rate_hz:g} Hz: {verdict}\n"
         f"worst-case load {analysis.bus_load:.1%}, cyclic frames {microseconds(analysis.tick_ns)} a tick; times in us"
     )
     table = Table(title=title, title_justify="left")
@@ -158,6 +158,11 @@ def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
             "-" if margin_ns is None else f"{'' if response.fits else '[red]'}{margin_ns / 1000:.1f}",
         )
     return table
+
+
+def _segments(rig: RigConfig) -> str:
+    """Which axes are where, of a rig with more than one segment; the load is that of the busiest."""
+    return "".join(f"{segment.channel} ({', '.join(segment.axes)}), " for segment in rig.bus.segments)
 
 
 def stability_table(report: StabilityReport) -> Table:

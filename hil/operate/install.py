@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -69,33 +70,41 @@ def system_files(executable: str, *, packaged: bool) -> Files:
 
 
 def network_files(bus: BusConfig, *, fd: bool) -> Files:
-    """systemd-networkd's and udev's files for the rig's CAN interface; `fd` says whether its layout needs CAN FD."""
+    """systemd-networkd's and udev's files for the rig's CAN interfaces; `fd` says whether its layout needs CAN FD."""
+    files: Files = {}
+    for channel in bus.channels:
+        files |= _interface_files(bus, channel, fd=fd)
+    return files
+
+
+def _interface_files(bus: BusConfig, channel: str, *, fd: bool) -> Files:
     source = shipped("systemd") / "network"
-    place = f"etc/systemd/network/80-hil-{bus.channel}"
-    if bus.channel.startswith("vcan"):
+    place = f"etc/systemd/network/80-hil-{channel}"
+    if channel.startswith("vcan"):
         return {
-            f"{place}.netdev": with_values((source / "vcan.netdev").read_text(), Name=bus.channel),
-            f"{place}.network": with_values((source / "vcan.network").read_text(), Name=bus.channel),
+            f"{place}.netdev": with_values((source / "vcan.netdev").read_text(), Name=channel),
+            f"{place}.network": with_values((source / "vcan.network").read_text(), Name=channel),
         }
-    rates: dict[str, object] = {"Name": bus.channel, "BitRate": bus.bitrate}
+    rates: dict[str, object] = {"Name": channel, "BitRate": bus.bitrate}
     if fd:
         rates["DataBitRate"] = bus.data_bitrate
     network = (source / ("can-fd.network" if fd else "can-classic.network")).read_text()
     link = (source / "can.link").read_text()
     return {
         f"{place}.network": with_values(network, **rates),
-        f"{place}.link": with_values(link, OriginalName=bus.channel, TransmitQueueLength=bus.transmit_queue),
+        f"{place}.link": with_values(link, OriginalName=channel, TransmitQueueLength=bus.transmit_queue),
     }
 
 
-def device_of(rig: RigConfig) -> str:
-    """The systemd device unit of the rig's CAN interface."""
-    return f"sys-subsystem-net-devices-{escape(rig.bus.channel)}.device"
+def devices_of(rig: RigConfig) -> list[str]:
+    """The systemd device units of the rig's CAN interfaces."""
+    return [f"sys-subsystem-net-devices-{escape(channel)}.device" for channel in rig.bus.channels]
 
 
 def unit_drop_in(rig: RigConfig, cpu: int | None = None) -> str:
-    """The rig's own part of a unit: bound to its CAN device and, where one is given, to a CPU."""
-    lines = ["[Unit]", f"BindsTo={device_of(rig)}", f"After={device_of(rig)}"]
+    """The rig's own part of a unit: bound to its CAN devices and, where one is given, to a CPU."""
+    devices = " ".join(devices_of(rig))
+    lines = ["[Unit]", f"BindsTo={devices}", f"After={devices}"]
     if cpu is not None:
         lines += ["", "[Service]", f"CPUAffinity={cpu}"]
     return "\n".join([f"# written by `hil install` for rig {rig.name}", *lines, ""])
@@ -109,10 +118,11 @@ def control_cpu(rig: RigConfig, cpus: int) -> int | None:
 
 
 def rig_links(rig: RigConfig, unit_directory: str, *, emulator: bool) -> Links:
-    """Which units hil.target starts, and which the CAN device brings back when it is plugged in again."""
+    """Which units hil.target starts, and which a CAN device brings back when it is plugged in again."""
     bound = ["hil-control", "hil-emulator"] if emulator else ["hil-control"]
     started = [*bound, "hil-sidecar"]
-    wants = [("hil.target", unit) for unit in started] + [(device_of(rig), unit) for unit in bound]
+    wants = [("hil.target", unit) for unit in started]
+    wants += [(device, unit) for device in devices_of(rig) for unit in bound]
     return {
         f"etc/systemd/system/{wanting}.wants/{unit}@{rig.name}.service": f"/{unit_directory}/{unit}@.service"
         for wanting, unit in wants
@@ -167,7 +177,10 @@ def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
     except (tomlkit.exceptions.TOMLKitError, UnicodeDecodeError) as error:
         raise RigError([f"{source}: not a TOML document: {error}"]) from None
     if channel is not None:
-        document.setdefault("bus", tomlkit.table())["channel"] = channel
+        table = document.setdefault("bus", tomlkit.table())
+        if "segments" in table:
+            raise InstallError(f"--channel: {source} has bus.segments; name the channels there")
+        table["channel"] = channel
     try:
         return tomlkit.dumps(document), build_rig(document.unwrap(), folder=source.parent)
     except RigError as error:
@@ -206,15 +219,15 @@ def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> No
         place.chmod(0o644)
 
 
-def _reload(root: Path, channel: str = "") -> None:
+def _reload(root: Path, channels: Sequence[str] = ()) -> None:
     """Make the running system read the new files; starts and stops nothing.
 
-    channel: an interface to which udev is to apply its .link file (the transmit queue) now, if it is there.
+    channels: interfaces to which udev is to apply their .link files (the transmit queue) now, if they are there.
     """
     if root != Path("/") or not Path("/run/systemd/system").is_dir():
         return
-    devices = ["/dev/cpu_dma_latency", f"/sys/class/net/{channel}"]
-    present = [device for device in devices[: 2 if channel else 1] if Path(device).exists()]
+    devices = ["/dev/cpu_dma_latency", *(f"/sys/class/net/{channel}" for channel in channels)]
+    present = [device for device in devices if Path(device).exists()]
     for command in (
         ["systemd-sysusers"],
         ["systemd-tmpfiles", "--create", "--prefix=/run/hil", "--prefix=/var/lib/hil", "--prefix=/etc/hil"],
@@ -247,7 +260,7 @@ def install_rig(
             f"bus.interface = '{rig.bus.interface}': the control process runs on the kernel's CAN interfaces alone; "
             "`hil doctor` has the commands for the adapter's own driver"
         )
-    emulated = rig.bus.channel.startswith("vcan") if emulator is None else emulator
+    emulated = all(name.startswith("vcan") for name in rig.bus.channels) if emulator is None else emulator
     fd = _needs_fd(rig, source.parent)
     belongings = {f"{rig.name}.toml": text, **_files_beside(rig, source)}
     packaged = (root / _PACKAGED_TARGET).exists()
@@ -331,8 +344,8 @@ def install(
         )
     except (InstallError, OSError) as error:
         _fail(error)
-    _reload(root, installed.bus.channel)
-    print(f"rig {installed.name} on {installed.bus.channel}: {root / RIGS / installed.name}.toml")
+    _reload(root, installed.bus.channels)
+    print(f"rig {installed.name} on {', '.join(installed.bus.channels)}: {root / RIGS / installed.name}.toml")
     print("start: systemctl start hil.target    at every boot: systemctl enable hil.target")
 
 

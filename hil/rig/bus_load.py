@@ -61,12 +61,29 @@ def emulation_notes(rig: RigConfig) -> list[str]:
 def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
     """What is wrong with the rig's DBC file beside what is used of it, for people."""
     layout = rig_layout(rig, base_dir)
-    return list(getattr(layout.layout if isinstance(layout, MountedHost) else layout, "warnings", ()))
+    inner = layout.layout if isinstance(layout, MountedHost) else layout
+    parts = getattr(inner, "segments", (inner,))  # all of them read the same file
+    return list(dict.fromkeys(text for part in parts for text in getattr(part, "warnings", ())))
+
+
+def messages_by_segment(rig: RigConfig, base_dir: Path) -> list[list[Message]]:
+    """All traffic the rig's layout puts on each of its segments. Raises RigError for a layout it cannot have."""
+    layout = rig_layout(rig, base_dir)
+    inner = layout.layout if isinstance(layout, MountedHost) else layout
+    several = getattr(inner, "messages_by_segment", None)
+    return several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
 
 
 def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
-    """Worst-case response times on the rig's bus."""
-    return analyse(rig_messages(rig, base_dir), rig.bus.bitrate, rig.bus.data_bitrate)
+    """Worst-case response times on the rig's bus: on all its segments, with the load of the busiest."""
+    analyses = [analyse(part, rig.bus.bitrate, rig.bus.data_bitrate) for part in messages_by_segment(rig, base_dir)]
+    if len(analyses) == 1:
+        return analyses[0]
+    return Analysis(
+        tuple(response for analysis in analyses for response in analysis.responses),
+        max(analysis.bus_load for analysis in analyses),
+        max(analysis.tick_ns for analysis in analyses),
+    )
 
 
 def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:

@@ -110,6 +110,7 @@ class RigConfig(BaseModel):
     def _whole(self) -> "RigConfig":
         problems = [
             *_length_problems(self),
+            *_segment_problems(self),
             *_task_problems(self),
             *_watchdog_problems(self),
             *_wrap_problems(self),
@@ -141,6 +142,17 @@ def _one_per_axis(table: str, name: str, value: list[object], model: BaseModel) 
     if table != "plant":
         return True
     return name not in _LISTS_OF_TABLES and name in model.model_fields_set and not (name == "gravity" and not value)
+
+
+def _segment_problems(rig: RigConfig) -> list[str]:
+    """Axes that are on no segment, on two, on one that there is not, or in another order."""
+    placed = [axis for segment in rig.bus.segments for axis in segment.axes]
+    if not placed or placed == rig.axis_names:
+        return []
+    return [
+        f"bus.segments: axes {', '.join(placed)}; every axis has to be on one segment, in the order of [axes]: "
+        f"{', '.join(rig.axis_names)}"
+    ]
 
 
 def _task_problems(rig: RigConfig) -> list[str]:

@@ -191,7 +191,8 @@ def emulate(
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
 ) -> None:
     """Emulate the stage of RIG on its bus until SIGTERM, SIGINT or SIGHUP."""
-    from drivers.bus.port import PortError, open_port
+    from drivers.bus.port import PortError
+    from drivers.bus.segmented_port import open_segments
     from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
     from hil.live.runtime_paths import AlreadyServedError, runtime_paths, sole
@@ -211,7 +212,7 @@ def emulate(
         try:
             files = runtime_paths(config.name)
             stack.enter_context(sole(files, "emulator"))  # two would answer every command twice
-            port = open_port(config.bus, role="device", fd=stage.fd)
+            port = open_segments(config.bus, role="device", fd=stage.fd)
         except (PortError, RuntimeDirectoryError, AlreadyServedError) as error:
             print(f"hil emulate: {error}", file=sys.stderr)
             sys.exit(EXIT_UNAVAILABLE)
@@ -221,7 +222,10 @@ def emulate(
         emulator = Emulator(
             stage, port, status or files.emulator, lambda: print(_TOO_SLOW, file=sys.stderr, flush=True)
         )
-        print(f"hil emulate: {config.name} on {config.bus.channel}, status in {status or files.emulator}", flush=True)
+        print(
+            f"hil emulate: {config.name} on {', '.join(config.bus.channels)}, status in {status or files.emulator}",
+            flush=True,
+        )
         emulator.run()
     if emulator.status_error:
         print(f"hil emulate: no status: {emulator.status_error}", file=sys.stderr)

@@ -12,9 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.bus.counters import PortCounters
-from drivers.frame import ECHO, Frame
+from drivers.bus.counters import PortCounters, of_all
+from drivers.frame import ECHO, Frame, segment_of
+from drivers.protocols.base import echo_ids
+from drivers.segments import segments_of
 from drivers.wire.faults import Random, WireFault
+from drivers.wire.node import WireNode
+from drivers.wire.segments import Receiver, WireSegments, marking
 from drivers.wire.wire import Wire
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
@@ -65,15 +69,14 @@ class LockstepRun:
         self.stage = EmulatedStage(
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings
         )
-        self.wire = Wire.from_config(rig.bus, rig.wire)
-        for fault in wire_faults:
-            self.wire.inject(fault)
         self.received: list[Frame] = []  # by the host since the last tick
         self._discarded = 0  # of those, beyond the receive limit
-        self._echo_id = self.cycle.protocol.echo_id
-        self.host = self.wire.attach("host", self.received.append, rig.bus.transmit_queue)
-        self.wire.attach("drives", self._to_drives, accept=self.stage.acceptance)
-        self._axis_nodes = {name: self.wire.attach(name, None, fifo=False) for name in rig.axis_names}
+        self._echo_ids = echo_ids(self.cycle.protocol)
+        self.hosts: list[WireNode] = []  # the host's, by segment
+        self._axis_nodes: dict[str, WireNode] = {}
+        self.wire = self._wired()
+        for fault in wire_faults:
+            self.wire.inject(fault)
         self.injector = Injector(scenario, self.stage, self.wire, rig.period_ns) if scenario else None
         self._active_since = -1  # tick in which the present ACTIVE began
         self._jitter = Random(rig.wire.seed ^ 0x6A697474)
@@ -89,8 +92,36 @@ class LockstepRun:
         self._task: LoadedTask | None = None  # to be loaded in the next tick
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
+    def _wired(self) -> Wire | WireSegments:
+        """The simulated bus with host, drives and axes on it."""
+        rig, wires = self.rig, []
+        segments = segments_of(rig.bus, len(rig.axes))
+        for number, (axes, bus) in enumerate(segments):
+            wire = Wire.from_config(bus, rig.wire.model_copy(update={"seed": rig.wire.seed + number}))
+            to_host: Receiver = self.received.append
+            to_drives: Receiver = self._to_drives
+            if len(segments) > 1:
+                to_host, to_drives = marking(to_host, number), marking(to_drives, number)
+            self.hosts.append(wire.attach("host", to_host, bus.transmit_queue))
+            wire.attach("drives", to_drives, accept=self.stage.acceptance)
+            for axis in axes:
+                name = rig.axis_names[axis]
+                self._axis_nodes[name] = wire.attach(name, None, fifo=False)
+            wires.append(wire)
+        return wires[0] if len(wires) == 1 else WireSegments(wires)
+
+    def wire_of(self, axis: int) -> Wire:
+        """The segment that an axis is on."""
+        wires = self.wire.wires if isinstance(self.wire, WireSegments) else [self.wire]
+        return next(wire for wire in wires if self.rig.axis_names[axis] in wire.nodes)
+
+    @property
+    def host(self) -> WireNode:
+        """The host's node; in a rig with several segments that on the first."""
+        return self.hosts[0]
+
     def _to_drives(self, frame: Frame) -> None:
-        if frame.can_id == self._echo_id:
+        if frame.can_id == self._echo_ids[segment_of(frame)]:
             self.received.append(frame._replace(flags=frame.flags | ECHO))
         answers = self.stage.on_frame(frame)
         for answer in answers:
@@ -158,7 +189,8 @@ class LockstepRun:
         return frames
 
     def _counters(self) -> PortCounters:
-        counters = self.host.counters()
+        hosts = self.hosts
+        counters = hosts[0].counters() if len(hosts) == 1 else of_all([host.counters() for host in hosts])
         return counters._replace(discarded=self._discarded) if self._discarded else counters
 
     def _phase(self) -> str:
@@ -183,7 +215,7 @@ class LockstepRun:
         if self._jitter_ns:
             now += self._jitter.below(2 * self._jitter_ns + 1)
         for frame in frames:
-            self.host.send(frame, now)
+            self.hosts[segment_of(frame)].send(frame, now)
 
     def _note(self, received: Sequence[Frame], sent: Sequence[Frame]) -> None:
         """Add a tick's frames to what is hashed."""

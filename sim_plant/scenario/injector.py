@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus, Sample
 from drivers.wire.faults import FOREVER_NS, Random
+from drivers.wire.segments import WireSegments
 from drivers.wire.wire import Wire
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.language import (
@@ -36,7 +37,9 @@ class Injector:
     began: kinds that have begun so far, in order, with their instants (ns).
     """
 
-    def __init__(self, scenario: Scenario, stage: EmulatedStage, wire: Wire | None, period_ns: int) -> None:
+    def __init__(
+        self, scenario: Scenario, stage: EmulatedStage, wire: Wire | WireSegments | None, period_ns: int
+    ) -> None:
         self.began: list[tuple[int, FaultConfig]] = []
         self._stage = stage
         self._wire = wire

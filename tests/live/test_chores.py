@@ -48,6 +48,10 @@ class Quiet:
         self.rebound: list[int] = []
         self.purged: list[int] = []
 
+    @property
+    def members(self) -> "tuple[Quiet]":
+        return (self,)
+
     def start(self) -> None: ...
 
     def wait(self) -> None:

@@ -346,6 +346,10 @@ class Script:
 
     def rebind(self) -> None: ...
 
+    @property
+    def members(self) -> "tuple[Script]":
+        return (self,)
+
 
 OF_THE_SHELL = ("cpu_ns", "run_delay_ns", "missed_own", "missed_host", "longest_streak")
 

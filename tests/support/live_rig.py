@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bus.port import open_port
+from drivers.bus.segmented_port import open_segments
 from drivers.protocols.base import DriveStatus
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
@@ -57,12 +57,13 @@ class Emulator(threading.Thread):
             rig.plant, rig.bus, rig.axis_names, rated, PAPER.parent, start_ns=now, drives=rig.drives
         )
         self.commands: list[tuple[int, bytes]] = []
-        self._port = open_port(rig.bus, role="device", fd=True)
+        self._port = open_segments(rig.bus, role="device", fd=True)
         self._ended = threading.Event()
 
     def run(self) -> None:
         poll = select.poll()
-        poll.register(self._port.fileno(), select.POLLIN)
+        for member in self._port.members:
+            poll.register(member.fileno(), select.POLLIN)
         while not self._ended.is_set():
             poll.poll(2)
             self._turn()

@@ -34,6 +34,7 @@ from hil.operate.bringup.survey import Survey
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
+from hil.rig.segments import segment_rigs
 
 _LOST = 1.5  # periods without an answer in a drive's own time: one was lost
 _SDO_TIMEOUT_S = 0.5
@@ -151,15 +152,17 @@ def bus(
 
 
 def _measure_rig(path: Path, overrides: list[str], seconds: float) -> tuple[str, list[Line]]:
-    rig = load_rig(path, overrides)
-    try:
-        with open_session(rig, path.parent) as session:
-            session.run(Survey(session.host))
-            exchange = Exchange(session.host, round(seconds * rig.rate_hz))
-            session.run(exchange)
-    except ValueError as error:
-        raise RigError([f"{path}: {error}"]) from None
-    return _MEASURED if exchange.triggered else _QUIET, exchange.lines
+    lines: list[Line] = []
+    for rig in segment_rigs(load_rig(path, overrides)):  # one after the other
+        try:
+            with open_session(rig, path.parent) as session:
+                session.run(Survey(session.host))
+                exchange = Exchange(session.host, round(seconds * rig.rate_hz))
+                session.run(exchange)
+        except ValueError as error:
+            raise RigError([f"{path}: {error}"]) from None
+        lines += exchange.lines
+    return _MEASURED if exchange.triggered else _QUIET, lines
 
 
 def ask(port: AnyPort, node: int, seconds: float) -> Line:

@@ -21,6 +21,7 @@ from hil.operate.bringup.session import Bus, NoTerminalError, Session, held_keys
 from hil.operate.bringup.survey import Survey, SurveyReport
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.segments import segment_rigs
 
 _NOT_READY = 1  # exit status
 
@@ -42,8 +43,38 @@ def bring_up(
     asked: JogAsked | None,
     open_bus: Callable[[BusConfig, DriveHost], Bus] = open_rig_port,
 ) -> None:
-    """Survey, show, jog where asked for. Exit status 0: ready; 1: not ready; 69: no bus, or the rig is being run."""
+    """Survey, show, jog where asked for. Exit status 0: ready; 1: not ready; 69: no bus, or the rig is being run.
+
+    Of a rig with several segments one after the other, to jog an axis the one that it is on.
+    """
     rig = load_rig(path, overrides)
+    parts = segment_rigs(rig)
+    if asked:
+        parts = [part for part in parts if asked.axis in part.axes] or [rig]
+    documents: dict[str, object] = {}
+
+    def tell(part: RigConfig, report: SurveyReport, reader: Reader) -> None:
+        documents[part.bus.channel] = document = as_document(report, reader)
+        if json_file and (json_file != "-" or len(documents) == len(parts)):
+            write_json({"segments": documents} if rig.bus.segments else document, json_file)
+        if json_file != "-":
+            if rig.bus.segments:
+                print(f"{part.bus.channel}: {', '.join(part.axis_names)}", flush=True)
+            show(report, reader, Console(highlight=False))
+
+    ready = [_bring_up(part, path, asked, tell, open_bus) for part in parts]
+    if not all(ready):
+        raise typer.Exit(_NOT_READY)
+
+
+def _bring_up(
+    rig: RigConfig,
+    path: Path,
+    asked: JogAsked | None,
+    tell: Callable[[RigConfig, SurveyReport, Reader], None],
+    open_bus: Callable[[BusConfig, DriveHost], Bus],
+) -> bool:
+    """The drives of one segment; whether they are ready."""
     try:
         settings = jog_settings(rig, asked.axis, asked.force, asked.speed, asked.distance) if asked else None
     except ValueError as error:
@@ -52,19 +83,18 @@ def bring_up(
         reader = _reader(rig, path.parent)
         if asked and settings:
             with held_keys(asked.keys) as keys, open_session(rig, path.parent, open_bus) as session:
-                report = _survey(session, reader, json_file)
+                report = _survey(session, reader, tell)
                 _jog(session, report, settings, keys)
         else:
             with open_session(rig, path.parent, open_bus) as session:
-                report = _survey(session, reader, json_file)
+                report = _survey(session, reader, tell)
     except ValueError as error:
         raise RigError([f"{path}: {error}"]) from None
     except NoTerminalError as error:
         raise typer.BadParameter(str(error), param_hint="--jog") from None
     except (PortError, RigInUseError) as error:
         _fail(str(error))
-    if not report.ready:
-        raise typer.Exit(_NOT_READY)
+    return report.ready
 
 
 def _fail(text: str) -> NoReturn:
@@ -77,16 +107,13 @@ def _reader(rig: RigConfig, base_dir: Path) -> Reader:
     return layout_reader(rig.bus, rig.axis_names, rated, base_dir, rig.mountings)
 
 
-def _survey(session: Session, reader: Reader, json_file: str | None) -> SurveyReport:
+def _survey(session: Session, reader: Reader, tell: Callable[[RigConfig, SurveyReport, Reader], None]) -> SurveyReport:
     survey = Survey(session.host)
     session.run(survey)
     report = survey.report()
     if session.stopped:
         _fail(f"stopped by {session.stopped}")
-    if json_file:
-        write_json(as_document(report, reader), json_file)
-    if json_file != "-":
-        show(report, reader, Console(highlight=False))
+    tell(session.host.rig, report, reader)
     return report
 
 

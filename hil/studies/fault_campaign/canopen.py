@@ -38,14 +38,16 @@ def _node_id(run: LockstepRun, axis: int) -> int:
     return run.rig.bus.node_id + axis
 
 
-def _host(run: LockstepRun) -> Cia402Host:
-    protocol = run.cycle.protocol
-    assert isinstance(protocol, Cia402Host)
-    return protocol
+def _hosts(run: LockstepRun) -> list[Cia402Host]:
+    """The master of every segment."""
+    found = getattr(run.cycle.protocol, "segments", [run.cycle.protocol])
+    assert all(isinstance(host, Cia402Host) for host in found)
+    return list(found)
 
 
 def _configuring(run: LockstepRun, axis: int) -> bool:
-    return _host(run).nodes[axis].phase is Phase.CONFIGURE
+    nodes = [node for host in _hosts(run) for node in host.nodes]
+    return nodes[axis].phase is Phase.CONFIGURE
 
 
 def _network(command: NmtCommand) -> Step:
@@ -53,7 +55,7 @@ def _network(command: NmtCommand) -> Step:
 
     def act(run: LockstepRun, axis: int) -> None:
         data = bytes((command, _node_id(run, axis)))
-        run.wire.attach("another master", None).send(Frame(cia301.NMT_ID, data), run.wire.now_ns)
+        run.wire_of(axis).attach("another master", None).send(Frame(cia301.NMT_ID, data), run.wire.now_ns)
 
     return once(act)
 
@@ -101,7 +103,8 @@ def _abort(run: LockstepRun, axis: int) -> None:
 def _terminate_busy(run: LockstepRun, axis: int, k: int) -> None:
     """SIGTERM to a master with something to say in each of its turns; the axis moves those from even to odd ticks."""
     if k >= axis:
-        _host(run).master.heartbeat_tick = 0
+        for host in _hosts(run):
+            host.master.heartbeat_tick = 0
     run.stop = True
 
 
