@@ -82,7 +82,6 @@ class EmulatedStage:
         self._segment_numbers = [number for number, axes in enumerate(self._segments) for _ in axes]
         nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
-        self.fd = bool(getattr(self._protocol, "fd", False))
         self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
         self._decode = getattr(self._protocol, "decode_part", getattr(self._protocol, "decode_command", None))
         self._stage = stage_of(
@@ -93,6 +92,7 @@ class EmulatedStage:
         self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
         positions = [partial(self._position_at_drive, axis) for axis in range(n_axes)]
         self._nodes = installed_drives(bus, plant.drive, base_dir, self.drives, positions, start_ns) if nodes else []
+        self.fd = bool(getattr(self._protocol, "fd", False)) or True in [node.fd for node in self._nodes]
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
         self._jam = [0.0] * n_axes
         self._push = [0.0] * n_axes

@@ -53,6 +53,8 @@ class Cia402Drive(CanopenNode):
     each stamped with the reception time, ns.
     """
 
+    fd = False
+
     def __init__(
         self,
         node_id: int,

@@ -15,8 +15,11 @@ class CyclicNode:
     """One drive. A kind of drive says what it does with a frame (`receive`) and in time (`live`).
 
     periodic: what it sends in its own time; nothing where it answers only. now_ns: time reached. sampled_ns: when it
-    last sampled its encoder for a frame (the first of `periodic`). next_ns: when it has something to send.
+    last sampled its encoder for a frame (the first of `periodic`). next_ns: when it has something to send. fd: it
+    speaks CAN FD.
     """
+
+    fd = False
 
     def __init__(self, node_id: int, servo: ServoDrive, start_ns: int, *periodic: Periodic) -> None:
         self.node_id = node_id

@@ -17,8 +17,11 @@ SPOKEN = {"cia402": "cia402", "moteus": "moteus"}  # the layout of drives that s
 
 
 class DriveNode(Protocol):
-    """A drive that is a node of its own on the bus. next_ns: when it has something to send in its own time."""
+    """A drive that is a node of its own on the bus. next_ns: when it has something to send in its own time. fd: it
+    speaks CAN FD.
+    """
 
+    fd: bool
     node_id: int
     servo: ServoDrive
     sampled_ns: int

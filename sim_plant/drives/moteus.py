@@ -64,6 +64,8 @@ class Moteus(CyclicNode):
     enable_delay_ns: from the command to mode 10, by way of 2.
     """
 
+    fd = True
+
     def __init__(
         self, node_id: int, servo: ServoDrive, turns: Callable[[], float], start_ns: int, *, enable_delay_ns: int = 0
     ) -> None:

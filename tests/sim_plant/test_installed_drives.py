@@ -2,15 +2,21 @@
 
 import math
 import re
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
+from drivers.bus.port import open_port
 from drivers.config import BusConfig
 from drivers.frame import EXTENDED, Frame
+from drivers.protocols.base import Command
 from drivers.protocols.mounting import Mounting
+from hil.rig.bus_load import rig_layout
+from hil.rig.file import load_rig
+from hil.virtual.emulate import emulated_stage
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.installed import installed_drives, installed_mountings
 from sim_plant.drives.moteus import Moteus
@@ -19,6 +25,7 @@ from sim_plant.drives.odrive import Odrive
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks, stated_quirks
 from sim_plant.drives.servo import ServoDrive
 from sim_plant.drives.vesc import Vesc
+from tests.support.paths import RIGS
 
 MS = 1_000_000
 DBC = BusConfig(protocol="dbc:any.dbc")
@@ -157,3 +164,19 @@ def test_drives_that_do_not_speak_the_rigs_layout_are_refused() -> None:
         text = f"plant.drive.kind = '{kind}': such drives do not speak bus.protocol = '{bus.protocol}'"
         with pytest.raises(ValueError, match=re.escape(text)):
             installed_drives(bus, table(kind), Path(), servos(), [lambda: 0.0] * 2, 0)
+
+
+@pytest.mark.parametrize("name", ["paper", "microscope-ideal", "paper-dbc", "moteus", "odrive", "vesc"])
+def test_emulated_drives_join_a_live_bus_as_their_host_does(name: str) -> None:
+    """A classic port takes an FD frame for an error: the drives would never hear a command."""
+    rig = load_rig(RIGS / f"{name}.toml", ["bus.interface=local"])
+    layout, stage = rig_layout(rig, RIGS), emulated_stage(rig, RIGS, time.monotonic_ns())
+    drives = open_port(rig.bus, role="device", fd=stage.fd)
+    host = open_port(rig.bus, role="host", fd=layout.fd)
+    frames = layout.encode(Command(0, [0.0] * len(rig.axes), 0, False))
+    for frame in frames:
+        assert host.send(frame)
+    assert len(drives.drain(time.monotonic_ns())) == len(frames)
+    assert drives.counters().errors == 0
+    host.close()
+    drives.close()
