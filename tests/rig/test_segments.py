@@ -14,6 +14,7 @@ from hil.rig.bus_load import analyse_rig, messages_by_segment, rig_layout
 from hil.rig.file import build_rig, load_rig
 from hil.rig.schema import RigError
 from hil.rig.segments import rig_on, segment_rigs
+from hil.studies.sweep.plants import jobs
 from tests.support.paths import RIGS
 from tests.support.two_segments import TWO, TWO_PAIRS
 
@@ -70,6 +71,11 @@ def test_canopen_segments_that_need_more_frames_than_a_tick_may_have_are_refused
     four = segments(("can0", "x"), ("can1", "y"), ("can2", "z"), ("can3", "theta"))
     with pytest.raises(RigError, match="12 frames to the drives in a tick"):
         rig_layout(load_rig(MICROSCOPE, [four, "bus.protocol=cia402"]), RIGS)
+
+
+def test_a_sweep_which_has_one_wire_refuses_them() -> None:
+    with pytest.raises(RigError, match="hil sweep batches the layout stage_fd on one wire"):
+        jobs(load_rig(PAPER, [*TWO]), RIGS, 1, 1.0, 1)
 
 
 def test_a_layout_of_ones_own_is_refused() -> None:

@@ -117,10 +117,9 @@ def jobs(
 ) -> list[Job]:
     """The sweep's chunks, at least one for each worker. Raises RigError where `seconds` leave no steady window, or for
     a layout it cannot batch."""
-    if rig.bus.protocol != "stage_fd" or rig.wire.jitter or rig.wire.drop_probability:
-        raise RigError(
-            ["hil sweep batches the layout stage_fd on a wire without jitter and loss (bus.protocol, [wire])"]
-        )
+    if rig.bus.protocol != "stage_fd" or rig.bus.segments or rig.wire.jitter or rig.wire.drop_probability:
+        wanted = "the layout stage_fd on one wire without jitter and loss (bus.protocol, bus.segments, [wire])"
+        raise RigError([f"hil sweep batches {wanted}"])
     single = plant_rig(rig, seed, 0, hard)
     steady_from = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
     ticks = round(seconds * 1e9 / rig.period_ns) - startup_ticks(single, base_dir)
