@@ -168,9 +168,12 @@ class EstimatedLaw(Law):
         self._updates = [estimator.update for estimator in estimators]
         try:
             for estimator, q in zip(estimators, np.ravel(position).tolist(), strict=True):
+                watch.begin()
                 estimator.reset(q)
-        except Exception as error:
+        except FAILED as error:
             raise ValueError(self._maker.told(error)) from error
+        finally:
+            watch.within = False
         self._law.reset(position, force)
 
     def force(self, inputs: LawInputs) -> Array:
@@ -178,8 +181,10 @@ class EstimatedLaw(Law):
         columns = [np.broadcast_to(values, self._shape).ravel().tolist() for values in self._watched.measured(inputs)]
         try:
             found = [self._estimate(*each) for each in zip(self._updates, *columns, strict=True)]
-        except Exception as error:
+        except FAILED as error:
             raise ValueError(self._maker.told(error)) from error
+        finally:
+            watch.within = False
         position, velocity = np.array(found).reshape(*self._shape, 2).transpose(-1, *range(len(self._shape)))
         inputs.position_estimate, inputs.velocity_estimate = position.copy(), velocity.copy()
         asked: Array = self._law.force(inputs)
@@ -187,6 +192,7 @@ class EstimatedLaw(Law):
 
     @staticmethod
     def _estimate(update: Update, *values: float) -> tuple[float, float]:
+        watch.begin()
         measurement = Measurement(*values)
         return _numbers(update(measurement)) if math.isfinite(measurement.position) else (math.nan, math.nan)
 
