@@ -231,7 +231,10 @@ def _lowest_rates(rig: RigConfig) -> list[float]:
 
     def stable(axis: int, rate: float) -> bool:
         if rate not in tried:
-            tried[rate] = _stable_axes(rig.model_copy(update={"rate_hz": rate}))
+            try:
+                tried[rate] = _stable_axes(rig.model_copy(update={"rate_hz": rate}))
+            except ValueError:  # a law or an estimator of users that refuses such a rate
+                tried[rate] = np.zeros(len(rig.axes), dtype=bool)
         return bool(tried[rate][axis])
 
     return [_lowest(partial(stable, axis), rig.rate_hz) for axis in range(len(rig.axes))]
