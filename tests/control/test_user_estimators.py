@@ -12,7 +12,6 @@ import pytest
 from drivers import call_limit, plugins
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.users import EstimatedAxes
-from hil.control.laws.base import axis_inputs
 from hil.control.nominal_model import blank_inputs
 from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
@@ -177,8 +176,9 @@ def test_it_is_told_what_was_measured_and_what_acted(notes: Any, rig_file: Path)
 @pytest.mark.parametrize("arrays", [False, True])
 def test_after_a_reset_nothing_is_known_of_what_acted_before(arrays: bool, notes: Any, rig_file: Path) -> None:
     rig = load_rig(rig_file, ["estimator.name=./notes.py:Notes"])
-    law = rig_law(rig) if arrays else run_of(rig, rig_file.parent, 0).cycle.law
-    inputs: Any = blank_inputs((2,)) if arrays else [axis_inputs(), axis_inputs()]
+    cycle = LockstepRun(rig, rig_file.parent).cycle
+    law = rig_law(rig) if arrays else cycle.law
+    inputs: Any = blank_inputs((2,)) if arrays else cycle.inputs  # compiled, of a class of its own
     x = inputs if arrays else inputs[1]
 
     def told(**values: float) -> list[float]:
