@@ -1,4 +1,4 @@
-"""Where classes come from: laws, tasks, stages and frame layouts, our own and everybody else's.
+"""Where classes come from: laws, estimators, tasks, stages and frame layouts, our own and everybody else's.
 
 A rig names a class by a name of our own table, by a name that an installed package registers (an entry point), as
 `package.module:Class`, or as `./file.py:Class` of a file beside the rig. Key `source` of the same table has the text of
@@ -10,6 +10,7 @@ that is root's alone.
 import difflib
 import hashlib
 import importlib
+import inspect
 import linecache
 import stat
 import sys
@@ -137,6 +138,33 @@ def where(error: BaseException, file: str = "") -> str:
             place = f"{name}:{trace.tb_lineno}: "
         trace = trace.tb_next
     return f"{place}{type(error).__name__.strip('_')}: {error}"
+
+
+def blame(error: BaseException, made: type, method: str) -> str:
+    """The place, kind and text of an exception: of the last line of a plug-in's own file that it came through, or of
+    its method, whose answer was wrong.
+    """
+    file, trace = code_file(made), error.__traceback__
+    line = getattr(getattr(getattr(made, method, None), "__code__", None), "co_firstlineno", 0)
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == file:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f"{file}:{line}: {type(error).__name__.strip('_')}: {error}"
+
+
+def check_parameters(kind: Kind, name: str, made: type, parameters: Mapping[str, Any], given: int) -> None:
+    """Raises ValueError naming the parameter that a class does not take, or lacks. given: arguments before them."""
+    accepted = list(inspect.signature(made).parameters.values())[given:]
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted):
+        return
+    names = [parameter.name for parameter in accepted]
+    for key in parameters:
+        if key not in names:
+            raise ValueError(f"{kind.table}.parameters.{key}: {name} has {', '.join(names) or 'none'}")
+    for parameter in accepted:
+        if parameter.default is parameter.empty and parameter.name not in parameters:
+            raise ValueError(f"{kind.table}.parameters.{parameter.name}: {name} needs it")
 
 
 def code_file(made: type) -> str:

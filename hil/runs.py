@@ -145,12 +145,12 @@ class Run:
 
     @property
     def estimate(self) -> Array:
-        """Position as the rig's filter has it, m."""
+        """Position as the rig's filter has it, m; of an estimator of your own, as the law was told."""
         return self.columns["position_estimate"]
 
     @property
     def velocity(self) -> Array:
-        """Velocity as the rig's filter has it, m/s."""
+        """Velocity as it is shown, m/s; of an estimator of your own, as the law was told."""
         return self.columns["velocity_estimate"]
 
     @property

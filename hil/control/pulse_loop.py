@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hil.control.estimator import behind_estimator
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
@@ -72,7 +73,7 @@ class PulseLoop:
         self._filter = MotionFilter(list(gains), model.mass)
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
         plain = rig.law.model_copy(update={"iterative_learning": False})
-        self._law = make_law(plain, model, self._period, limit)
+        self._law = behind_estimator(make_law(plain, model, self._period, limit), rig, model, range(n))
         self._pulsed = np.arange(n) if self._law.coupled else np.zeros(n, dtype=int)  # the row, for each axis
         self._folded = (copies, int(self._pulsed.max()) + 2, n)
         self.shape = shape = (copies * self._folded[1], n)

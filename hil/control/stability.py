@@ -111,8 +111,8 @@ def realise_poles(answer: Array) -> list[complex]:
     grown = np.flatnonzero(~(np.abs(answer) < GROWN))
     markov = answer[1 : grown[0] if grown.size else None]  # the direct term has no dynamics
     rows = len(markov) // 2
-    if rows < 2:
-        return [complex(GROWN)]  # out of the linear range at once
+    if rows < 2 or (grown.size and not markov.any()):
+        return [complex(GROWN)]  # out of the linear range at once, or so far out already that no pulse showed
     hankel = np.lib.stride_tricks.sliding_window_view(markov, rows)[: len(markov) - rows + 1]
     u, s, v = np.linalg.svd(hankel[:-1])
     order = int(np.sum(s > NEGLIGIBLE * s[0]))
@@ -231,7 +231,10 @@ def _lowest_rates(rig: RigConfig) -> list[float]:
 
     def stable(axis: int, rate: float) -> bool:
         if rate not in tried:
-            tried[rate] = _stable_axes(rig.model_copy(update={"rate_hz": rate}))
+            try:
+                tried[rate] = _stable_axes(rig.model_copy(update={"rate_hz": rate}))
+            except ValueError:  # a law or an estimator of users that refuses such a rate
+                tried[rate] = np.zeros(len(rig.axes), dtype=bool)
         return bool(tried[rate][axis])
 
     return [_lowest(partial(stable, axis), rig.rate_hz) for axis in range(len(rig.axes))]

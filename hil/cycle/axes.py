@@ -36,6 +36,10 @@ class Axes:
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if learning else None
         force = np.array([axis.limits.force for axis in axes])
         self.law: AxisLaws = make_axis_laws(rig.law, model, rig.period_ns * 1e-9, force, repeat)
+        if rig.estimator.is_users:
+            from hil.control.estimator.users import EstimatedAxes  # few rigs have one
+
+            self.law = EstimatedAxes(self.law, rig, model)
         self.inputs = [axis_inputs() for _ in range(n)]
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         self.zero = [0.0] * n

@@ -110,7 +110,7 @@ KINDS: Final[dict[Kind, KindText]] = {
     Kind.LAW: KindText(
         "law",
         Severity.ERROR,
-        action="mend the law where the cause says; hil check RIG --law FILE tries it",
+        action="mend the law or the estimator where the cause says; hil check RIG --law or --estimator FILE tries it",
     ),
 }
 
@@ -186,8 +186,8 @@ FAULT_TEXTS: Final[dict[Fault, FaultText]] = {
     Fault.NOT_FINITE: FaultText(
         "what was no finite number: the law's request, or the filter's innovation",
         "",
-        "the law divides by zero or overflows, or it failed",
-        f"the journal has the law's failure; mend the law or its gains, {_RESET}",
+        "the law divides by zero or overflows, or it failed, or an estimator of users did",
+        f"the journal has the failure; mend the law, its gains or the estimator, {_RESET}",
     ),
     Fault.FILTER_DIVERGED: FaultText(
         "|innovation|",

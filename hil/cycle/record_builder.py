@@ -141,6 +141,11 @@ class RecordBuilder:
         fields[axis + 6 * MAX_AXES] = reference.velocity
         fields[axis + 7 * MAX_AXES] = position - setpoint
 
+    def estimate(self, axis: i64, position: float, velocity: float) -> None:
+        """What the law was told of one axis, m and m/s, in place of what `axis` put there."""
+        self._motion[axis + MAX_AXES] = position
+        self._motion[axis + 2 * MAX_AXES] = velocity
+
     def force(self, axis: i64, requested: float, applied: float, saturations: int) -> None:
         """Force of one axis, N, and how often the gate has changed it."""
         self._motion[axis + 8 * MAX_AXES] = requested

@@ -80,6 +80,7 @@ class ControlCycle:
         self._sent_now_ns = 0
         self._heartbeat_ns = rig.safety.heartbeat_s * 1e9
         self._requested = self.axes.zero
+        self._users_estimator = rig.estimator.is_users
 
     @property
     def state(self) -> State:
@@ -241,6 +242,9 @@ class ControlCycle:
             records.axis(axis, x, self.filters[axis], self.axes.shown[axis].velocity)
             records.force(axis, self._requested[axis], gate.force[axis], gate.saturations[axis])
             records.instant(axis, self.sampling.instants[axis])
+        if self._users_estimator:
+            for axis, x in enumerate(self.inputs):
+                records.estimate(axis, x.position_estimate, x.velocity_estimate)
         records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])
         refused = supervisor.commands.refused
         records.counters(tick.port, inbox.rejects, inbox.lost, supervisor.machine.refused, refused)

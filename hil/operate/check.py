@@ -16,6 +16,7 @@ from drivers.frame import EXTENDED
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.feasibility import start_notes, task_problems
+from hil.control.law_registry import law_class
 from hil.control.learning_check import check_learning
 from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
@@ -54,7 +55,7 @@ def check_rig(
     console = Console(stderr=json_path == "-")
     warnings = layout_warnings(rig, rig_file.parent)
     layout = [*feedback_notes(rig, rig_file.parent), *emulation_notes(rig)]
-    for note in [*encoder_notes(rig), *layout, *interface_notes(rig), *warnings]:
+    for note in [*encoder_notes(rig), *estimator_notes(rig), *layout, *interface_notes(rig), *warnings]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     parts = messages_by_segment(rig, rig_file.parent)
@@ -93,6 +94,14 @@ def check_rig(
         print(f"hil: {rig_file}: {line}", file=sys.stderr)
     if found:
         raise typer.Exit(EXIT_CONFIG)
+
+
+def estimator_notes(rig: RigConfig) -> list[str]:
+    """What a user's estimator does not do."""
+    if not rig.estimator.is_users or not law_class(rig.law).own_estimate:
+        return []
+    own = f"law {rig.law.name} has an observer of its own"
+    return [f"estimator.name = {rig.estimator.name!r} changes nothing: {own}"]
 
 
 def interface_notes(rig: RigConfig) -> list[str]:

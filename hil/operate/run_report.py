@@ -56,6 +56,7 @@ def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
         "<h2>Law</h2>",
         _table([], [["law", rig.law.name], *([key, value] for key, value in rig.law.effective_gains().items())]),
         f"<pre>{_text(rig.law.source)}</pre>" if rig.law.source else "",  # of a package, the digest of its code
+        f"<h2>Estimator</h2><pre>{_text(rig.estimator.source)}</pre>" if rig.estimator.source else "",
         "<h2>Rig</h2>",
         f"<pre>{_text(_document(rig))}</pre></body></html>\n",
     ]
@@ -95,7 +96,7 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def _document(rig: RigConfig) -> str:
     """The rig as it was validated, without the texts of files that are shown elsewhere or are long."""
-    document = rig.model_dump(mode="json", exclude={"law": {"source"}, "task": {"samples"}})
+    document = rig.model_dump(mode="json", exclude={"law": {"source"}, "estimator": {"source"}, "task": {"samples"}})
     return json.dumps(document, indent=1)
 
 

@@ -14,12 +14,13 @@ from drivers.text_file import UnsuitableFileError, read_bounded
 from drivers.toml_file import shown
 from hil.rig import law_names
 from hil.rig.schema import RigConfig
+from hil.rig.tables import ESTIMATOR_KIND
 from hil.rig.task_file import TaskFileError, read_task_file
 from hil.rig.task_kinds import KIND, is_users, run_task
 from sim_plant.config import STAGE_KIND
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-PLUGINS = (law_names.KIND, KIND, STAGE_KIND, LAYOUT_KIND)
+PLUGINS = (law_names.KIND, ESTIMATOR_KIND, KIND, STAGE_KIND, LAYOUT_KIND)
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 

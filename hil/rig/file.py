@@ -17,6 +17,7 @@ from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
+_NAMES = (["law", "name"], ["estimator", "name"])  # overrides that come first: gains and parameters belong to them
 _LONGEST = 400  # characters of one problem's text
 
 
@@ -49,6 +50,10 @@ def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> No
         if isinstance(law, dict) and law.get("name") != value:
             law.pop("learnt", None)
             law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
+    if path == ["estimator", "name"]:
+        estimator = document.setdefault("estimator", {})
+        if isinstance(estimator, dict) and estimator.get("name") != value:
+            estimator.pop("parameters", None)
     table = document
     for part in path[:-1]:
         child = table.setdefault(part, {})
@@ -88,7 +93,7 @@ def _check_learnt(rig: RigConfig) -> None:
 
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
-    parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] != ["law", "name"])
+    parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] not in _NAMES)
     paths = [path for path, _ in parsed]
     for path, value in parsed:
         if path == ["plant", "encoder_resolution"] and not any(_is_axis_encoder(other) for other in paths):

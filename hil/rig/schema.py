@@ -129,10 +129,11 @@ def _length_problems(rig: RigConfig) -> list[str]:
     tables: list[tuple[str, BaseModel]] = [("plant", rig.plant), ("drives", rig.drives), ("estimator", rig.estimator)]
     if rig.task.injection:
         tables.append(("task.injection", rig.task.injection))
+    listed = [(table, name, value, model) for table, model in tables for name, value in model]
+    listed += [("estimator.parameters", *item, rig.estimator) for item in rig.estimator.parameters.items()]
     return [
         f"{table}.{name} has {len(value)} values for {n} axes"
-        for table, model in tables
-        for name, value in model
+        for table, name, value, model in listed
         if isinstance(value, list) and _one_per_axis(table, name, value, model) and len(value) != n
     ]
 

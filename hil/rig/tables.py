@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from drivers.config import REQUIRED, STRICT, key
-from drivers.plugins import known, unknown
+from drivers.plugins import Kind, known, unknown
 from drivers.protocols.mounting import Mounting
 from hil.rig.task_file import MOST_ROWS, sample_problems
 from hil.rig.task_kinds import KIND, TASKS, is_users
@@ -143,15 +143,48 @@ class LawConfig(BaseModel):
         return {**self.tuned.get(self.name, {}), **self.gains}
 
 
+# Our own estimator stays where a user's is named, for all but the law. A user's is a class like hil.Estimator.
+ESTIMATORS: dict[str, str] = {"motion-filter": "hil.control.estimator.motion_filter:MotionFilter"}
+ESTIMATOR_KIND = Kind("estimator", "estimators", "estimator", "name", "hil.estimators", ESTIMATORS, ("reset", "update"))
+
+
 class EstimatorConfig(BaseModel):
-    """[estimator]: the Kalman filter on position, velocity and disturbance force, per axis."""
+    """[estimator]: the Kalman filter on position, velocity and disturbance force, per axis; what else the law sees."""
 
     model_config = STRICT
+    name: str = key(
+        "motion-filter",
+        f"what tells the law position and velocity: {', '.join(ESTIMATORS)}; or an estimator of your own: its "
+        "registered name, package.module:Class, or ./file.py:Class beside the rig file",
+    )
+    parameters: dict[str, Any] = key(
+        {}, "of an estimator of your own: what its class takes; a list has a value for each axis"
+    )
+    source: str = key(
+        "", "of such an estimator: its file's text, or its package's digest; filled in when the rig is loaded"
+    )
     disturbance_noise: Positive | list[Positive] = key(10.0, "random walk of the disturbance force", "N/sqrt(s)")
     acceleration_noise: NonNegative | list[NonNegative] = key(0.0, "noise of the acceleration", "m/s^2/sqrt(Hz)")
     measurement_floor: Positive = key(
         29e-9, "the measurement noise assumed is never below this, whatever the encoder's resolution", "m (rad)"
     )
+
+    @property
+    def is_users(self) -> bool:
+        """Whether the law sees an estimator that users bring."""
+        return self.name not in ESTIMATORS
+
+    def parameters_of(self, axis: int) -> dict[str, Any]:
+        """Of one axis."""
+        return {name: value[axis] if isinstance(value, list) else value for name, value in self.parameters.items()}
+
+    @model_validator(mode="after")
+    def _known(self) -> "EstimatorConfig":
+        if not self.source and not known(ESTIMATOR_KIND, self.name):  # with it, a recording of a package not here
+            raise ValueError(unknown(ESTIMATOR_KIND, self.name))
+        if self.parameters and not self.is_users:
+            raise ValueError(f"parameters: of an estimator of your own; name = {self.name!r} takes none")
+        return self
 
 
 class InjectionConfig(BaseModel):

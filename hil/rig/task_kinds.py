@@ -4,7 +4,6 @@ Of a user's task the rig keeps the samples (task.samples), as of a file: what pl
 processes is the path itself, and no code of the user's runs in a tick.
 """
 
-import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -64,7 +63,7 @@ def run_task(kind: str, source: str, axes: Sequence[str], parameters: Mapping[st
     Raises ValueError that names the key, or file and line of what raised, or row and column of what is no position.
     """
     made = plugins.find(KIND, kind, source)
-    _check_parameters(kind, made, parameters)
+    plugins.check_parameters(KIND, kind, made, parameters, given=1)
     file = plugins.code_file(made)
     watch.begin()
     try:
@@ -79,19 +78,6 @@ def run_task(kind: str, source: str, axes: Sequence[str], parameters: Mapping[st
         line = getattr(getattr(made.samples, "__code__", None), "co_firstlineno", 0)
         raise ValueError(f"task.kind = {kind!r}: {file}:{line}: samples: {problems[0]}")
     return rows
-
-
-def _check_parameters(kind: str, made: type, parameters: Mapping[str, Any]) -> None:
-    accepted = list(inspect.signature(made).parameters.values())[1:]
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted):
-        return
-    names = [parameter.name for parameter in accepted]
-    for name in parameters:
-        if name not in names:
-            raise ValueError(f"task.parameters.{name}: {kind} has {', '.join(names) or 'none'}")
-    for parameter in accepted:
-        if parameter.default is parameter.empty and parameter.name not in parameters:
-            raise ValueError(f"task.parameters.{parameter.name}: {kind} needs it")
 
 
 def _rows(times: Any, positions: Any, n_axes: int) -> tuple[Rows, list[str]]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.control.estimator import behind_estimator
 from hil.control.estimator.gains import design_gains, per_axis
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
@@ -27,14 +28,16 @@ FIRST_ON_TASK = 2  # ticks after activation until a sample shows task time 0
 
 
 def rig_law(rig: RigConfig, trajectory: Trajectory | None = None) -> Law:
-    """The law the rig file names, with its gains. trajectory: instead of the rig's task."""
+    """The law the rig file names, with its gains, behind its estimator. trajectory: instead of the rig's task."""
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     repeat = None
     if rig.law.iterative_learning and trajectory is None:
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
     elif rig.law.iterative_learning and trajectory is not None and trajectory.repeat_ns is not None:
         repeat = trajectory.repeat_ns, trajectory.repeat_from_ns
-    return make_law(rig.law, rig_model(rig), rig.period_ns * 1e-9, limit, repeat)
+    model = rig_model(rig)
+    law = make_law(rig.law, model, rig.period_ns * 1e-9, limit, repeat)
+    return behind_estimator(law, rig, model, range(len(rig.axes)))
 
 
 class Bounds:

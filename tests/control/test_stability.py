@@ -144,3 +144,10 @@ def test_poles_and_margins_of_a_known_loop() -> None:
     up, down, *_ = margins(answer)
     assert up is None or up == pytest.approx(3.0, rel=0.05)
     assert down is None
+
+
+def test_a_loop_that_was_out_of_range_before_the_pulse_has_no_small_pole() -> None:
+    """The pulse is lost in the last digits of what has run away; then that overflows."""
+    answer = np.zeros(240)
+    answer[100:] = np.nan
+    assert abs(realise_poles(answer)[0]) > 1.0

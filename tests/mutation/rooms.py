@@ -55,7 +55,8 @@ ROOMS = {
     ),
     "estimator": Room(
         ("hil/control/estimator",),
-        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", *_RUNS, *_LOCKSTEP),
+        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py",
+         "tests/control/test_user_estimators.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
         ("hil/control",),

@@ -69,20 +69,27 @@ def test_a_rig_whose_drives_a_dbc_file_describes_brings_that_file_along(tmp_path
     assert installed.read_bytes().endswith(b'"B\xfcro";\n')
 
 
-def test_a_rig_with_a_law_a_task_and_frames_of_its_own_brings_their_files_along(tmp_path):
+def test_a_rig_with_a_law_an_estimator_a_task_and_frames_of_its_own_brings_their_files_along(tmp_path):
     mine = tmp_path / "mine"
     mine.mkdir()
-    for file in ("laws/lqr.py", "tasks/rose.py", "layouts/maker.py"):
+    for file in ("laws/lqr.py", "tasks/rose.py", "layouts/maker.py", "estimators/luenberger.py"):
         shutil.copy(ROOT / "examples" / file, mine)
     text = MICROSCOPE.read_text()
     text = re.sub(r"(?ms)^\[law\].*?(?=^\[(?!law))", '[law]\nname = "./lqr.py:Lqr"\n\n', text)
     text = re.sub(r"(?ms)^\[task\].*?(?=^\[(?!task))", '[task]\nkind = "./rose.py:Rose"\naxes = ["x", "y"]\n\n', text)
+    text = text.replace("[estimator]\n", '[estimator]\nname = "./luenberger.py:Luenberger"\n')
     text = text.replace('protocol = "stage_fd"', 'protocol = "./maker.py:Maker"')
     (mine / "mine.toml").write_text(text.replace('name = "microscope"', 'name = "mine"'))
     put(tmp_path / "root", mine / "mine.toml")
     installed = tmp_path / "root/etc/hil/rigs"
     assert rig_hash(load_rig(installed / "mine.toml")) == rig_hash(load_rig(mine / "mine.toml"))
-    assert {path.name for path in installed.iterdir()} >= {"mine.toml", "lqr.py", "rose.py", "maker.py"}
+    assert {path.name for path in installed.iterdir()} >= {
+        "mine.toml",
+        "lqr.py",
+        "rose.py",
+        "maker.py",
+        "luenberger.py",
+    }
 
 
 @pytest.mark.parametrize(("file", "error"), [("missing.dbc", RigError), ("../elsewhere.dbc", InstallError)])

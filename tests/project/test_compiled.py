@@ -233,3 +233,18 @@ print(run_hash("paper.toml", (f"bus.protocol={MAKER}:Maker", "task.radius=1e-3")
     compiled = told(HERE / "bin" / "python", "-P", "-c", hash_it)
     assert len(compiled.strip()) == 64
     assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_it)
+
+
+@needs_build
+def test_a_users_estimator_runs_in_it_and_fails_as_in_the_source() -> None:
+    hash_all = """
+from tests.support.hashes import run_hash
+from tests.support.paths import ROOT
+for file, made in (("examples/estimators/luenberger.py", "Luenberger"), ("tests/support/wrong_estimator.py", "Wrong")):
+    for law in ("pd-feedforward", "robust-pd"):
+        keys = (f"estimator.name={ROOT / file}:{made}", f"law.name={law}", "task.radius=1e-3")
+        print(file, law, run_hash("paper.toml", keys, 300))
+"""
+    compiled = told(HERE / "bin" / "python", "-P", "-c", hash_all)
+    assert len(set(compiled.split()[2::3])) == 4
+    assert compiled == told(ROOT / ".venv" / "bin" / "python", "-c", hash_all)

@@ -24,6 +24,7 @@ SAID = {
     "06_your_own_task.py": "as it should be",
     "08_faults_on_your_law.py": "state FAULT",
     "09_read_a_recording.py": "0 ticks differ",
+    "14_your_own_estimator.py": "as it should be: FAULT, estimator",
 }
 
 

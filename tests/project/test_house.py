@@ -45,6 +45,7 @@ MADE_BY_THE_BUILD = ("hil/floats/", "sim_plant/floats/")
 NO_MODULES = {
     "hil.floats",
     "sim_plant.floats",
+    "hil.estimators",
     "hil.laws",
     "hil.layouts",
     "hil.tasks",

@@ -14,10 +14,10 @@ PAPER = RIGS / "paper.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
 NO_NAME = "nothing"
 NAMES = [
-    "Command", "DriveSide", "DriveStatus", "Event", "Frame", "FrameLayout", "Gain", "HostSide", "Knob", "Law",
-    "LawInputs", "LiveRig", "Message", "Model", "NoGatewayError", "NoSidecarError", "Plant", "Recording",
-    "RecordingError", "Reference", "Reject", "Rig", "RigError", "Run", "Sample", "Simulation", "Task", "Wiring",
-    "accept_law", "connect", "load_rig", "load_run", "replay", "simulate",
+    "Command", "DriveSide", "DriveStatus", "Estimator", "Event", "Frame", "FrameLayout", "Gain", "HostSide", "Knob",
+    "Law", "LawInputs", "LiveRig", "Measurement", "Message", "Model", "NoGatewayError", "NoSidecarError", "Plant",
+    "Recording", "RecordingError", "Reference", "Reject", "Rig", "RigError", "Run", "Sample", "Simulation", "Task",
+    "Wiring", "accept_law", "connect", "load_rig", "load_run", "replay", "simulate",
 ]  # fmt: skip
 
 

@@ -71,7 +71,7 @@ class LawInputs:
     sample_interval: s from the previous sample instant to this one, by their stamps (one period where none came).
     ahead: s from the sample instant to the start of the interval in which the force asked for now will act.
     position_estimate, velocity_estimate, disturbance_estimate: the rig's Kalman filter, predicted to that start (m,
-    m/s, N).
+    m/s, N); the first two are the user's estimator's where the rig names one.
     start: reference at that start. end: reference at that interval's end.
     mean_velocity, mean_acceleration, mean_sign: reference averaged over that interval (mean_sign: of sgn(velocity)).
     force_last: force the gate applied in the previous tick; acts between the sample and `start` (N).
@@ -121,6 +121,7 @@ class Law(ABC):
     elementwise: `force` works on arrays of any number of axes and plants as on floats, element by element; where it
     is False, there is one object for every axis of every plant. Our own laws all are. preview: how many periods ahead
     `inputs.preview` is to reach. coupled: it looks at all axes at once, and its `force` takes arrays alone.
+    own_estimate: it has an observer of its own, and looks at no estimate.
     told_of_learning: a force learnt beside it (hil/control/laws/iterative_learning.py) counts in the forces that acted;
     its feedback is then that of `stiffness` (N/m) and `damping` (N s/m). learns_repeats: it learns a task that repeats
     by itself (ours alone), and law.iterative_learning turns that on by `learn_repeats`. denominator_floors: how often a
@@ -131,6 +132,7 @@ class Law(ABC):
     elementwise: ClassVar[bool] = False
     coupled: bool = False
     preview: int = 0
+    own_estimate: ClassVar[bool] = False
     told_of_learning: ClassVar[bool] = False
     learns_repeats: ClassVar[bool] = False
     stiffness: Number = 0.0

@@ -15,6 +15,7 @@ class DisturbanceObserver(Law):
     T) (Franklin, Powell, Workman, Digital Control (1998), section 8.2). d stays within the force limit.
     """
 
+    own_estimate: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
         "kp": STIFFNESS,
         "kd": DAMPING,

@@ -57,6 +57,7 @@ class PreslidingKalman(Law):
     rests.
     """
 
+    own_estimate: ClassVar[bool] = True
     learns_repeats: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
         "bandwidth": _of_model("rad", "natural frequency of the loop in motion times the period"),

@@ -63,6 +63,7 @@ class StructuredKalman(Law):
     variances of d as they were: an axis that friction holds is no evidence.
     """
 
+    own_estimate: ClassVar[bool] = True
     told_of_learning: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
         "kp": Gain(None, "N/m", "stiffness; default: mass times omega^2"),

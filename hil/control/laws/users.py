@@ -6,13 +6,13 @@ which line of which file it was. The next `reset` (the operator's, before anothe
 """
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from drivers.call_limit import FAILED, watch
+from drivers.plugins import blame
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
 
@@ -94,21 +94,9 @@ class UserAxes:
 
 def told(name: str, law: Any, error: BaseException) -> str:
     """What went wrong in a user's law, with the file and the line."""
-    return f"law {name}: {_place(error, law)}{type(error).__name__.strip('_')}: {error}"
-
-
-def _place(error: BaseException, law: Any) -> str:
-    """'file:line: ' of the last line of the law's own file that the exception came through, or of its `force`."""
     law = getattr(law, "_inner", law)  # inside iterative learning
     made = law.made if isinstance(law, PerElement) else type(law)
-    own = getattr(sys.modules.get(made.__module__), "__file__", None)
-    code = getattr(made.force, "__code__", None)
-    line, trace = getattr(code, "co_firstlineno", 0), error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == own:
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return f"{own}:{line}: "
+    return f"law {name}: {blame(error, made, 'force')}"
 
 
 def _number(value: Any) -> float:

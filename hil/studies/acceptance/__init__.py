@@ -1,1 +1,1 @@
-"""May this law go to the rig? `hil check --law`, and hil.accept_law."""
+"""May this law go to the rig? `hil check --law`, `hil check --estimator`, and hil.accept_law."""

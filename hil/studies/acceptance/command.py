@@ -36,42 +36,45 @@ def check(
         str | None,
         typer.Option(metavar="NAME", help="accept this law: a name, ./file.py:Class, package.module:Class"),
     ] = None,
-    margin: Annotated[float, typer.Option(min=0.0, help="with --law: least gain margin, dB")] = _USUAL.gain_db,
-    phase_margin: Annotated[
-        float, typer.Option(min=0.0, help="with --law: least phase margin, degrees")
-    ] = _USUAL.phase_deg,
-    stride: Annotated[
-        int, typer.Option(min=1, help="with --law: every n-th cell of the fault campaign")
-    ] = _USUAL.stride,
+    estimator: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="accept this estimator, named likewise, with the rig's law or that of --law"),
+    ] = None,
+    margin: Annotated[float, typer.Option(min=0.0, help="then: least gain margin, dB")] = _USUAL.gain_db,
+    phase_margin: Annotated[float, typer.Option(min=0.0, help="then: least phase margin, degrees")] = _USUAL.phase_deg,
+    stride: Annotated[int, typer.Option(min=1, help="then: every n-th cell of the fault campaign")] = _USUAL.stride,
 ) -> None:
     """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
     keeps the limits. Exit status 78 where one of them fails.
 
-    With --law: try that law on the rig's task, measure its ticks and its memory, compare two processes, take its
-    margins, and a slice of the fault campaign. Exit status 1 where one of them fails.
+    With --law, --estimator or both: try them on the rig's task, measure their ticks and their memory, compare two
+    processes, take the margins, and a slice of the fault campaign. Exit status 1 where one of them fails.
     """
-    if law is None:
+    wanted = {"law": law, "estimator": estimator}
+    names = {kind: _found(name, rig_file) for kind, name in wanted.items() if name is not None}
+    if not names:
         check_rig(rig_file, overrides or (), json_path=json_path, picture=picture, measured=measured or (), frd=frd)
         return
-    name = f"law.name={json.dumps(_found(law, rig_file))}"
     console = Console(stderr=json_path == "-")
     findings = []
     demand = Demand(margin, phase_margin, stride=stride)
-    for finding in accept_law(rig_file, [*(overrides or ()), name], demand):
+    named = [f"{kind}.name={json.dumps(name)}" for kind, name in names.items()]
+    for finding in accept_law(rig_file, [*(overrides or ()), *named], demand):
         findings.append(finding)
         verdict = _VERDICTS[finding.passed]
         console.print(Text(f"{finding.step:16} ").append(verdict).append(f"  {finding.text}"), soft_wrap=True)
     accepted = all(finding.passed for finding in findings)
-    console.print(f"law {law}: " + ("accepted" if accepted else "not accepted"), markup=False, highlight=False)
+    told = ", ".join(f"{kind} {name}" for kind, name in wanted.items() if name is not None)
+    console.print(f"{told}: " + ("accepted" if accepted else "not accepted"), markup=False, highlight=False)
     if json_path:
-        write_json({"law": law, "accepted": accepted, "steps": [step._asdict() for step in findings]}, json_path)
+        write_json({**wanted, "accepted": accepted, "steps": [step._asdict() for step in findings]}, json_path)
     if not accepted:
         raise typer.Exit(1)
 
 
-def _found(law: str, rig_file: Path) -> str:
-    """The law's name; a file that is not beside the rig, but in the present folder, by its whole path."""
-    file = file_of(law)
+def _found(name: str, rig_file: Path) -> str:
+    """A plug-in's name; a file that is not beside the rig, but in the present folder, by its whole path."""
+    file = file_of(name)
     if file and not (rig_file.parent / file).exists() and Path(file).exists():
-        return str(Path(file).resolve()) + law.removeprefix(file)
-    return law
+        return str(Path(file).resolve()) + name.removeprefix(file)
+    return name

@@ -61,7 +61,8 @@ _USUAL = Demand()
 def accept_law(
     rig_file: str | os.PathLike[str], overrides: Sequence[str] = (), demand: Demand = _USUAL
 ) -> Iterator[Finding]:
-    """Try the rig's law (name it by an override, law.name=...) in every way that needs no stage; a finding a step.
+    """Try the rig's law (name it by an override, law.name=...) in every way that needs no stage; a finding a step. An
+    estimator of users (estimator.name=...) is tried with it.
 
     contract: the class, its gains, and that a run of it begins. task: the rig's own for TASK_S of virtual time.
     time: the slowest tick against the period, on this machine. memory: nothing kept by the tick. bytes: the same in
@@ -77,7 +78,9 @@ def accept_law(
         yield Finding("contract", False, str(error))
         return
     gains = ", ".join(declared(made.GAINS)) or "none"
-    yield Finding("contract", True, f"{made.__name__}{', all axes at once' if made.coupled else ''}; gains: {gains}")
+    whole = ", all axes at once" if made.coupled else ""
+    behind = f"; behind {rig.estimator.name}" if rig.estimator.is_users else ""
+    yield Finding("contract", True, f"{made.__name__}{whole}; gains: {gains}{behind}")
     law = _Candidate(rig, path, tuple(overrides), demand)
     task = _task(law)
     yield task

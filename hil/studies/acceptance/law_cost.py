@@ -1,7 +1,6 @@
-"""What a rig's law costs by the tick: time of its slowest tick, and memory that it takes and does not give back."""
+"""What a rig's law and its estimator cost by the tick: time of the slowest, and memory that is not given back."""
 
 import gc
-import sys
 import time
 import tracemalloc
 from collections.abc import Sequence
@@ -10,9 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers import plugins
 from hil.control.law_registry import law_class
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
+from hil.rig.tables import ESTIMATOR_KIND
 from hil.virtual.lockstep import LockstepRun
 
 REPEATS = 3  # of the same run: its ticks cost the same in each, what differs is the machine's doing
@@ -23,7 +24,7 @@ _FRAMES = 5
 
 
 class Cost(NamedTuple):
-    """Of one tick, all axes together. worst, median: s, of the law alone. grows: bytes a tick that stay."""
+    """Of one tick, all axes together. worst, median: s, of law and estimator alone. grows: bytes a tick that stay."""
 
     worst: float
     median: float
@@ -82,9 +83,11 @@ def _times(rig: RigConfig, folder: Path) -> list[int]:
 
 
 def _growth(rig: RigConfig, folder: Path) -> float:
-    """Bytes a tick that the law's own file takes and keeps."""
-    file = getattr(sys.modules.get(law_class(rig.law).__module__), "__file__", None) or "-"
-    own = [tracemalloc.Filter(True, file, all_frames=True)]
+    """Bytes a tick that the files of the law and of a user's estimator take and keep."""
+    made = [law_class(rig.law)]
+    if rig.estimator.is_users:
+        made.append(plugins.find(ESTIMATOR_KIND, rig.estimator.name, rig.estimator.source))
+    own = [tracemalloc.Filter(True, plugins.code_file(each) or "-", all_frames=True) for each in made]
     run = LockstepRun(rig, folder)
     _until_active(run)
     half = MEMORY_TICKS // 2

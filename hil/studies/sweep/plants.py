@@ -152,7 +152,7 @@ def save_worst(
         for table, values in overridden(plant_rig(rig, seed, number, hard)).items():
             section: Any = document.setdefault(table, tomlkit.table())
             for key, value in values.items():
-                text = isinstance(value, str) and "\n" in value  # a law's source: as lines, not as one of thousands
+                text = isinstance(value, str) and "\n" in value  # a plug-in's source: as lines, not as one of thousands
                 section[key] = tomlkit.string(value, multiline=True) if text else value
         document["rate_hz"] = rig.rate_hz
         path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
@@ -162,8 +162,8 @@ def save_worst(
 
 
 def overridden(single: RigConfig) -> dict[str, dict[str, Any]]:
-    """What such a rig file holds that the original may not: plant, law, task and wire as they were run."""
-    tables = {"plant": single.plant, "task": single.task, "wire": single.wire}
+    """What such a rig file holds that the original may not: plant, law, estimator, task and wire as run."""
+    tables = {"plant": single.plant, "estimator": single.estimator, "task": single.task, "wire": single.wire}
     dumped = {name: model.model_dump(exclude_none=True, exclude_unset=True) for name, model in tables.items()}
     dumped["law"] = single.law.model_dump()
     return dumped

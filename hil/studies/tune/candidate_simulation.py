@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.control.estimator import behind_estimator
 from hil.control.estimator.gains import design_gains, per_axis
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import law_on_arrays
@@ -193,6 +194,7 @@ class CandidateSimulation:
         shape = (candidates, len(self._truths), 1)
         columns = {name: values.reshape(candidates, 1, 1) for name, values in gains.items()}
         each = law_on_arrays(law)(self.model, self._period, self.limit, **columns, **(fixed or {}))
+        each = behind_estimator(each, self._rig, self.model, [self._axis])
         return _Run(self, each, _Plants(self, candidates), shape).figures()
 
 

@@ -290,6 +290,7 @@ class Bench:
         noises = ("disturbance_noise", "acceleration_noise")
         estimator = rig.estimator.model_copy(
             update={name: float(per_axis(getattr(rig.estimator, name), len(rig.axes))[self.axis]) for name in noises}
+            | {"parameters": rig.estimator.parameters_of(self.axis)}
         )
         copies = dict.fromkeys((f"c{index}" for index in range(count)), [*rig.axes.values()][self.axis])
         copied = rig.model_copy(update={"law": law, "estimator": estimator, "axes": copies})
