@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.protocols.base import DeviceProtocol, HostProtocol, LayoutError
+from drivers.protocols.base import MOST_SENT, DeviceProtocol, HostProtocol, LayoutError
 from drivers.protocols.mounting import MountedDevice, MountedHost, Mounting, is_straight
 
 if TYPE_CHECKING:  # pydantic: not for those who want hil.cycle.gate alone
@@ -44,8 +44,16 @@ def host_protocol(
             axes, part = segment
             return host_protocol(part, len(axes), rated_force[axes.start : axes.stop], base_dir, period_ns)
 
-        return SegmentedHost(on_each(bus, n_axes, make))
-    return _layout(bus, n_axes, rated_force, period_ns, base_dir).host()
+        return _of_bounded_length(SegmentedHost(on_each(bus, n_axes, make)), period_ns)
+    return _of_bounded_length(_layout(bus, n_axes, rated_force, period_ns, base_dir).host(), period_ns)
+
+
+def _of_bounded_length(host: HostProtocol, period_ns: int) -> HostProtocol:
+    """A layout that never sends more in a tick than is kept of it. Raises LayoutError for another."""
+    sent = sum(message.sender == "host" for message in host.messages(period_ns))
+    if sent > MOST_SENT:
+        raise LayoutError(f"up to {sent} frames to the drives in one tick; there is room for {MOST_SENT}")
+    return host
 
 
 def device_protocol(

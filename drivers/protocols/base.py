@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from drivers.frame import Frame
 
@@ -24,6 +24,7 @@ class DriveStatus(IntFlag):
     ENCODER_FAULT = 1 << 6  # its position cannot be trusted
 
 
+MOST_SENT: Final = 16  # frames to the drives in a tick, of any layout: a record keeps every one (hil/cycle/record.py)
 UNHEALTHY = DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT  # with any of these no rig gets READY
 
 

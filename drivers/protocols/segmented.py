@@ -13,9 +13,6 @@ from drivers.frame import Frame, on_segment, segment_of
 from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, LayoutError, Message, Reject, Sample
 from drivers.segments import Segment, segments_of
 
-MOST_SENT = 6  # frames of a tick that hil/cycle/record.py has room for
-
-
 Side = TypeVar("Side")
 
 
@@ -52,17 +49,6 @@ class SegmentedHost:
         self._decoders = [(layout.decode, axes[0]) for layout, axes in zip(self.segments, self._axes, strict=True)]
         if any(layout.sequence_modulus != self.sequence_modulus for layout in self.segments):
             raise LayoutError("bus.segments: commands have a sequence number on some and none, or another, on others")
-        if self.name == "cia402":
-            self._refuse_too_many()
-
-    def _refuse_too_many(self) -> None:
-        """A SYNC and a service frame more with every segment."""
-        sent = sum(m.sender == "host" for layout in self.segments for m in layout.messages(1_000_000))
-        if sent > MOST_SENT:
-            raise LayoutError(
-                f"bus.segments: {sent} frames to the drives in a tick, SYNC and service of every segment included, of "
-                f"at most {MOST_SENT}; drives that can share an RPDO (bus.cia402.rpdo) need fewer"
-            )
 
     @property
     def problems(self) -> list[str]:

@@ -1,16 +1,17 @@
 """The fixed-size record of one tick: what the control process leaves in the ring, and all that replay needs.
 
-Little-endian, SI units, 4096 bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
+Little-endian, SI units, 4864 bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
 """
 
 from typing import Final
 
 import numpy as np
 
+from drivers.protocols.base import MOST_SENT
 from hil.rig.schema import MAX_AXES
 
 MAX_RECEIVED: Final = 32
-MAX_SENT: Final = 6
+MAX_SENT: Final = MOST_SENT
 MAX_COMMANDS: Final = 4
 MAX_EVIDENCE: Final = 8
 NO_AXIS: Final = -1  # of evidence that belongs to no axis
@@ -86,7 +87,7 @@ _FIELDS = [
 ]
 
 _USED = np.dtype(_FIELDS).itemsize
-RECORD_SIZE: Final = 4096
+RECORD_SIZE: Final = 4864
 RECORD = np.dtype([*_FIELDS, ("padding", "u1", RECORD_SIZE - _USED)])
 
 MOTION_FIELDS = (

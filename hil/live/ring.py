@@ -34,7 +34,7 @@ from hil.live.file_lock import is_locked, try_lock
 from hil.live.mapped_file import Closing, lay_out
 
 MAGIC = b"HILRING1"
-VERSION = 2  # of header and record
+VERSION = 3  # of header and record
 PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
 

@@ -322,7 +322,7 @@ class TelemetryConfig(BaseModel):
     listen: list[str] = key(["tcp/127.0.0.1:7447"], "Zenoh endpoints the sidecar listens on")
     publish_hz: float = key(50.0, "batches of telemetry a second", "Hz", gt=0, le=1000)
     blackbox_s: float = key(
-        60.0, "time the ring holds, which is the black box; a tick takes 4 KiB of memory", "s", ge=1, le=600
+        60.0, "time the ring holds, which is the black box; a tick takes 5 KB of memory", "s", ge=1, le=600
     )
     record: bool = key(True, "record every run")
     record_part_size: int = key(500_000_000, "a file that is larger is followed by another", "B", ge=100_000, le=2**40)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from drivers.frame import Frame
-from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD, REJECT_REASONS
+from hil.cycle.record import MAX_RECEIVED, MAX_SENT, MOTION_FIELDS, RECORD, REJECT_REASONS
 from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.tick import BusState, CommandKind, OperatorCommand, PortCounters
 from hil.rig.file import document_hash
@@ -33,7 +33,7 @@ COMMANDS = st.tuples(
 )
 TICKS = st.tuples(
     st.lists(FRAMES, max_size=MAX_RECEIVED),
-    st.lists(FRAMES, max_size=6),
+    st.lists(FRAMES, max_size=MAX_SENT),
     st.lists(COMMANDS, max_size=4),
     st.integers(0, 31),
 )

@@ -11,7 +11,6 @@ from drivers.wire.faults import FaultKind, WireFault
 from drivers.wire.segments import WireSegments
 from drivers.wire.wire import Wire
 from hil.cycle.fault_table import Fault
-from hil.cycle.record import MAX_SENT
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind, CycleResult, Tick
 from hil.rig.file import load_rig
@@ -197,12 +196,6 @@ def test_a_recording_replays_to_the_same_frames(tmp_path: Path, name: str, overr
     replayed = replay_run(tmp_path / "run.mcap")
     assert segments == {0, 1}
     assert (replayed.ticks, replayed.different) == (500, 0)
-
-
-def test_a_record_has_room_for_what_a_layout_may_send() -> None:
-    from drivers.protocols.segmented import MOST_SENT
-
-    assert MOST_SENT == MAX_SENT
 
 
 CAMPAIGN = [("paper", TWO), ("moteus", TWO), ("microscope-ideal", (*TWO_PAIRS, *CIA402))]

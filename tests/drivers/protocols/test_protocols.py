@@ -5,6 +5,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 from typing import Any
 
 import cantools
@@ -14,13 +15,16 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers import protocols
 from drivers.bus_load.schedulability import analyse
 from drivers.config import BusConfig
 from drivers.frame import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
-from drivers.protocols.base import Command, Reject, Sample
+from drivers.protocols.base import MOST_SENT, Command, Reject, Sample
+from drivers.protocols.base import Message as Announced
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
 from drivers.protocols.dbc_codec import compile_codec, load_dbc
+from hil.cycle.record import MAX_SENT
 from tests.support.paths import RIGS, ROOT
 
 FILES = sorted([*(ROOT / "drivers" / "protocols").glob("*.dbc"), *RIGS.glob("*.dbc")])
@@ -303,6 +307,33 @@ def test_identifiers_that_collide_and_forces_without_sense_are_refused_at_once()
         host_protocol(BusConfig(), 2, [1.0, 0.0], ROOT)
     with pytest.raises(LayoutError, match="5 axes"):
         host_protocol(BusConfig(), 5, [1.0] * 5, ROOT)
+
+
+class Talkative:
+    """A host's side that announces so many frames to its drives, and their answers."""
+
+    def __init__(self, frames: int) -> None:
+        self.frames = frames
+
+    def messages(self, period_ns: int) -> list[Announced]:
+        return [
+            Announced(f"{sender} {number}", number, 8, False, period_ns, period_ns, 0, sender)
+            for sender in ("host", "axis 0")
+            for number in range(self.frames)
+        ]
+
+
+def test_more_frames_in_a_tick_than_a_record_keeps_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    wordy = SimpleNamespace(host=lambda: Talkative(frames))
+    monkeypatch.setattr(protocols, "_layout", lambda *_: wordy)
+    frames = MOST_SENT
+    assert isinstance(host_protocol(BusConfig(), 4, RATED, ROOT), Talkative)
+    frames = MOST_SENT + 1
+    with pytest.raises(
+        LayoutError, match=f"up to {MOST_SENT + 1} frames .* in one tick; there is room for {MOST_SENT}"
+    ):
+        host_protocol(BusConfig(), 4, RATED, ROOT)
+    assert MAX_SENT == MOST_SENT
 
 
 # on the wire ----------------------------------------------------------------------------------------------------------
