@@ -15,23 +15,21 @@ import json
 import shutil
 import subprocess
 import threading
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 
-from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
-from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.session import open_session
 from hil.operate.bringup.survey import Survey
 from hil.rig.schema import RigConfig
 from tests.foreign.npm_package import HERE, PATIENCE_S, forwarding, package
 from tests.support.bought_drives import EDS, cia402
 from tests.support.foreign_drive import CST_DRIVE, U8, U32, Fact, eds_text
+from tests.support.pushing import Push
 
 __all__ = ["package"]  # a fixture
 NODES = (3, 9)
@@ -110,24 +108,6 @@ def rig() -> RigConfig:
     facts["rate_hz"] = 100.0
     facts["drives"]["watchdog_s"] = 0.5
     return RigConfig.model_validate(facts)
-
-
-class Push:
-    """Torque on one axis until its drive has been enabled for `ticks` ticks, or has a fault."""
-
-    def __init__(self, host: DriveHost, axis: int, force: float, ticks: int) -> None:
-        self.done, self.enabled = False, 0
-        self._host, self._axis, self._force, self._ticks = host, axis, force, ticks
-        self._deadline = time.monotonic() + PATIENCE_S
-        host.allow(axis, force)
-
-    def step(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
-        self._host.take(frames, now_ns)
-        status = self._host.status(self._axis)
-        self.enabled += bool(status & DriveStatus.ENABLED)
-        late = time.monotonic() > self._deadline
-        self.done = self.enabled >= self._ticks or bool(status & DriveStatus.FAULT) or late
-        return self._host.push(self._axis, self._force)
 
 
 def test_our_master_brings_them_to_torque_and_back(package: Path, tmp_path: Path) -> None:

@@ -201,7 +201,8 @@ def test_a_database_that_never_ends_is_refused(tmp_path: Path) -> None:
             "SELECT i, i, 0, 0, 0, 0, NULL FROM n WHERE i < 0"
         )
     made.close()
-    with pytest.raises(KINDS["trace-db"].refusals, match="interrupted"), at_most(LONGEST_S):
+    told = "interrupted|no frame within"  # whichever of the two clocks of a second is first
+    with pytest.raises(KINDS["trace-db"].refusals, match=told), at_most(LONGEST_S):
         KINDS["trace-db"].read(tmp_path / "x.db")
 
 

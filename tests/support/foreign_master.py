@@ -1,4 +1,4 @@
-"""The canopen package as a master on the local bus, and our drives beside it, in a thread of this process."""
+"""The canopen package as a master, and our drives beside it, in a thread of this process."""
 
 import threading
 import time
@@ -74,10 +74,10 @@ class Bench:
 
 
 @contextmanager
-def foreign_master(eds: Path, **quirks: Any) -> Iterator[Bench]:
-    """A drive by an EDS, with quirks as of [plant.drive], and a master."""
+def foreign_master(eds: Path, interface: str = "local", channel: str = "can0", **quirks: Any) -> Iterator[Bench]:
+    """A drive by an EDS, with quirks as of [plant.drive], and a master; interface, channel: of python-can."""
     settings = DoubleSettings(2.0, 4096, 1e-4, 1e-3, 0.0, 0.0, EmulatedDriveConfig(kind="cia402", **quirks))
-    bus = BusConfig(protocol="cia402", interface="local", channel="can0")
+    bus = BusConfig(protocol="cia402", interface=interface, channel=channel)
     said: list[str] = []
     ending = threading.Event()
 
@@ -93,7 +93,7 @@ def foreign_master(eds: Path, **quirks: Any) -> Iterator[Bench]:
         thread.start()
         network = canopen.Network()
         network.NOTIFIER_CYCLE = 0.02
-        network.connect(interface="local", channel="can0")
+        network.connect(interface=interface, channel=channel)
         try:
             yield Bench(double, network, eds, said)
         finally:
