@@ -24,7 +24,7 @@ OF_MODE: dict[str, tuple[float, tuple[float, ...]]] = {
     "rest_force_noise": (0.83, (3.4,)),
     "rest_disturbance_noise": (0.105, (0.155,)),
     "innovation_noise": (0.06, (0.6,)),
-    "integral": (0.06, (0.08,)),
+    "integral": (0.1, (0.08,)),
     "table_delay": (6.0, (12.0,)),
 }
 
