@@ -232,6 +232,15 @@ def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytes
     assert "no answer within 0.3 s" in run.cycle.law.failure
 
 
+@pytest.mark.parametrize("how", ["exits", "never returns", "raises in reset"])
+def test_on_arrays_it_is_ended_and_named_too(how: str, rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)
+    call_limit.watch.disarm()  # a timer of an earlier call would look in its own time
+    rig = load_rig(rig_file, [beside("misbehaves"), f"law.gains={{how={how!r}, after=-1.0}}"])
+    with pytest.raises(ValueError, match=r"law \./misbehaves\.py:Misbehaves: \./misbehaves\.py:\d+: "):
+        check_stability(rig)
+
+
 def test_a_law_that_fails_on_arrays_is_named_as_well(rig_file: Path) -> None:
     rig = load_rig(rig_file, [beside("misbehaves"), "law.gains.after=-1.0"])
     with pytest.raises(ValueError, match=r"law \./misbehaves\.py:Misbehaves: \./misbehaves\.py:\d+: ZeroDivisionError"):

@@ -6,7 +6,7 @@ which line of which file it was. The next `reset` (the operator's, before anothe
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -111,7 +111,9 @@ def _copy(reference: Any) -> Reference:
 
 
 class OnArrays(Law):
-    """A user's law on arrays; whatever it raises is a ValueError that names the file and the line."""
+    """A user's law on arrays; whatever it raises, and that it does not return, is a ValueError that names the file and
+    the line.
+    """
 
     def __init__(self, name: str, inner: Law) -> None:
         self._name, self._inner = name, inner
@@ -121,22 +123,26 @@ class OnArrays(Law):
 
     def reset(self, position: Any, force: Any) -> None:
         """See Law."""
-        try:
-            self._inner.reset(position, force)
-        except Exception as error:
-            raise ValueError(told(self._name, self._inner, error)) from error
+        self._ask(self._inner.reset, position, force)
 
     def force(self, inputs: LawInputs) -> Any:
         """See Law."""
+        return self._ask(self._inner.force, inputs)
+
+    def _ask(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        watch.begin()
         try:
-            return self._inner.force(inputs)
-        except Exception as error:
+            return method(*arguments)
+        except FAILED as error:
             raise ValueError(told(self._name, self._inner, error)) from error
+        finally:
+            watch.within = False
 
 
 class PerElement(Law):
     """A law on arrays (..., n_axes) made of one object for every axis of every plant, each on floats; or of one for
-    every plant, on arrays (n_axes,), where the law is coupled. For laws that are not `elementwise`.
+    every plant, on arrays (n_axes,), where the law is coupled. For laws that are not `elementwise`. Used inside
+    OnArrays, which ends what does not return.
     """
 
     def __init__(
@@ -162,8 +168,10 @@ class PerElement(Law):
         for index, limit in enumerate(limits):
             own = dict(zip(numbers, (column[index] for column in columns), strict=True))
             each = Model(*(column[index] for column in model))
+            watch.begin()  # the limit is that of one object, not of all
             self._laws.append(self.made(each, self._period, limit, **own, **words))
         for law, q, tau in zip(self._laws, self._cells(position), self._cells(force), strict=True):
+            watch.begin()
             law.reset(q, tau)
 
     def force(self, inputs: LawInputs) -> Array:
@@ -179,6 +187,7 @@ class PerElement(Law):
                 **{name: column[index] for name, column in plain.items()},
                 **{name: column[index] for name, column in references.items()},
             )
+            watch.begin()
             asked.append(law.force(one))
         return np.array(asked, dtype=np.float64).reshape(self._shape)
 
