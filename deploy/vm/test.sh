@@ -19,6 +19,11 @@ case "$*" in
 esac
 mkdir -p "$RESULTS"
 find "$RESULTS" -mindepth 1 -maxdepth 1 ! -name "$kept" -exec rm -rf {} +
+# the guest has no network: tests/vm/test_foreign_npm.py says what is missing where this is
+npm_package=$(sed -nE 's/^PACKAGE = "(.*)"$/\1/p' "$PROJECT/tests/foreign/npm_package.py")
+if command -v npm > /dev/null && [ ! -d "$VM/npm/node_modules" ]; then
+    npm install "$npm_package" --no-audit --no-fund --prefix "$VM/npm" > /dev/null 2>&1 || rm -rf "$VM/npm"
+fi
 # the guest cannot write byte code, and compiles slowly
 "$PROJECT/.venv/bin/python" -m compileall -q "$PROJECT"/{hil,drivers,sim_plant,tests} || true
 

@@ -8,26 +8,26 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.foreign.npm_package import HERE, PATIENCE_S, forwarding, package
+from tests.foreign.npm_package import HERE, PATIENCE_S, Place, forwarding, package, place
 from tests.operate.test_drive import Double
 from tests.support.foreign_drive import I16, MOTION_DRIVE, Fact, eds_text
 
-__all__ = ["package"]  # a fixture
+__all__ = ["package", "place"]  # fixtures
 NODE = 3
 
 pytestmark = [pytest.mark.slow, pytest.mark.live]
 
 
-def test_it_walks_a_drive_through_all_that_a_master_asks(package: Path, tmp_path: Path) -> None:
+def test_it_walks_a_drive_through_all_that_a_master_asks(package: Path, place: Place, tmp_path: Path) -> None:
     eds = tmp_path / "made.eds"
     eds.write_text(eds_text(MOTION_DRIVE | {(0x605A, 0): Fact(I16, "rw", "2")}))
-    double = Double(eds)
+    double = Double(eds, "-i", place.interface, "--channel", place.channel)
     script = shutil.copy(HERE / "npm_master.js", package)
     node = subprocess.Popen(
         ["node", script, str(NODE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
     )
     said: list[dict[str, object]] = []
-    with can.Bus(interface="local", channel="can0") as bus, forwarding(bus, node):
+    with can.Bus(interface=place.interface, channel=place.channel) as bus, forwarding(bus, node):
         assert node.stdout
         for line in node.stdout:
             told = json.loads(line)

@@ -26,12 +26,12 @@ from drivers.protocols.base import DriveStatus
 from hil.operate.bringup.session import open_session
 from hil.operate.bringup.survey import Survey
 from hil.rig.schema import RigConfig
-from tests.foreign.npm_package import HERE, PATIENCE_S, forwarding, package
+from tests.foreign.npm_package import HERE, PATIENCE_S, Place, forwarding, package, place
 from tests.support.bought_drives import EDS, cia402
 from tests.support.foreign_drive import CST_DRIVE, U8, U32, Fact, eds_text
 from tests.support.pushing import Push
 
-__all__ = ["package"]  # a fixture
+__all__ = ["package", "place"]  # fixtures
 NODES = (3, 9)
 SERVED = CST_DRIVE | {
     (0x1014, 0): Fact(U32, "ro", "$NODEID+0x80"),
@@ -85,10 +85,10 @@ def _number(value: str, node: int) -> str:
 
 
 @contextlib.contextmanager
-def drives_of(package: Path, folder: Path) -> Iterator[Drives]:
+def drives_of(package: Path, place: Place, folder: Path) -> Iterator[Drives]:
     (folder / EDS).write_text(eds_text(SERVED))
     drives = Drives(package, folder / EDS)
-    with can.Bus(interface="local", channel="can0") as bus:
+    with can.Bus(interface=place.interface, channel=place.channel) as bus:
         thread = threading.Thread(target=drives.serve, args=(bus,))
         with forwarding(bus, drives.process):
             thread.start()
@@ -100,18 +100,18 @@ def drives_of(package: Path, folder: Path) -> Iterator[Drives]:
     drives.process.communicate()
 
 
-def rig() -> RigConfig:
+def rig(place: Place) -> RigConfig:
     """Slow enough for pipes and a busy machine."""
     facts = cia402()
-    facts["bus"] |= {"interface": "local", "channel": "can0"}
+    facts["bus"] |= {"interface": place.interface, "channel": place.channel}
     facts["bus"]["cia402"] |= {"rpdo": "own", "rated_torque": [5.0, 5.0]}
-    facts["rate_hz"] = 100.0
-    facts["drives"]["watchdog_s"] = 0.5
+    facts["rate_hz"] = place.rate_hz
+    facts["drives"]["watchdog_s"] = 1.0
     return RigConfig.model_validate(facts)
 
 
-def test_our_master_brings_them_to_torque_and_back(package: Path, tmp_path: Path) -> None:
-    with drives_of(package, tmp_path) as drives, open_session(rig(), tmp_path) as session:
+def test_our_master_brings_them_to_torque_and_back(package: Path, place: Place, tmp_path: Path) -> None:
+    with drives_of(package, place, tmp_path) as drives, open_session(rig(place), tmp_path) as session:
         survey = Survey(session.host)
         session.run(survey)
         report = survey.report()
@@ -136,8 +136,8 @@ def test_our_master_brings_them_to_torque_and_back(package: Path, tmp_path: Path
     assert torques[-1] == 0
 
 
-def test_a_fault_of_theirs_is_told_in_words(package: Path, tmp_path: Path) -> None:
-    with drives_of(package, tmp_path) as drives, open_session(rig(), tmp_path) as session:
+def test_a_fault_of_theirs_is_told_in_words(package: Path, place: Place, tmp_path: Path) -> None:
+    with drives_of(package, place, tmp_path) as drives, open_session(rig(place), tmp_path) as session:
         session.run(Survey(session.host))
         push = Push(session.host, 0, 1.0, 1)
         session.run(push)
