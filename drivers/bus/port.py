@@ -25,7 +25,7 @@ from typing import Final, Literal, Protocol
 from drivers.bus.counters import BusState, PortCounters
 from drivers.bus.error_frames import decode_error
 from drivers.bus.local_medium import LocalMedium
-from drivers.bus.receive_block import STAMP_NS, ReceiveBlock
+from drivers.bus.receive_block import ReceiveBlock, stamp
 from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
@@ -108,8 +108,7 @@ class Port:
         self._transmit, self._ready = medium.transmit, medium.ready
         self._counts[_STATE] = medium.state()
         self._dropped = 0  # the socket's own count, from its opening on
-        now_ns = monotonic_ns()
-        self._drained_ns = now_ns - now_ns % STAMP_NS
+        self._drained_ns = stamp(monotonic_ns())
         self._has_drained = False
 
     @property
@@ -126,12 +125,11 @@ class Port:
 
         now_ns: CLOCK_MONOTONIC just before the call. timestamp_ns of each frame is the kernel's time stamp, brought
         from CLOCK_REALTIME to CLOCK_MONOTONIC, kept between the previous drain and the present (setting the wall clock
-        cannot move a stamp out of the interval in which the frame must have come), and cut to whole microseconds: what
-        is below them is how long the two clocks took to read.
+        cannot move it out of that interval), and cut to whole microseconds: two clocks are not read any closer.
         Error frames and own echoes are counted, not returned (but see `echo_id`). What has gathered before the first
         drain of an opened bus is no flood: what is beyond the limit counts neither as discarded nor as overflow.
         """
-        earliest_ns, self._drained_ns = self._drained_ns, now_ns - now_ns % STAMP_NS
+        earliest_ns, self._drained_ns = self._drained_ns, stamp(now_ns)
         sources = self._ready()
         wall_ns = time_ns()
         latest_ns = monotonic_ns()
@@ -199,7 +197,7 @@ class Port:
                 if message_flags & _OWN_ECHO:
                     self._counts[_ECHO] += 1
                     kind |= ECHO
-                frames.append(Frame(can_id, data[:length], kind, stamp_ns - stamp_ns % STAMP_NS))
+                frames.append(Frame(can_id, data[:length], kind, stamp(stamp_ns)))
                 if first and size == self._size:
                     block.expect(length, flags)
                 first = False
@@ -303,9 +301,7 @@ class EchoingPort(Port):
         """As Port.send."""
         sent = super().send(frame)
         if sent and frame.can_id == self._echo_id:
-            now_ns = monotonic_ns()
-            echo = frame._replace(flags=frame.flags | ECHO, timestamp_ns=now_ns - now_ns % STAMP_NS)
-            self._echoes.append(echo)
+            self._echoes.append(frame._replace(flags=frame.flags | ECHO, timestamp_ns=stamp(monotonic_ns())))
         return sent
 
     def drain(self, now_ns: int) -> list[Frame]:

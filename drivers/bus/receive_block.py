@@ -49,7 +49,12 @@ _ORDINARY = {
 }
 
 _SECOND: Final = 1_000_000_000
-STAMP_NS: Final = 1000  # what time stamps are a multiple of
+_STAMP_NS: Final = 1000
+
+
+def stamp(time_ns: int) -> int:
+    """A time as frames are stamped with it: cut to whole microseconds."""
+    return time_ns - time_ns % _STAMP_NS
 
 
 class ReceiveBlock:
@@ -90,7 +95,7 @@ class ReceiveBlock:
         return self.count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
-        """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns, cut to STAMP_NS.
+        """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns, as `stamp`.
 
         None where the fast path is not for any of the `count` messages: of another size, length or flags than
         expected, an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present
@@ -112,8 +117,7 @@ class ReceiveBlock:
         expected, flags = self._head, self._flags
         for can_id, head, data, ns in self._unpack(slots):
             if head == expected and first <= ns <= last and (can_id < ERROR or not can_id & ERROR):
-                stamp_ns = base_ns + ns
-                frames.append(Frame(can_id, data, flags, stamp_ns - stamp_ns % STAMP_NS))
+                frames.append(Frame(can_id, data, flags, stamp(base_ns + ns)))
         if len(frames) != count:
             return None
         used[:] = fresh

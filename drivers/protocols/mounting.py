@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from drivers.frame import Frame
-from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, Message, Reject, Sample
+from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, Message, Reject, Sample, echo_ids
 
 
 class Mounting(NamedTuple):
@@ -63,7 +63,7 @@ class MountedHost:
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
-        self.echo_ids: Sequence[int | None] = getattr(layout, "echo_ids", (layout.echo_id,))  # by segment
+        self.echo_ids: Sequence[int | None] = echo_ids(layout)
         self.positions: Sequence[tuple[float, float]] = [
             (min(mounting.counts_at_axis(ends)), max(mounting.counts_at_axis(ends)))
             for mounting, ends in zip(mountings, layout.positions, strict=True)

@@ -33,7 +33,7 @@ class SegmentedHost:
     echo_id: int | None = None  # of the bus as a whole there is none
 
     def __init__(self, parts: Sequence[tuple[Segment, HostProtocol]]) -> None:
-        """parts: in the order of the rig's segments. Raises LayoutError where a tick would have too many frames."""
+        """parts: in the order of the rig's segments. Raises LayoutError where they number commands differently."""
         self.segments = [layout for _, layout in parts]
         self.channels = [segment.bus.channel for segment, _ in parts]
         self._axes = [segment.axes for segment, _ in parts]

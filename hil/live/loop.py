@@ -284,8 +284,7 @@ class ControlLoop:
         if any(command.kind == CommandKind.RESET for command in commands):
             for port in self._port.members:
                 if port.counters().state >= BusState.BUS_OFF:
-                    port.purge()
-                    port.rebind()
+                    _clear(port)
 
 
 def _is_recalled(port: Port) -> bool:
@@ -295,6 +294,11 @@ def _is_recalled(port: Port) -> bool:
         return True
     if state is BusState.BUS_OFF:
         return False
+    return _clear(port)
+
+
+def _clear(port: Port) -> bool:
+    """Take back what waits in a segment and open it anew; False: something may still wait."""
     purged = port.purge()
     port.rebind()
     return purged

@@ -58,10 +58,14 @@ def emulation_notes(rig: RigConfig) -> list[str]:
     ]
 
 
+def _unmounted(layout: HostProtocol) -> HostProtocol:
+    """The layout in the terms of the drives."""
+    return layout.layout if isinstance(layout, MountedHost) else layout
+
+
 def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
     """What is wrong with the rig's DBC file beside what is used of it, for people."""
-    layout = rig_layout(rig, base_dir)
-    inner = layout.layout if isinstance(layout, MountedHost) else layout
+    inner = _unmounted(rig_layout(rig, base_dir))
     parts = getattr(inner, "segments", (inner,))  # all of them read the same file
     return list(dict.fromkeys(text for part in parts for text in getattr(part, "warnings", ())))
 
@@ -69,8 +73,7 @@ def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
 def messages_by_segment(rig: RigConfig, base_dir: Path) -> list[list[Message]]:
     """All traffic the rig's layout puts on each of its segments. Raises RigError for a layout it cannot have."""
     layout = rig_layout(rig, base_dir)
-    inner = layout.layout if isinstance(layout, MountedHost) else layout
-    several = getattr(inner, "messages_by_segment", None)
+    several = getattr(_unmounted(layout), "messages_by_segment", None)
     return several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
 
 

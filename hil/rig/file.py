@@ -17,7 +17,8 @@ from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
-_NAMES = (["law", "name"], ["estimator", "name"])  # overrides that come first: gains and parameters belong to them
+# Of a table with a `name`: what belongs to the class it names. An override of the name comes first and drops them.
+_BELONG = {"law": ("learnt", "gains"), "estimator": ("parameters",)}
 _LONGEST = 400  # characters of one problem's text
 
 
@@ -44,16 +45,16 @@ def parse_override(text: str) -> tuple[list[str], Any]:
         return path, raw.strip()
 
 
+def _names_a_class(path: list[str]) -> bool:
+    return path[1:] == ["name"] and path[0] in _BELONG
+
+
 def _apply_override(document: dict[str, Any], path: list[str], value: Any) -> None:
-    if path == ["law", "name"]:
-        law = document.setdefault("law", {})
-        if isinstance(law, dict) and law.get("name") != value:
-            law.pop("learnt", None)
-            law.pop("gains", None)  # they belong to the law the file names; its successor takes its tuned ones
-    if path == ["estimator", "name"]:
-        estimator = document.setdefault("estimator", {})
-        if isinstance(estimator, dict) and estimator.get("name") != value:
-            estimator.pop("parameters", None)
+    if _names_a_class(path):
+        named = document.setdefault(path[0], {})
+        if isinstance(named, dict) and named.get("name") != value:
+            for key in _BELONG[path[0]]:
+                named.pop(key, None)
     table = document
     for part in path[:-1]:
         child = table.setdefault(part, {})
@@ -93,7 +94,7 @@ def _check_learnt(rig: RigConfig) -> None:
 
 def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
-    parsed = sorted((parse_override(text) for text in overrides), key=lambda item: item[0] not in _NAMES)
+    parsed = sorted((parse_override(text) for text in overrides), key=lambda item: not _names_a_class(item[0]))
     paths = [path for path, _ in parsed]
     for path, value in parsed:
         if path == ["plant", "encoder_resolution"] and not any(_is_axis_encoder(other) for other in paths):

@@ -28,6 +28,7 @@ from hil.virtual.batch import BatchRun, rig_law
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.sim import simulate, usable
 from sim_plant.physics.stage import Truth
+from tests.support.batch_equality import assert_batch_is_single
 from tests.support.paths import RIGS, ROOT
 from tests.support.wrong_estimator import WAYS
 
@@ -204,16 +205,7 @@ def test_after_a_reset_nothing_is_known_of_what_acted_before(arrays: bool, notes
 def test_a_batch_equals_the_full_path(law: str, rig_file: Path) -> None:
     """One object an axis there; here one for every axis of every plant."""
     rig = load_rig(rig_file, ["wire.stuffing=worst", f"law.name={law}", *MADE])
-    single = LockstepRun(rig, rig_file.parent)
-    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
-    batch = BatchRun(rig, Truth.stack([truth, truth]))
-    while single.activated_at < 0:
-        single.tick()
-    batch.tick()
-    for _ in range(300):
-        single.tick()
-        batch.tick()
-        assert batch.force.tolist() == [single.cycle.gate.force] * 2
+    assert_batch_is_single(rig, rig_file.parent)
 
 
 def test_what_is_recorded_is_what_the_law_was_told(rig_file: Path) -> None:

@@ -34,11 +34,10 @@ from hil.studies.sweep.plants import run_chunk as run_plants
 from hil.studies.tune.candidate_simulation import Trial
 from hil.studies.tune.objective import Bench
 from hil.telemetry.recorder import LockstepRecorder
-from hil.virtual.batch import BatchRun
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
-from sim_plant.physics.stage import Truth
+from tests.support.batch_equality import assert_batch_is_single
 from tests.support.misbehaves import WAYS
 from tests.support.paths import LAWS_OF_USERS, MISBEHAVES, RIGS, ROOT
 
@@ -151,16 +150,7 @@ def test_a_recording_replays_without_the_file(rig_file: Path, tmp_path: Path) ->
 def test_a_batch_equals_the_full_path_for_users_laws_too(name: str, rig_file: Path) -> None:
     """One object an axis on floats there; here on arrays, or an object for every axis of every plant."""
     rig = load_rig(rig_file, [beside(name), "wire.stuffing=worst", *QUICK])
-    single = LockstepRun(rig, rig_file.parent)
-    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
-    batch = BatchRun(rig, Truth.stack([truth, truth]))
-    while single.activated_at < 0:
-        single.tick()
-    batch.tick()
-    for _ in range(300):
-        single.tick()
-        batch.tick()
-        assert batch.force.tolist() == [single.cycle.gate.force] * 2
+    assert_batch_is_single(rig, rig_file.parent)
 
 
 def test_a_laws_name_is_a_file_name_that_stays_in_its_folder() -> None:
