@@ -1,5 +1,6 @@
 """What every test may lean on: the two rig files, invariants on every tick, private runtime folders."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
 from tests.support.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
-from tests.support.paths import RIGS
+from tests.support.paths import RIGS, ROOT
 
 if TYPE_CHECKING:
     from hil.virtual.lockstep import LockstepRun
@@ -29,6 +30,12 @@ def private_runtime_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     folder.mkdir(mode=0o700)
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(folder))
     return folder
+
+
+@pytest.fixture
+def examples_are_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where Python keeps out of the working directory, and at the end: a compiled build is not to be shadowed."""
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT)])
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import shutil
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -39,16 +38,12 @@ from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
 from tests.support.batch_equality import assert_batch_is_single
 from tests.support.misbehaves import WAYS
-from tests.support.paths import LAWS_OF_USERS, MISBEHAVES, RIGS, ROOT
+from tests.support.paths import LAWS_OF_USERS, MISBEHAVES, RIGS
+
+pytestmark = pytest.mark.usefixtures("examples_are_a_package")
 
 GOOD = {"lqr": "Lqr", "lqg": "Lqg", "mpc": "PreviewMpc", "network": "Network"}
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1"]
-
-
-@pytest.fixture(autouse=True)
-def _examples_are_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where Python keeps out of the working directory, and at the end: a compiled build is not to be shadowed."""
-    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT)])
 
 
 @pytest.fixture

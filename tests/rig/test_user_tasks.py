@@ -26,6 +26,8 @@ from hil.virtual.sim import simulate
 from tests.support.paths import RIGS, ROOT
 from tests.support.task_misbehaves import WAYS
 
+pytestmark = pytest.mark.usefixtures("examples_are_a_package")
+
 ROSE = ["task.kind=./rose.py:Rose", "task.axes=['x', 'y']", "task.approach_s=0.2", "task.settle_s=0.0"]
 RUNNER = CliRunner()
 

@@ -16,6 +16,9 @@ from tests.support.wrong_layouts import MAKER, REFUSED, decode, drives, encode, 
 RATED = [5.0, 2.0]
 
 
+pytestmark = pytest.mark.usefixtures("examples_are_a_package")
+
+
 def bus_of(text: str = "", made: str = "Maker", **keys: object) -> BusConfig:
     return BusConfig.model_validate(
         {"protocol": f"./wrong.py:{made}", "source": MAKER.read_text() + text, **keys},
