@@ -176,6 +176,8 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
         print("hil run: the control cycle failed; nothing is sent any more", file=sys.stderr)
         traceback.print_exc()
         return EXIT_SOFTWARE  # without an end mark in the ring: it is kept as the black box
+    cycle, pacer = loop.parts.cycle, loop.pacer
+    loop.parts.notes.write(cycle, pacer.index, pacer.now_ns)  # said since the last chore, or under torque
     loop.parts.ring.close()
     loop.parts.timing.show()
     _say_farewell(loop)
