@@ -38,6 +38,15 @@ def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
     assert "# The stage of Xu" in saved.read_text()
 
 
+def test_a_saved_plant_is_the_rig_that_was_swept_whatever_was_set_for_it(tmp_path: Path) -> None:
+    said = ["drives.watchdog_s=0.02", "axes.x.limits.speed=4.5", "safety.stop_s=0.4", "description=another", "rate_hz=500"]
+    rig = load_rig(PAPER, [*QUICK, "law.name=pid", "law.gains={kp=900.0}", *said])
+    (saved,) = save_worst(PAPER, rig, 9, False, [2], tmp_path)
+    assert load_rig(saved) == plant_rig(rig, 9, 2, False)
+    assert "# The stage of Xu" in saved.read_text()
+    assert "# zero torque when no valid command" in saved.read_text(), "comments beside what was set stay"
+
+
 def test_a_sweep_without_a_steady_window_is_refused() -> None:
     with pytest.raises(RigError, match="steady window begins"):
         jobs(load_rig(PAPER), RIGS, 10, 3.0, seed=1)

@@ -18,6 +18,7 @@ from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import load_rig
+from hil.rig.former_keys import modernise
 from hil.rig.schema import RigConfig, RigError
 from hil.virtual.batch import FIRST_ON_TASK, BatchRun
 from hil.virtual.lockstep import LockstepRun
@@ -149,24 +150,27 @@ def save_worst(
     paths = []
     for number in numbers:
         document = tomlkit.parse(rig_file.read_text(encoding="utf-8"))
-        for table, values in overridden(plant_rig(rig, seed, number, hard)).items():
-            section: Any = document.setdefault(table, tomlkit.table())
-            for key, value in values.items():
-                text = isinstance(value, str) and "\n" in value  # a plug-in's source: as lines, not as one of thousands
-                section[key] = tomlkit.string(value, multiline=True) if text else value
-        document["rate_hz"] = rig.rate_hz
+        modernise(document)
+        _bring_up_to(document, plant_rig(rig, seed, number, hard))
         path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
         path.write_text(tomlkit.dumps(document), encoding="utf-8")
         paths.append(path)
     return paths
 
 
-def overridden(single: RigConfig) -> dict[str, dict[str, Any]]:
-    """What such a rig file holds that the original may not: plant, law, estimator, task and wire as run."""
-    tables = {"plant": single.plant, "estimator": single.estimator, "task": single.task, "wire": single.wire}
-    dumped = {name: model.model_dump(exclude_none=True, exclude_unset=True) for name, model in tables.items()}
-    dumped["law"] = single.law.model_dump()
-    return dumped
+def _bring_up_to(document: tomlkit.TOMLDocument, single: RigConfig) -> None:
+    """Have a rig file say what such a rig is, wherever it says something else: a plant's numbers, and what --set chose."""
+    wanted = single.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    wanted["law"] = single.law.model_dump(mode="json", exclude_none=True)  # tuned gains stand for themselves
+    for name, chosen in wanted.items():
+        if not isinstance(chosen, dict):
+            document[name] = chosen
+            continue
+        table: Any = document.setdefault(name, tomlkit.table())
+        for key, value in chosen.items():
+            if table.get(key) != value:
+                text = isinstance(value, str) and "\n" in value  # a plug-in's source: as lines, not as one of thousands
+                table[key] = tomlkit.string(value, multiline=True) if text else value
 
 
 def reproduce(path: Path, seconds: float, expected: Array) -> bool:
