@@ -188,7 +188,7 @@ def _path_problems(rig: RigConfig) -> list[str]:
         for number, row in enumerate(rows, 1):
             where, value = f"{table}: row {number}, column {name}", row[column]
             if not limits.position[0] <= value <= limits.position[1]:
-                return [f"{where}: {value:g} is outside axes.{name}.limits.position = {limits.position}"]
+                return [f"{where}: {value:.12g} is outside axes.{name}.limits.position = {limits.position}"]
             if timed and number > 1:
                 before = rows[number - 2]
                 speed = abs(value - before[column]) / (row[0] - before[0])

@@ -42,11 +42,11 @@ PAIRS = {
     ),
     "the upper end of the travel": (
         "paper", WAY, "task.waypoints=[[0.0], [1.2]]", "task.waypoints=[[0.0], [1.2000001]]",
-        "task.waypoints: row 2, column x: 1.2 is outside axes.x.limits.position = [-1.2, 1.2]",
+        "task.waypoints: row 2, column x: 1.2000001 is outside axes.x.limits.position = [-1.2, 1.2]",
     ),
     "the lower end of the travel": (
         "paper", WAY, "task.waypoints=[[-1.2], [0.0]]", "task.waypoints=[[-1.2000001], [0.0]]",
-        "task.waypoints: row 1, column x: -1.2 is outside axes.x.limits.position = [-1.2, 1.2]",
+        "task.waypoints: row 1, column x: -1.2000001 is outside axes.x.limits.position = [-1.2, 1.2]",
     ),
     "the far corner of a raster": (
         "paper", ["task.kind=raster", "task.axes=['x', 'y']", "task.corner=[0.5, 0.0]"],
