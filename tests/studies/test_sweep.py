@@ -39,7 +39,13 @@ def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_saved_plant_is_the_rig_that_was_swept_whatever_was_set_for_it(tmp_path: Path) -> None:
-    said = ["drives.watchdog_s=0.02", "axes.x.limits.speed=4.5", "safety.stop_s=0.4", "description=another", "rate_hz=500"]
+    said = [
+        "drives.watchdog_s=0.02",
+        "axes.x.limits.speed=4.5",
+        "safety.stop_s=0.4",
+        "description=another",
+        "rate_hz=500",
+    ]
     rig = load_rig(PAPER, [*QUICK, "law.name=pid", "law.gains={kp=900.0}", *said])
     (saved,) = save_worst(PAPER, rig, 9, False, [2], tmp_path)
     assert load_rig(saved) == plant_rig(rig, 9, 2, False)
