@@ -23,6 +23,8 @@ def rig_model(rig: RigConfig) -> Model:
         mode_frequency=np.array([a.mode_frequency_hz for a in axes]),
         mode_damping=np.array([a.mode_damping for a in axes]),
         mode_load=np.array([a.mode_load for a in axes]),
+        presliding_least=np.array([min(a.presliding, default=0.0) for a in axes]),
+        presliding_greatest=np.array([max(a.presliding, default=0.0) for a in axes]),
     )
 
 

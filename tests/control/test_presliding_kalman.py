@@ -10,7 +10,11 @@ from hil.control.laws.base import Model
 from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
 from hil.control.laws.presliding_bank import Bank, moved, slopes
+from hil.control.laws.presliding_gains import of_model
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
+from hil.control.nominal_model import rig_model
+from hil.rig.file import load_rig
+from tests.support.paths import RIGS
 
 PERIOD, MASS, LAG, LOAD, DAMPING = 1e-3, 0.9, 2e-4, 0.3, 0.02
 FORCE_NOISE, DISTURBANCE_NOISE, MODE_NOISE = 3.24, 1.36, 13.1
@@ -104,6 +108,23 @@ def test_gains_of_floats_and_of_arrays_are_the_same_bits() -> None:
     for i, frequency in enumerate((0.0, 250.0)):
         one = MotionModel(model(frequency), PERIOD).gains(*noises)
         assert (one.e, one.v, one.x, one.n, one.d) == tuple(getattr(both, name)[i] for name in "evxnd")
+
+
+def test_a_rigid_axis_whose_model_states_presliding_integrates_more_slowly() -> None:
+    """Of three axes: rigid without and with presliding, and one with a mode and presliding; as floats and as arrays."""
+    swings, presliding = np.array([0.0, 0.0, 0.2]), np.array([0.0, 20e-6, 20e-6])
+    both = of_model("integral", swings, presliding)
+    assert both.tolist() == [0.1, 0.06, 0.08]
+    assert [
+        of_model("integral", s, d) for s, d in zip(swings.tolist(), presliding.tolist(), strict=True)
+    ] == both.tolist()
+    assert of_model("bandwidth", swings, presliding).tolist() == [0.2228, 0.2228, 0.1488]
+    stated, ideal = (rig_model(load_rig(RIGS / f"{name}.toml")) for name in ("microscope", "microscope-ideal"))
+    assert list(zip(stated.presliding_least, stated.presliding_greatest, strict=True))[2:] == [
+        (3e-6, 20e-6),
+        (3e-6, 12e-6),
+    ]
+    assert not any(ideal.presliding_greatest)
 
 
 def test_operators_turn_round_over_their_reach() -> None:

@@ -33,7 +33,7 @@ class Model:
     Friction force: coulomb*sgn(v) + viscous*v + quadratic*v*|v|; `gravity` is the constant force the actuator must
     supply to hold the axis. torque_lag: s, of the force behind its command. mode_frequency: Hz, at which the tool rings
     on its spring while the motor is held, 0: a rigid axis; mode_damping: its damping ratio; mode_load: its part of the
-    mass.
+    mass. presliding_least, presliding_greatest: m (rad), Coulomb friction over its stiffness at rest; 0: not stated.
     """
 
     mass: Number
@@ -45,6 +45,8 @@ class Model:
     mode_frequency: Number = 0.0
     mode_damping: Number = 0.0
     mode_load: Number = 0.0
+    presliding_least: Number = 0.0
+    presliding_greatest: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -55,6 +57,7 @@ def axis_model(whole: Any, index: int) -> Model:
     values = (
         whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity,
         whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
+        whole.presliding_least, whole.presliding_greatest,
     )  # fmt: skip
     return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 

@@ -32,7 +32,7 @@ from hil.control.laws.breakaway import anywhere
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
-from hil.control.laws.presliding_gains import of_mode
+from hil.control.laws.presliding_gains import of_model
 from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
 from hil.control.number import Number, at_least, bounded, root, select
@@ -53,7 +53,7 @@ def _of_model(unit: str, meaning: str) -> Gain:
 
 
 class PreslidingKalman(Law):
-    """Gains that are None follow from the model's mode (hil/control/laws/presliding_gains.py). rest_...: while it
+    """Gains that are None follow from the model (hil/control/laws/presliding_gains.py). rest_...: while it
     rests.
     """
 
@@ -102,7 +102,7 @@ class PreslidingKalman(Law):
 
         def default(name: str) -> Number:
             value: Number | None = given[name]
-            return of_mode(name, swings) if value is None else value + zero
+            return of_model(name, swings, zero + model.presliding_greatest) if value is None else value + zero
 
         self._model, self._period = model, period
         self._motion = motion = MotionModel(model, period, default("mode_share"))
