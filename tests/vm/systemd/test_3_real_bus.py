@@ -5,13 +5,14 @@ The stage's controller lives in a network namespace of its own: the service reac
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 from tests.vm.slcan import SerialAdapter
 from tests.vm.systemd.page import CtrlC, follow, says, whatever
-from tests.vm.systemd.service import EDIT, RIGS, console, edited, eventually, sh
+from tests.vm.systemd.service import EDIT, EXAMPLES, RIGS, console, edited, eventually, sh
 from tests.vm.systemd.stage import CHANNEL, NAMESPACE, STAGE, its_controller, remember_controller
 
 pytestmark = [pytest.mark.vcan, pytest.mark.systemd]
@@ -19,9 +20,15 @@ pytestmark = [pytest.mark.vcan, pytest.mark.systemd]
 BITRATE, QUEUE = 500_000, 7
 ARPHRD_CAN = "280"
 ENABLED = 1  # DriveStatus.ENABLED
-# the shipped microscope, as somebody would write it down for a stage of their own on classic CAN
+# The shipped microscope, as somebody would write it down for a stage of their own on classic CAN, with a law, an
+# estimator and a path of their own beside the rig file. Of the examples' laws the network is stable at 20 Hz.
+BESIDE = (EXAMPLES / "laws" / "network.py", EXAMPLES / "estimators" / "luenberger.py")
+PATH = "time_s,x,y\n0,0,0\n2,0.0005,0\n4,0.001,0.0005\n6,0.001,0.001\n8,0.001,0.001\n"
 OWN_RIG = {
     **EDIT,
+    r'^name = "presliding-kalman"$': 'name = "./network.py:Network"',
+    r"^\[estimator\]$": '[estimator]\nname = "./luenberger.py:Luenberger"\nparameters = { bandwidth_hz = 4.0 }',
+    r'^kind = "injection"$': 'kind = "path"\nfile = "slow.csv"',
     '^name = "microscope"$': 'name = "stage"',
     '^protocol = "stage_fd"$': f'protocol = "stage_classic"\nbitrate = {BITRATE}\ntransmit_queue = {QUEUE}',
     '^channel = "can0"$': f'channel = "{CHANNEL}"',
@@ -88,6 +95,9 @@ def test_section_4_the_rig_is_installed(tmp_path):
     sh("systemctl stop systemd-networkd.socket systemd-networkd")  # as where somebody else manages the network
     own = tmp_path / "my-stage.toml"
     own.write_text(edited(SHIPPED.read_text(), OWN_RIG))
+    (tmp_path / "slow.csv").write_text(PATH)
+    for source in BESIDE:
+        shutil.copy(source, tmp_path)
     stage_moves_out()
     follow(
         "4",
