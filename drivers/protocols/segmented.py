@@ -72,7 +72,9 @@ class SegmentedHost:
         return outcome
 
     def encode(self, command: Command) -> list[Frame]:
-        """The frames of every segment's layout, those of the first segment first."""
+        """The frames of every segment's layout, those of the first segment first. Raises ValueError as theirs does."""
+        if len(command.force) != self.n_axes:
+            raise ValueError(f"{len(command.force)} forces for {self.n_axes} axes")
         frames = []
         for number, (layout, axes) in enumerate(zip(self.segments, self._axes, strict=True)):
             enable = command.enable >> axes.start & (1 << len(axes)) - 1
