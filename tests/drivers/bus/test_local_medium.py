@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import socket
+import warnings
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,25 @@ def test_whoever_leaves_has_closed_everything_and_is_missed_by_nobody(members: i
     assert descriptors() == before
     assert len(kept) == members * (members - 1) + loopback
     assert list(channel_dir("can0").glob("*.sock")) == []
+
+
+def test_the_socket_of_a_dead_member_is_cleared_away_and_one_that_vanishes_is_passed_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With nothing left for the garbage collector."""
+    directory = channel_dir("can0")
+    dead, gone = directory / "1-0-8.sock", directory / "1-1-8.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as owner:
+        owner.bind(str(dead))
+    found = sorted([dead, gone])
+    monkeypatch.setattr(Path, "glob", lambda path, pattern: iter(found))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        medium = LocalMedium("can0", depth=8)
+        medium.close()
+        del medium
+    assert [str(warning.message) for warning in said] == []
+    assert not dead.exists()
 
 
 @pytest.mark.parametrize("others", range(8))

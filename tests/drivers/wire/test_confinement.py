@@ -1,5 +1,7 @@
 """Error counters, bus-off and recovery on the simulated segment."""
 
+import pytest
+
 from drivers.bus.counters import BusState
 from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION
@@ -135,3 +137,29 @@ def test_two_nodes_with_one_identifier_drive_each_other_off_the_bus() -> None:
     wire.advance(20 * MS)
     assert first.state == second.state == BusState.BUS_OFF
     assert heard == []
+
+
+@pytest.mark.parametrize(
+    ("tec", "rec", "state"),
+    [
+        (0, 0, BusState.ERROR_ACTIVE),
+        (127, 127, BusState.ERROR_ACTIVE),
+        (128, 0, BusState.ERROR_PASSIVE),
+        (0, 128, BusState.ERROR_PASSIVE),
+        (255, 0, BusState.ERROR_PASSIVE),
+    ],
+)
+def test_a_node_is_passive_above_127_of_either_counter(tec: int, rec: int, state: BusState) -> None:
+    _, sender, _, _ = pair()
+    sender.tec, sender.rec = tec, rec
+    assert sender.state is state
+
+
+@pytest.mark.parametrize(("before", "is_off"), [(247, False), (248, True)])
+def test_a_node_is_off_the_bus_above_255(before: int, is_off: bool) -> None:
+    wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, count=1, bit=3))
+    sender.tec = before
+    sender.send(COMMAND, 0)
+    wire.advance(MS)
+    assert (sender.is_bus_off, sender.state is BusState.BUS_OFF, len(heard)) == (is_off, is_off, not is_off)
+    assert sender.tec == (256 if is_off else 254)  # less one for what went through in the end
