@@ -83,6 +83,24 @@ def test_a_command_is_sent_on_every_segment_as_one_for_its_axes(
 
 
 @settings(max_examples=40)
+@given(sizes=SIZES, data=st.data())
+def test_a_layout_is_told_of_its_axes_and_of_no_others(sizes: tuple[int, ...], data: st.DataObject) -> None:
+    heard: list[Command] = []
+
+    def encode(command: Command) -> list[Frame]:
+        heard.append(command)
+        return []
+
+    host = SegmentedHost(parts(*(fake(size, encode=encode) for size in sizes)))
+    command = data.draw(commands(sum(sizes)))
+    assert host.encode(command) == []
+    assert heard == [told(command, axes) for axes in runs(sizes)]
+    for count in (0, sum(sizes) - 1, sum(sizes) + 1):
+        with pytest.raises(ValueError, match=f"{count} forces for {sum(sizes)} axes"):
+            host.encode(command._replace(force=[0.0] * count))
+
+
+@settings(max_examples=40)
 @given(protocol=LAYOUTS, sizes=SIZES, data=st.data())
 def test_drives_know_what_their_segment_says_and_of_others_what_it_said_before(
     protocol: str, sizes: tuple[int, ...], data: st.DataObject
