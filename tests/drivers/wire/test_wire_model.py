@@ -118,14 +118,15 @@ def test_every_frame_ends_when_a_plain_model_says(data: st.DataObject) -> None:
         sendings.append(Sending(now, node, now + delay * 1000 + (7 if delay else 0), frame))
     model = Model(fifo, room)
     taken, expected = model.run(sendings), model.heard
-    heard: list[Attempt] = []
+    heard: list[tuple[Attempt, bool]] = []
     wire = Wire(
         1_000_000,
         observer=lambda start, end, name, frame, sent: heard.append(
-            Attempt(start, end, name, frame._replace(timestamp_ns=0))
+            (Attempt(start, end, name, frame._replace(timestamp_ns=0)), sent)
         ),
     )
-    wire.attach("listener", None)
+    received: list[Frame] = []
+    listener = wire.attach("listener", received.append)
     attached = [wire.attach(f"node {node}", None, room, None, fifo[node]) for node in range(nodes)]
     did = []
     for sending in sendings:
@@ -134,7 +135,9 @@ def test_every_frame_ends_when_a_plain_model_says(data: st.DataObject) -> None:
     for step in sorted(data.draw(st.lists(st.integers(2_000_000, END), max_size=4))):
         wire.advance(step)
     wire.advance(END)
-    assert heard == expected
+    assert heard == [(attempt, True) for attempt in expected]
+    assert received == [attempt.frame._replace(timestamp_ns=attempt.end) for attempt in expected]
+    assert (listener.received, wire.dropped) == (len(expected), 0)
     assert did == taken
     assert wire.busy_ns == sum(attempt.end - attempt.start + INTERMISSION * BIT for attempt in expected)
     assert sum(node.sent for node in attached) == len(expected)
