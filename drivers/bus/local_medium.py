@@ -246,7 +246,8 @@ class LocalMedium:
             self._path.unlink(missing_ok=True)
             self._path = None
         with self._change:
-            links, self._links = self._links, ()
+            links = list(self._by_fd.values())  # those of members that left, but have not been read out, as well
+            self._links = ()
             self._by_fd.clear()
         for link in links:
             link.close()

@@ -38,8 +38,10 @@ class SegmentedHost:
         self.channels = [segment.bus.channel for segment, _ in parts]
         self._axes = [segment.axes for segment, _ in parts]
         one = self.segments[0]
-        self.name, self.sequence_modulus, self.checksum = one.name, one.sequence_modulus, one.checksum
-        self.states, self.causes = one.states, one.causes
+        self.name, self.sequence_modulus = one.name, one.sequence_modulus
+        self.checksum = all(layout.checksum for layout in self.segments)
+        self.states = all(layout.states for layout in self.segments)
+        self.causes = all(layout.causes for layout in self.segments)
         self.n_axes = sum(layout.n_axes for layout in self.segments)
         self.fd = any(layout.fd for layout in self.segments)
         self.positions: Sequence[tuple[float, float]] = [ends for layout in self.segments for ends in layout.positions]
@@ -70,7 +72,9 @@ class SegmentedHost:
         return outcome
 
     def encode(self, command: Command) -> list[Frame]:
-        """The frames of every segment's layout, those of the first segment first."""
+        """The frames of every segment's layout, those of the first segment first. Raises ValueError as theirs does."""
+        if len(command.force) != self.n_axes:
+            raise ValueError(f"{len(command.force)} forces for {self.n_axes} axes")
         frames = []
         for number, (layout, axes) in enumerate(zip(self.segments, self._axes, strict=True)):
             enable = command.enable >> axes.start & (1 << len(axes)) - 1

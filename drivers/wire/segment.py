@@ -9,7 +9,7 @@ from collections.abc import Callable
 from heapq import heappush
 from typing import Any, Generic, TypeVar
 
-from drivers.frame import BRS, Frame
+from drivers.frame import Frame
 from drivers.frame_length import ACK_TO_EOF, frame_bits
 from drivers.wire.faults import Random, WireFault
 
@@ -62,7 +62,5 @@ def elapsed_ns(frame: Frame, bit: int, nominal_ns: list[int], data_ns: list[int]
     """Time from SOF to the end of bit `bit` (0: SOF) of a frame; bits behind its last one count as its last."""
     nominal, fast = frame_bits(frame)
     done = min(bit + 1, nominal + fast)
-    if not frame.flags & BRS:
-        return nominal_ns[done]
-    in_data_phase = min(max(done - (nominal - ACK_TO_EOF), 0), fast)
+    in_data_phase = min(max(done - (nominal - ACK_TO_EOF), 0), fast)  # none where there is no such phase
     return nominal_ns[done - in_data_phase] + data_ns[in_data_phase]

@@ -52,3 +52,62 @@ def test_a_call_in_another_thread_leaves_the_timer_to_the_main_one(watch: Watch)
     watch.within = False
     with pytest.raises(TooLongError):
         never_returns(watch)
+
+
+@pytest.fixture
+def patient(watch: Watch, monkeypatch: pytest.MonkeyPatch) -> Watch:
+    """One whose timer does not end within a test, which looks itself."""
+    monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 1000.0)
+    return watch
+
+
+def look(watch: Watch) -> None:
+    watch._look(signal.SIGALRM, None)
+
+
+def timer() -> tuple[float, float]:
+    return signal.getitimer(signal.ITIMER_REAL)
+
+
+def test_only_a_call_that_two_looks_find_is_given_up(patient: Watch) -> None:
+    patient.begin()
+    for _ in range(3):  # another call at every look, each of them under way
+        look(patient)
+        patient.begin()
+    look(patient)
+    with pytest.raises(TooLongError):
+        look(patient)
+
+
+def test_a_timer_that_finds_no_more_calls_stops_and_the_next_call_starts_it_again(patient: Watch) -> None:
+    for _ in range(2):
+        patient.begin()
+        assert 900.0 < timer()[0] <= timer()[1] == 1000.0
+        patient.within = False
+        look(patient)
+        assert (patient.armed, timer()[1]) == (True, 1000.0)  # there has been one since the last look
+        look(patient)
+        assert (patient.armed, timer()) == (False, (0.0, 0.0))
+
+
+def test_the_timer_of_somebody_else_is_left_alone(patient: Watch) -> None:
+    signal.signal(signal.SIGALRM, signal.SIG_IGN)
+    patient.begin()
+    assert timer() == (0.0, 0.0)
+    signal.setitimer(signal.ITIMER_REAL, 500.0)
+    patient.rest()
+    assert 400.0 < timer()[0] <= 500.0
+
+
+def test_a_process_that_ends_has_no_timer_and_one_that_begins_none_either(patient: Watch) -> None:
+    signal.signal(signal.SIGALRM, patient._look)
+    signal.setitimer(signal.ITIMER_REAL, 500.0)
+    patient.rest()  # it has set none
+    assert timer()[0] > 400.0
+    patient.begin()
+    patient.rest()
+    assert timer() == (0.0, 0.0)
+    patient.disarm()
+    assert (patient.armed, patient.within) == (False, False)
+    patient.begin()
+    assert timer()[1] == 1000.0

@@ -35,6 +35,7 @@ ROOMS = {
          "drivers/call_limit.py"),
         ("tests/drivers/test_plugin_folder.py", "tests/drivers/test_package_digest.py",
          "tests/drivers/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+         "tests/control/test_laws_per_element.py",
          "tests/virtual/test_installed_law.py", "tests/control/test_laws.py"),
     ),
     "laws": Room(
@@ -72,8 +73,8 @@ ROOMS = {
     ),
     "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/test_runtime.py")),
     "layouts": Room(
-        ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py"),
-        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py",
+        ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py", "drivers/segments.py"),
+        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/test_segments.py",
          "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/protocols/test_drive_plans.py",
          "tests/drivers/protocols",
          "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,

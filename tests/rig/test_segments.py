@@ -6,8 +6,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.config import BusConfig
-from drivers.segments import segments_of
 from hil.cli.app import build_app
 from hil.operate.install import network_files, rig_links, unit_drop_in
 from hil.rig.bus_load import analyse_rig, messages_by_segment, rig_layout
@@ -67,6 +65,21 @@ def test_a_dbc_message_is_of_one_segment(name: str, overrides: str, reason: str)
     assert reason in str(refused.value)
 
 
+@pytest.mark.parametrize("name", ["paper", "paper-dbc", "moteus", "odrive", "vesc"])
+def test_a_layout_tells_no_more_on_two_segments_than_on_one(name: str) -> None:
+    hosts = [rig_layout(load_rig(RIGS / f"{name}.toml", overrides), RIGS) for overrides in ((), TWO)]
+    for what in ("checksum", "states", "causes", "fd", "sequence_modulus", "state_ns", "positions"):
+        one, two = (getattr(host, what) for host in hosts)
+        assert one == two, what
+
+
+def test_a_checksum_on_one_segment_alone_is_none_of_the_rig() -> None:
+    signals = ",".join(f'{{message="{name}A",signal="Checksum"}}' for name in ("TorqueDemand", "MotorFeedback"))
+    sets = f"bus.dbc.checksum=[{signals}]"
+    for overrides in ((), TWO):
+        assert not rig_layout(load_rig(RIGS / "paper-dbc.toml", [*overrides, sets]), RIGS).checksum
+
+
 def test_canopen_has_a_sync_and_a_service_frame_more_with_every_segment() -> None:
     four = segments(("can0", "x"), ("can1", "y"), ("can2", "z"), ("can3", "theta"))
     layout = rig_layout(load_rig(MICROSCOPE, [four, "bus.protocol=cia402"]), RIGS)
@@ -76,14 +89,6 @@ def test_canopen_has_a_sync_and_a_service_frame_more_with_every_segment() -> Non
 def test_a_sweep_which_has_one_wire_refuses_them() -> None:
     with pytest.raises(RigError, match="hil sweep batches the layout stage_fd on one wire"):
         jobs(load_rig(PAPER, [*TWO]), RIGS, 1, 1.0, 1)
-
-
-def test_a_layout_of_ones_own_is_refused() -> None:
-    bus = BusConfig(
-        protocol="./mine.py:Mine", segments=[{"channel": "a", "axes": ["x"]}, {"channel": "b", "axes": ["y"]}]
-    )
-    with pytest.raises(ValueError, match="a layout of your own, which has all axes on one segment"):
-        segments_of(bus, 2)
 
 
 def test_no_two_drives_share_an_identifier_whatever_segment_they_are_on() -> None:
@@ -132,6 +137,13 @@ def test_a_segment_by_itself_is_a_rig_with_its_axes() -> None:
         rig_on(rig, "can2")
     alone = load_rig(PAPER)
     assert segment_rigs(alone) == [alone]
+    assert rig_on(alone, "any") is alone
+
+
+def test_a_rig_that_cannot_be_taken_apart_is_refused_with_the_reason() -> None:
+    shared = 'bus.dbc.enable=[{message="TorqueDemandA",signal="PowerStage"}]'
+    with pytest.raises(RigError, match=r"bus\.dbc\.enable has 1 entries"):
+        segment_rigs(load_rig(RIGS / "paper-dbc.toml", [*TWO, shared]))
 
 
 def test_every_interface_is_set_up_and_waited_for() -> None:

@@ -48,6 +48,19 @@ def test_every_kind_of_frame_goes_through_it(ports: tuple[AnyPort, AnyPort]) -> 
     assert one.wait(0.0) is None
 
 
+def test_a_port_that_is_closed_has_left_its_bus() -> None:
+    for leave in ("close", "context"):
+        bus = open_bus(BusConfig(interface="local"), fd=True)
+        with joined(BusConfig(interface="local")) as port:
+            other = port._bus
+            assert [port.send(FRAMES[0]), bus.recv(5.0) is not None] == [True, True]
+            if leave == "close":
+                port.close()
+        with pytest.raises(can.CanOperationError, match="closed bus"):
+            other.recv(0.0)
+        bus.shutdown()
+
+
 def test_a_signal_at_the_end_of_a_wait_does_not_make_it_endless(ports: tuple[AnyPort, AnyPort]) -> None:
     port, other = ports
     before = signal.signal(signal.SIGALRM, lambda *_: time.sleep(0.05))  # beyond the time that was left

@@ -32,6 +32,23 @@ def test_auto_means_socketcan_where_the_interface_exists(monkeypatch: pytest.Mon
         open_port(BusConfig(channel="can7"), role="host", fd=True)
 
 
+@pytest.mark.parametrize(
+    ("mtu", "fd", "refused"),
+    [("16", True, True), ("71", True, True), ("72", True, False), ("16", False, False), ("none", True, False)],
+)
+def test_an_interface_set_up_for_classic_can_takes_no_layout_with_fd(
+    monkeypatch: pytest.MonkeyPatch, mtu: str, fd: bool, refused: bool
+) -> None:
+    def read_text(path: Path, **how: Any) -> str:
+        return f"{mtu}\n" if path == Path("/sys/class/net/can7/mtu") else honest(path, **how)
+
+    honest = Path.read_text
+    monkeypatch.setattr(Path, "read_text", read_text)
+    with pytest.raises(PortError, match=r"'can7' \(socketcan\): ") as said:
+        open_port(BusConfig(interface="socketcan", channel="can7"), role="host", fd=fd)
+    assert ("the interface is set up for classic CAN; ip link set can7 down" in str(said.value)) is refused
+
+
 def test_a_socketcan_interface_that_does_not_exist_is_named() -> None:
     with pytest.raises(
         PortError, match=r"^bus\.channel = 'nosuch0' \(socketcan\): (no such interface|this process may)"

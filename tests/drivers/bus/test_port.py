@@ -42,6 +42,14 @@ ORDINARY_AND_NOT = [
     to_bytes(Frame(ERROR | 0x004, bytes.fromhex("0001000000070000"))),
     b"handshake",
 ]
+OF_CLASSIC_CAN = [
+    *(to_bytes(Frame(0x100 + axis, bytes(range(8)))) for axis in range(4)),
+    *(to_bytes(Frame(0x100 | kind, bytes(range(8)))) for kind in (EXTENDED, REMOTE)),
+    to_bytes(Frame(0x701, b"\x05")),
+    *(to_bytes(Frame(ERROR | kind, bytes.fromhex("0001000000070000"))) for kind in (0x004, 0x040, 0x100)),
+    to_bytes(Frame(0x100, bytes(8)))[:4] + bytes((9,)) + bytes(11),  # longer than any frame
+    b"handshake",
+]
 
 
 @pytest.fixture
@@ -373,15 +381,17 @@ def test_no_packet_raises_and_each_is_accounted_for(packets: list[bytes]) -> Non
     port.close()
 
 
-@given(st.lists(st.lists(st.sampled_from(ORDINARY_AND_NOT), max_size=6), max_size=6))
-def test_the_fast_path_tells_the_same_as_the_slow_one(ticks: list[list[bytes]]) -> None:
+@pytest.mark.parametrize(("fd", "packets"), [(True, ORDINARY_AND_NOT), (False, OF_CLASSIC_CAN)])
+@given(data=st.data())
+def test_the_fast_path_tells_the_same_as_the_slow_one(fd: bool, packets: list[bytes], data: st.DataObject) -> None:
+    ticks = data.draw(st.lists(st.lists(st.sampled_from(packets), max_size=6), max_size=6))
     short, long = Cable.pair(), Cable.pair()
-    ports = [Port(lambda cable=cable: cable, fd=True, receive_limit=4) for cable in (short, long)]
+    ports = [Port(lambda cable=cable: cable, fd=fd, receive_limit=4) for cable in (short, long)]
     block = ports[1]._block  # to which no message is as plain as it expects
     block._parts = [(used, b"", fresh, slots) for used, _, fresh, slots in block._parts]
-    for packets in ticks:
+    for tick in ticks:
         for cable in (short, long):
-            for packet in packets:
+            for packet in tick:
                 cable.far.send(packet)
         assert bare(drain(ports[0])) == bare(drain(ports[1]))
         assert ports[0].counters() == ports[1].counters()

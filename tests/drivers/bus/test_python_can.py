@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.bus import local_bus
 from drivers.bus.local_bus import LocalBus, from_message, to_message
 from drivers.bus.local_medium import LocalMedium
-from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
+from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from tests.drivers.bus.conftest import OpenPort
 from tests.support.local_member import STOP
 
@@ -68,6 +68,33 @@ def test_frames_and_python_can_messages_are_the_same_thing(
     assert from_message(to_message(frame, 0.0)) == frame
     classic = Frame(can_id | REMOTE, b"")
     assert from_message(to_message(classic, 0.0)) == classic
+
+
+@given(
+    identifier=st.integers(0, 0x1FFFFFFF),
+    extended=st.booleans(),
+    kind=st.sampled_from([0, REMOTE, ERROR]),
+    flags=st.sampled_from([0, FD, FD | BRS, FD | ESI, FD | BRS | ESI]),
+    length=st.integers(0, 8),
+)
+def test_a_message_says_of_a_frame_what_python_can_means_by_it(
+    identifier: int, extended: bool, kind: int, flags: int, length: int
+) -> None:
+    flags = 0 if kind else flags
+    wide = extended or kind == ERROR
+    can_id = (identifier if wide else identifier & 0x7FF) | (EXTENDED if extended else 0) | kind
+    frame = Frame(can_id, bytes(length) if kind == REMOTE else bytes(range(length)), flags, 5)
+    message = to_message(frame, 1.5, "can7", is_rx=False)
+    assert (message.timestamp, message.channel, message.is_rx) == (1.5, "can7", False)
+    assert message.arbitration_id == (identifier if wide else identifier & 0x7FF)
+    assert (message.is_extended_id, message.is_remote_frame, message.is_error_frame) == (
+        extended, kind == REMOTE, kind == ERROR,
+    )  # fmt: skip
+    assert (message.is_fd, message.bitrate_switch, message.error_state_indicator) == (
+        flags & FD != 0, flags & BRS != 0, flags & ESI != 0,
+    )  # fmt: skip
+    assert (message.dlc, bytes(message.data)) == (length, b"" if kind == REMOTE else bytes(range(length)))
+    assert from_message(message) == frame._replace(timestamp_ns=0)
 
 
 def test_filters_hold(buses: tuple[can.BusABC, can.BusABC]) -> None:

@@ -2,9 +2,12 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
+from drivers.bus import segmented_port
 from drivers.bus.counters import BusState, PortCounters, of_all
 from drivers.bus.port import Port, PortError
 from drivers.bus.segmented_port import SegmentedPort, open_segments
@@ -83,6 +86,39 @@ def test_counters_are_sums() -> None:
     assert of_all([one, other]) == PortCounters(*range(0, 121, 11), BusState.ERROR_PASSIVE)
 
 
+@pytest.mark.parametrize("lost", [(), (0,), (1,), (0, 1)])
+@pytest.mark.parametrize("what", ["rebind", "purge"])
+def test_all_segments_are_brought_back_whatever_one_of_them_says(what: str, lost: tuple[int, ...]) -> None:
+    """Each is asked, and True is said when each says it: a rig with a segment lost has lost its bus."""
+    asked: list[int] = []
+
+    def ask(number: int) -> bool:
+        asked.append(number)
+        return number not in lost
+
+    members = [SimpleNamespace(**{what: partial(ask, number)}) for number in (0, 1)]
+    assert getattr(SegmentedPort(members, 8), what)() is (not lost)  # type: ignore[arg-type]
+    assert asked == [0, 1]
+
+
+def test_all_segments_are_left_and_none_can_be_waited_for_alone(port: SegmentedPort, cables: list[Cable]) -> None:
+    with pytest.raises(OSError, match="a descriptor for each"):
+        port.fileno()
+    assert [member.fileno() for member in port.members] == [cable.near.fileno() for cable in cables]
+    port.close()
+    assert [cable.near.fileno() for cable in cables] == [-1, -1]
+
+
+def test_a_full_drain_is_no_flood_and_what_gathered_before_the_first_is_none(
+    port: SegmentedPort, cables: list[Cable]
+) -> None:
+    for count, kept, discarded in ((9, 8, 0), (8, 8, 0), (9, 8, 1), (10, 8, 3)):
+        for number in range(count):
+            cables[number % 2].far.send(to_bytes(ANSWER._replace(can_id=number)))
+        assert [frame.can_id for frame in drain(port)] == list(range(count - kept, count))
+        assert port.counters().discarded == discarded
+
+
 @pytest.mark.parametrize("echo_ids", [[None], [None, 0x080]])
 def test_the_local_bus_has_as_many_channels(echo_ids: list[int | None]) -> None:
     bus = BusConfig(interface="local", segments=TWO)  # type: ignore[arg-type]
@@ -102,6 +138,31 @@ def test_of_segments_that_are_not_all_there_none_is_open() -> None:
     bus = BusConfig(interface="socketcan", segments=TWO)  # type: ignore[arg-type]
     with pytest.raises(PortError, match=r"bus\.channel = 'one'"):
         open_segments(bus, role="host", fd=True)
+
+
+def test_those_that_were_open_are_left_when_one_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, int | None]] = []
+    cables = {"one": Cable.pair()}
+
+    def open_port(bus: BusConfig, *, role: str, fd: bool, echo_id: int | None) -> Port:
+        asked.append((bus.channel, echo_id))
+        if bus.channel not in cables:
+            raise PortError(f"no {bus.channel}")
+        return Port(lambda: cables[bus.channel], fd=fd, receive_limit=bus.receive_limit)
+
+    monkeypatch.setattr(segmented_port, "open_port", open_port)
+    with pytest.raises(PortError, match="no other"):
+        open_segments(BusConfig(segments=TWO), role="host", fd=True, echo_ids=[7, 9])  # type: ignore[arg-type]
+    assert asked == [("one", 7), ("other", 9)]
+    assert cables["one"].near.fileno() == -1
+
+
+def test_a_rig_on_one_segment_has_its_port_and_its_echoes_alone() -> None:
+    port = open_segments(BusConfig(interface="local"), role="host", fd=True, echo_ids=[0x080])
+    assert not isinstance(port, SegmentedPort)
+    assert port.send(COMMAND)
+    assert [frame.flags & ECHO for frame in drain(port)] == [ECHO]
+    port.close()
 
 
 def test_the_segment_is_in_no_byte_on_a_bus_of_classic_frames() -> None:

@@ -67,6 +67,18 @@ def test_each_layout_takes_the_time_per_tick_that_the_design_says(
     assert worst(analysis, "feedback3") == microseconds * 1000  # the last one ends when all have been sent, not later
 
 
+@pytest.mark.parametrize("early_ns", [0, 1])
+def test_a_deadline_is_met_at_its_very_nanosecond_and_not_one_before(early_ns: int) -> None:
+    messages = CIA402 + SERVICE
+    for number, response in enumerate(at_1_mbit(messages).responses):
+        assert response.worst_ns is not None
+        due = response.message._replace(deadline_ns=response.worst_ns - early_ns)
+        analysis = at_1_mbit([*messages[:number], due, *messages[number + 1 :]])
+        found = analysis.responses[number]
+        assert (found.worst_ns, found.margin_ns) == (response.worst_ns, -early_ns)
+        assert found.fits is analysis.schedulable is (early_ns == 0)
+
+
 @pytest.mark.parametrize("messages", [STAGE_FD, STAGE_CLASSIC, CIA402], ids=["stage_fd", "stage_classic", "cia402"])
 def test_three_layouts_still_fit_with_service_traffic(messages: list[Message]) -> None:
     with_service = at_1_mbit(messages + SERVICE)

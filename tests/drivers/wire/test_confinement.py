@@ -1,5 +1,9 @@
 """Error counters, bus-off and recovery on the simulated segment."""
 
+from itertools import pairwise
+
+import pytest
+
 from drivers.bus.counters import BusState
 from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION
@@ -135,3 +139,117 @@ def test_two_nodes_with_one_identifier_drive_each_other_off_the_bus() -> None:
     wire.advance(20 * MS)
     assert first.state == second.state == BusState.BUS_OFF
     assert heard == []
+
+
+def test_an_error_passive_sender_lets_others_go_before_it_tries_again() -> None:
+    for tec, order in ((0, [0x001, 0x700]), (200, [0x700, 0x001])):
+        wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=1))
+        sender.tec = tec
+        sender.send(Frame(0x001, b""), 0)
+        wire.attach("other", None).send(Frame(0x700, b""), 1)
+        wire.advance(MS)
+        assert [frame.can_id for frame in heard] == order
+
+
+@pytest.mark.parametrize(("tec", "order"), [(128, [1, 2, 0x700]), (129, [1, 0x700, 2])])
+def test_a_sender_that_is_active_again_waits_for_nobody(tec: int, order: list[int]) -> None:
+    wire, sender, heard, _ = pair()
+    wire.confinement.healthy, sender.tec = False, tec
+    for can_id in (1, 2):
+        sender.send(Frame(can_id, b""), 0)
+    wire.attach("other", None).send(Frame(0x700, b""), 1)
+    wire.advance(MS)
+    assert [frame.can_id for frame in heard] == order
+
+
+def test_a_node_that_nobody_hears_tries_again_after_its_error_frame_and_later_when_it_is_passive() -> None:
+    begun: list[int] = []
+    wire = Wire(
+        1_000_000,
+        faults=[WireFault(FaultKind.NO_ACK, node="alone")],
+        observer=lambda start, _end, _sender, _frame, _sent: begun.append(start),
+    )
+    wire.attach("alone", None).send(COMMAND, 0)
+    wire.attach("other", None)
+    wire.advance(5 * MS)
+    gaps = [after - before - bits(COMMAND) * BIT for before, after in pairwise(begun)]
+    # The error flag of 6 bits and its delimiter of 8 are in place of 8 bits of the frame; 3 of intermission follow.
+    assert gaps[:15] == [9 * BIT] * 15
+    assert set(gaps[15:]) == {17 * BIT}
+
+
+def test_a_node_that_was_alone_counts_down_once_it_is_heard() -> None:
+    wire = Wire(1_000_000)
+    sender = wire.attach("sender", None)
+    sender.send(COMMAND, 0)
+    wire.advance(MS // 4)
+    wire.attach("listener", None)
+    wire.advance(MS)
+    tec = sender.tec
+    assert (sender.sent, tec, tec % 8) == (1, tec, 7)
+    sender.send(COMMAND, MS)
+    wire.advance(2 * MS)
+    assert sender.tec == tec - 1
+
+
+def test_a_collision_is_over_when_one_of_both_gives_up() -> None:
+    wire, sender, heard, _ = pair()
+    other = wire.attach("other", None)
+    sender.send(Frame(1, b"a"), 0)
+    other.send(Frame(1, b"b"), 0)
+    wire.advance(43 * BIT)  # 21 bits, the error frame of 20, and two of three bits of intermission
+    assert (sender.tec, other.tec, other.purge()) == (8, 8, 1)
+    wire.advance(MS)
+    assert ([frame.data for frame in heard], sender.tec, other.tec) == ([b"a"], 7, 8)
+
+
+def test_a_frame_cut_short_is_an_error_of_those_who_hear_it_until_they_hear_a_good_one() -> None:
+    wire, sender, heard, listener = pair(WireFault(FaultKind.DOWN, node="sender", from_ns=20 * BIT))
+    sender.send(COMMAND, 0)
+    other = wire.attach("other", None)
+    wire.advance(MS)
+    assert (len(heard), listener.rec, other.rec, listener.errors) == (0, 1, 1, 1)
+    assert not wire.confinement.healthy
+    other.send(COMMAND, MS)
+    wire.advance(2 * MS)
+    assert (len(heard), listener.rec, other.tec) == (1, 0, 0)
+
+
+def test_what_a_node_repeats_is_forgotten_when_it_goes() -> None:
+    wire, sender, heard, _ = pair(
+        WireFault(FaultKind.DUPLICATE, count=1),
+        WireFault(FaultKind.DOWN, node="sender", from_ns=(bits(COMMAND) + 5) * BIT, until_ns=MS),
+        WireFault(FaultKind.DROP, from_ns=MS),
+    )
+    sender.send(COMMAND, 0)
+    wire.advance(MS)
+    assert len(heard) == 1
+    sender.send(COMMAND, MS)
+    wire.advance(2 * MS)
+    assert (len(heard), sender.sent, wire.dropped) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("tec", "rec", "state"),
+    [
+        (0, 0, BusState.ERROR_ACTIVE),
+        (127, 127, BusState.ERROR_ACTIVE),
+        (128, 0, BusState.ERROR_PASSIVE),
+        (0, 128, BusState.ERROR_PASSIVE),
+        (255, 0, BusState.ERROR_PASSIVE),
+    ],
+)
+def test_a_node_is_passive_above_127_of_either_counter(tec: int, rec: int, state: BusState) -> None:
+    _, sender, _, _ = pair()
+    sender.tec, sender.rec = tec, rec
+    assert sender.state is state
+
+
+@pytest.mark.parametrize(("before", "is_off"), [(247, False), (248, True)])
+def test_a_node_is_off_the_bus_above_255(before: int, is_off: bool) -> None:
+    wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, count=1, bit=3))
+    sender.tec = before
+    sender.send(COMMAND, 0)
+    wire.advance(MS)
+    assert (sender.is_bus_off, sender.state is BusState.BUS_OFF, len(heard)) == (is_off, is_off, not is_off)
+    assert sender.tec == (256 if is_off else 254)  # less one for what went through in the end

@@ -7,7 +7,7 @@ from drivers.frame import BRS, FD, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.wire.faults import FOREVER_NS, FaultKind, Random, WireFault
 from drivers.wire.wire import Wire
-from tests.support.wire_rig import BIT, COMMAND, FEEDBACK, MS, Rig, bits
+from tests.support.wire_rig import BIT, COMMAND, FEEDBACK, MS, Rig, bits, pair
 
 # -- faults of single frames -------------------------------------------------------------------------------------------
 
@@ -90,6 +90,13 @@ def test_an_altered_frame_passes_the_controllers_with_one_bit_changed() -> None:
     assert FEEDBACK[0].data[1] == 255  # what was sent is untouched
 
 
+def test_a_frame_without_payload_has_no_bit_to_be_altered() -> None:
+    wire, sender, heard, _ = pair(WireFault(FaultKind.ALTER, bit=3))
+    sender.send(Frame(0x123, b""), 0)
+    wire.advance(MS)
+    assert [frame._replace(timestamp_ns=0) for frame in heard] == [Frame(0x123, b"")]
+
+
 def test_a_corrupted_frame_is_repeated_and_only_time_is_lost() -> None:
     rig = Rig(WireFault(FaultKind.CORRUPT, can_id=0x100, bit=30, count=1))
     undisturbed = Rig()
@@ -148,6 +155,26 @@ def test_overlapping_windows_end_with_the_last_of_them() -> None:
     )
     rig.ticks(6)
     assert [len(heard) for heard in rig.at_drive.values()] == [2, 2, 6, 6]
+
+
+@pytest.mark.parametrize("kind", [FaultKind.NO_ACK, FaultKind.DOWN, FaultKind.BUS_OFF])
+def test_a_node_that_is_off_the_bus_hears_nothing_though_it_has_heard_before(kind: FaultKind) -> None:
+    rig = Rig(WireFault(kind, node="drive1", from_ns=2 * MS - 1, until_ns=5 * MS - 1))
+    rig.ticks(8)
+    back = 0 if kind is FaultKind.BUS_OFF else 3
+    assert [len(heard) for heard in rig.at_drive.values()] == [8, 2 + back, 8, 8]
+    assert sum(frame.can_id == FEEDBACK[1].can_id for frame in rig.at_host) == 2 + back
+
+
+@pytest.mark.parametrize("kind", [FaultKind.NO_ACK, FaultKind.DOWN, FaultKind.BUS_OFF])
+@pytest.mark.parametrize(("gone_ns", "heard"), [(300_000, 0), (900_000, 1)])
+def test_what_comes_late_is_not_taken_by_a_node_that_has_gone(kind: FaultKind, gone_ns: int, heard: int) -> None:
+    rig = Rig(
+        WireFault(FaultKind.DELAY, receiver="drive1", can_id=COMMAND.can_id, delay_ns=500_000),
+        WireFault(kind, node="drive1", from_ns=gone_ns),
+    )
+    rig.ticks(1)
+    assert len(rig.at_drive["drive1"]) == rig.drives[1].received == heard
 
 
 def test_a_drive_that_is_down_is_missed_by_nobody_but_the_host() -> None:

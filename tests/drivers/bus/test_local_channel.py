@@ -1,0 +1,36 @@
+"""The meeting place of a local bus: its lock is waited for, and its channels are listed."""
+
+import contextlib
+import stat
+
+import pytest
+
+from drivers.bus import local_channel
+from drivers.bus.local_channel import channel_dir, channels, locked
+
+
+def test_the_lock_is_waited_for_until_it_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    directory = channel_dir("can0")
+    slept: list[float] = []
+    with contextlib.ExitStack() as holder:
+        holder.enter_context(locked(directory))
+
+        def sleep(seconds: float) -> None:
+            slept.append(seconds)
+            if len(slept) == 3:
+                holder.close()
+
+        monkeypatch.setattr(local_channel.time, "sleep", sleep)
+        with locked(directory):
+            assert len(slept) == 3
+        assert 0.0 < min(slept) <= max(slept) < 0.1
+    with locked(directory):  # it was given back
+        pass
+    assert len(slept) == 3
+
+
+def test_channels_are_those_that_somebody_has_used() -> None:
+    assert channels() == []
+    for name in ("vcan1", "can0", "vcan1"):
+        assert stat.S_IMODE(channel_dir(name).stat().st_mode) == 0o700
+    assert channels() == ["can0", "vcan1"]
