@@ -38,6 +38,15 @@ def told(records: NDArray[np.void]) -> list[Event]:
     return [*stream.tell(records), *stream.close()]
 
 
+def test_a_line_says_when_from_the_first_tick_on_and_nothing_of_it_outside_of_the_loop() -> None:
+    event = Event(Kind.STATE, Severity.INFO, "INIT", tick=0, time_ns=7)
+    assert event.line == f"tick 0 (0.000 s): {event.text}; next: none"
+    assert event._replace(tick=-1).line == f"{event.text}; next: none"
+    whole = event._replace(tick=12, run_ns=12 * PERIOD, cause="a hand", action="look", axis="x", times=2)
+    assert whole.line == f"tick 12 (0.012 s): {whole.text}; cause: a hand; next: look"
+    assert whole.text == f"{event.text} on x (2 times)"
+
+
 def test_slots_that_were_skipped_are_counted_and_a_start_far_behind_its_deadline_is_measured() -> None:
     records = quiet(4, first=3)
     records["index"][2:] += 5
