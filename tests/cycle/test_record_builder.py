@@ -27,7 +27,9 @@ U16, U32, I63, U64 = 2**16 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1
 
 
 def some(rng: Random, count: int, most: int) -> list[int]:
-    """Numbers of any size up to `most`, the least and the most themselves among them."""
+    """Numbers of any size up to `most`, the least and the most themselves among them; at times nothing but zeros."""
+    if rng.random() < 0.2:
+        return [0] * count
     return [rng.choice((0, most, rng.randint(0, most) >> rng.randint(0, most.bit_length()))) for _ in range(count)]
 
 
@@ -39,7 +41,7 @@ def frame(rng: Random) -> Frame:
 def command(rng: Random) -> tuple[OperatorCommand, bool]:
     """Whether accepted with it."""
     kind, sequence = some(rng, 1, U32) + some(rng, 1, U64)
-    return OperatorCommand(kind, sequence, rng.randint(-I63, I63)), rng.random() < 0.5
+    return OperatorCommand(kind, sequence, rng.choice((1, -1)) * some(rng, 1, 2 * I63)[0]), rng.random() < 0.5
 
 
 def drawn(rng: Random, n_axes: int) -> dict[str, Any]:
@@ -48,6 +50,7 @@ def drawn(rng: Random, n_axes: int) -> dict[str, Any]:
     return {
         "head": some(rng, 7, I63), "state": some(rng, 2, U32 >> 1), "flags": rng.randint(0, 63),
         "motion": [[rng.gauss(0.0, 1.0) for _ in range(9)] for _ in range(n_axes)], "axes": some(rng, 2 * n_axes, I63),
+        "told": {axis: (rng.random(), rng.random()) for axis in range(n_axes) if rng.random() < 0.3},
         "drives": some(rng, 2 * n_axes, U32), "port": some(rng, 12, I63), "rejects": some(rng, REJECT_REASONS, I63),
         "counts": some(rng, 7, I63), "spent": some(rng, 6, 2**33), "evidence": found[: rng.randint(0, len(found))],
         "commands": [command(rng) for _ in range(rng.randint(0, MAX_COMMANDS))],
@@ -69,6 +72,8 @@ def written(builder: RecordBuilder, tick: dict[str, Any]) -> np.void:
     builder.progress(sequence, task)
     for axis, values in enumerate(tick["motion"]):
         put_axis(builder, axis, values, tick["axes"][axis], tick["axes"][n + axis])
+    for axis, estimate in tick["told"].items():
+        builder.estimate(axis, *estimate)
     builder.drives(drives[:n], drives[n:])
     builder.counters(port, tick["rejects"], *counts[:3])
     builder.law_floors(counts[3])
@@ -90,6 +95,8 @@ def plain(tick: dict[str, Any], evidence_before: int) -> np.void:
         rows = [*values[:7], values[0] - values[5], *values[7:]]
         for name, value in zip(MOTION_FIELDS, rows, strict=True):
             record[name][axis] = value
+    for axis, estimate in tick["told"].items():
+        record["position_estimate"][axis], record["velocity_estimate"][axis] = estimate
     record["stamp_ns"][:n], record["saturations"][:n] = tick["axes"][:n], tick["axes"][n:]
     record["age_ticks"][:n], record["drive_status"][:n] = tick["drives"][:n], tick["drives"][n:]
     record["port"], record["rejects"] = tick["port"], tick["rejects"]
@@ -101,7 +108,7 @@ def plain(tick: dict[str, Any], evidence_before: int) -> np.void:
         record[f"n_{name}"] = len(tick[name])
     for place, (command, accepted) in zip(record["commands"], tick["commands"], strict=False):
         place["kind"], place["accepted"] = command.kind, accepted
-        place["sequence"], place["expires_ns"] = command.sequence, command.expires_ns
+        place["sequence"], place["expires_ns"] = command.sequence, min(max(command.expires_ns, -I63 - 1), I63)
     record["evidence_total"] = evidence_before + len(tick["evidence"])
     for place, (fault, axis, value, limit) in enumerate(tick["evidence"][:MAX_EVIDENCE]):
         record["evidence_of"][place] = fault | (axis & U16) << 16
