@@ -62,10 +62,7 @@ class Supervisor:
         # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
         self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
         self.start_ranges = start_ranges(rig)
-        self._reset_ticks = 0
-        self._ready_ticks = 0
-        self._waited_for_enable = 0
-        self._stopping_since_ns = 0
+        self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
     @property
     def state(self) -> State:

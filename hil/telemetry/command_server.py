@@ -116,6 +116,7 @@ class Connection:
         following = challenge(reply.now_ns)
         reply.challenge.CopyFrom(following)
         self.waiting = False
+        self.heard_ns = max(self.heard_ns, reply.now_ns)  # silence counts from here: a task takes long to get ready
         self._send(seal(reply.SerializeToString(), REPLY, self._nonce, self._secret))
         self._nonce = following.nonce
 

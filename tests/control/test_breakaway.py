@@ -100,6 +100,17 @@ def test_a_load_that_moves_the_axis_while_the_reference_rests_is_stopped() -> No
     assert abs(axis.position - stands) < 0.1e-6
 
 
+def test_its_error_rate_is_the_axis_velocity_less_the_references() -> None:
+    axis, off, rates = Axis(), [], []
+    for _ in range(1600):
+        rates.append(axis._velocity - axis.inputs().sample.velocity)
+        axis.tick()
+        off.append(axis.law.error_rate - rates[-1])
+    assert np.abs(rates).max() > 3e-4  # where it breaks loose
+    assert np.abs(off).max() < 3e-5
+    assert np.abs(off)[-400:].max() < 6e-6
+
+
 def matrix(p: Covariance) -> Array:
     full = np.zeros((6, 6))
     full[np.triu_indices(6)] = p

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm, solve_discrete_are
 
 from hil.control.estimator.filterpy_design import make_filter, steady_gains
 from hil.control.estimator.gains import design_gains, filter_parameters
@@ -18,6 +19,25 @@ def settled_filterpy(parameters: dict[str, float]):  # type: ignore[no-untyped-d
     steady_gains(kf)
     kf.x = np.zeros((3, 1))
     return kf
+
+
+def test_the_design_is_that_of_a_mass_under_a_force_that_walks_and_white_acceleration() -> None:
+    """Van Loan's matrix exponential of the continuous model, and the gains of its Riccati equation."""
+    mass, period, walk, white, sigma = 0.7, 2e-3, 40.0, 3.0, 1e-6
+    design = make_filter(mass, period, walk, white, sigma)
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0 / mass], [0.0, 0.0, 0.0]])
+    together = np.zeros((6, 6))
+    together[:3, :3], together[3:, 3:] = -a, a.T
+    together[:3, 3:] = np.diag([0.0, white**2, walk**2])
+    right = expm(together * period)[:, 3:]
+    f, noise = right[3:].T, right[3:].T @ right[:3]
+    assert pytest.approx(f, rel=1e-12) == design.F
+    assert pytest.approx(np.array([[0.5 * period**2 / mass], [period / mass], [0.0]]), rel=1e-12) == design.B
+    assert pytest.approx(noise, rel=1e-9, abs=0.0) == design.Q
+    p = solve_discrete_are(f.T, design.H.T, noise, [[sigma**2]])
+    gains, variance = steady_gains(design)
+    assert gains == pytest.approx(p[:, 0] / (p[0, 0] + sigma**2), rel=1e-6)
+    assert variance == pytest.approx(p[0, 0] + sigma**2, rel=1e-6)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

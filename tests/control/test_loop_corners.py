@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.control.flexible_plant import AxisDynamics, FlexiblePlant
-from hil.control.frequency_response import loop_response, measured_finding, read_response
+from hil.control.frequency_response import LoopResponse, loop_response, measured_finding, read_response
 from hil.control.loop_corners import CornerFinding, check_corners
 from hil.control.pulse_loop import RigidPlant
 from hil.control.stability import check_stability
@@ -20,6 +20,16 @@ GUIDES = [f"axes.{axis}.model.presliding=[0.3e-6, 30e-6]" for axis in "xy"]
 
 def rig_of(*changes: str) -> RigConfig:
     return load_rig(RIGS / "paper.toml", list(changes))
+
+
+Answering = tuple[RigConfig, LoopResponse]
+
+
+@pytest.fixture(scope="module")
+def answering() -> Answering:
+    """A rig, and what its loop answers, which takes a second to find."""
+    rig = rig_of()
+    return rig, loop_response(rig)
 
 
 def at_rest(found: list[CornerFinding]) -> list[CornerFinding]:
@@ -116,9 +126,8 @@ def write_response(path: Path, frequency: np.ndarray, response: np.ndarray) -> P
     return path
 
 
-def test_the_models_own_response_measured_changes_nothing(tmp_path: Path) -> None:
-    rig = rig_of()
-    response = loop_response(rig)
+def test_the_models_own_response_measured_changes_nothing(tmp_path: Path, answering: Answering) -> None:
+    rig, response = answering
     path = write_response(tmp_path / "x.csv", response.frequency_hz, response.plant[:, 0])
     nominal = next(finding for finding in check_corners(rig, 4000) if finding.nominal)
     found = measured_finding(rig, response, "x", path)
@@ -127,9 +136,37 @@ def test_the_models_own_response_measured_changes_nothing(tmp_path: Path) -> Non
     assert found.phase_deg == pytest.approx(nominal.phase_deg, abs=0.5)
 
 
-def test_a_measured_mode_that_the_model_does_not_know_is_refused_with_its_frequency(tmp_path: Path) -> None:
-    rig = rig_of()
-    response = loop_response(rig)
+def test_a_response_counts_from_its_first_to_its_last_frequency_and_between_them(
+    tmp_path: Path, answering: Answering
+) -> None:
+    """Where the phase turns, nothing was measured but a point below and one above it: the margin lies between."""
+    rig, response = answering
+    hz = response.frequency_hz
+    turns = measured_finding(rig, response, "x", write_response(tmp_path / "x.csv", hz, response.plant[:, 0]))
+    below, above = hz < 0.8 * turns.frequency_hz, hz > 1.2 * turns.frequency_hz
+    for kept, more in ((below, np.argmax(above)), (above, np.flatnonzero(below)[-1])):
+        gains = []
+        for chosen in (kept, kept | (np.arange(len(hz)) == more)):
+            path = write_response(tmp_path / "x.csv", hz[chosen], response.plant[chosen, 0])
+            gains.append(measured_finding(rig, response, "x", path).gain_db)
+        assert gains[0] > 30.0
+        assert gains[1] == pytest.approx(turns.gain_db, abs=0.5)
+
+
+def test_three_frequencies_within_the_loops_are_needed(tmp_path: Path, answering: Answering) -> None:
+    rig, response = answering
+    step = response.frequency_hz[1] - response.frequency_hz[0]
+    path = write_response(tmp_path / "x.csv", 100.0 + step * np.array([-1.0, 0.0, 1.0]), np.full(3, 1e-3))
+    assert measured_finding(rig, response, "x", path).axis == "x"
+    path = write_response(tmp_path / "x.csv", 100.0 + step * np.array([-0.9, 0.0, 1.0]), np.full(3, 1e-3))
+    with pytest.raises(RigError, match=r"99.775 to 100.25 Hz; allowed: below 500 Hz"):
+        measured_finding(rig, response, "x", path)
+
+
+def test_a_measured_mode_that_the_model_does_not_know_is_refused_with_its_frequency(
+    tmp_path: Path, answering: Answering
+) -> None:
+    rig, response = answering
     mass = rig.axes["x"].model.mass
     stage = AxisDynamics(mass, mode_hz=240.0, mode_damping=0.005, mode_load=0.3)
     measured = stage.response(2 * np.pi * response.frequency_hz, rig.period_ns * 1e-9)

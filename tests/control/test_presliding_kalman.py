@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from hil.control.laws.base import Model
+from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
 from hil.control.laws.presliding_bank import Bank, moved, slopes
 from hil.control.laws.presliding_gains import of_model
+from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
 from hil.control.nominal_model import rig_model
 from hil.rig.file import load_rig
@@ -65,6 +66,19 @@ def test_the_tool_is_behind_the_encoder_by_what_its_spring_gives() -> None:
     omega = 2.0 * np.pi * 120.0
     assert MotionModel(model(120.0), PERIOD).tool_lag == pytest.approx(1.0 / omega**2)
     assert MotionModel(model(0.0), PERIOD).tool_lag == 0.0
+
+
+@pytest.mark.parametrize("frequency", [0.0, 120.0])
+def test_what_is_learnt_over_repeats_is_the_error_of_the_tool_not_of_the_encoder(frequency: float) -> None:
+    law, acceleration = PreslidingKalman(model(frequency), PERIOD, 10.0), 2.0
+    law.learn_repeats(1_000_000_000, 0)
+    x = axis_inputs()
+    x.fresh, x.position, x.sample.acceleration, x.task_ns = 1.0, 5e-6, acceleration, 0
+    law.force(x)
+    bent = acceleration / (2.0 * np.pi * frequency) ** 2 if frequency else 0.0
+    assert law._observer.e > 1e-6
+    assert law._memory is not None
+    assert law._memory._squares == pytest.approx((law._observer.e - bent) ** 2)
 
 
 @pytest.mark.parametrize("frequency", [0.0, 120.0, 250.0])

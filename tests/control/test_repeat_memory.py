@@ -35,6 +35,14 @@ def wave(size: float) -> list[float]:
     return (size * np.sin(2.0 * np.pi * np.arange(COUNT) / COUNT)).tolist()
 
 
+@pytest.mark.parametrize("from_ns", [0, 7_000_000, 7_300_000])
+def test_a_tick_of_the_repeats_is_the_nearest_one_to_the_tasks_time(from_ns: int) -> None:
+    repeats = RepeatMemory(REPEAT_NS, from_ns, 1e-3, 5.0)
+    for tick in (-3, -1, 0, 1, COUNT - 1, COUNT, 10**9):
+        exact = from_ns + tick * 1_000_000
+        assert {repeats.tick(exact + off) for off in (-500_000, -1000, 0, 1000, 499_999)} == {tick}
+
+
 def test_what_comes_back_every_repeat_goes_away_and_the_first_repeats_are_left_alone() -> None:
     found = play(memory(), wave(1.0), 12)
     assert found[:WARM_REPEATS] == [pytest.approx(0.7071, abs=1e-3)] * WARM_REPEATS

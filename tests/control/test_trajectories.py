@@ -1,17 +1,19 @@
 """Trajectories: exact in time, smooth where they must be, the same bits for one instant or a thousand."""
 
 import math
+from fractions import Fraction
 from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hil.control.laws.base import axis_inputs
 from hil.control.setpoints import Setpoints
 from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
 from hil.control.trajectories.displaced import Displaced
+from hil.control.trajectories.figures import rational_hz
 from hil.control.trajectories.segments import Segments
 from hil.rig.file import load_rig
 from hil.rig.schema import InjectionConfig, TaskConfig
@@ -44,6 +46,7 @@ def trajectories() -> list[Trajectory]:
 
 TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, BLENDED, SPLINE, RASTER, PATH]
 NAMES = [*(task.kind for task in TASKS), "injection", "displaced"]
+ALL = trajectories()
 
 
 def test_every_kind_of_task_is_tried_here() -> None:
@@ -105,6 +108,32 @@ def test_any_frequency_keeps_its_phase(frequency: float, t_ns: int) -> None:
     trajectory = make_trajectory(task, ["x", "y"], np.zeros(2), PERIOD)
     sample = trajectory.sample(np.full((1, 2), t_ns + 10**10))
     assert np.hypot(*sample.position[0]) == pytest.approx(0.5, rel=1e-12)
+
+
+@example(7e-6)
+@example(7 / 1_000_001)
+@given(st.floats(1e-6, 1e4) | st.decimals(1, 10_000, places=6).map(float))
+def test_a_frequency_is_the_finest_decimal_fraction_whose_phase_fits_64_bits(frequency: float) -> None:
+    denominators = (10**digits for digits in range(6, -1, -1))
+    fractions = (Fraction(repr(frequency)).limit_denominator(most) for most in denominators)
+    cycles = ((hz, hz / 10**9) for hz in fractions)  # a phase is t * numerator modulo denominator
+    assert rational_hz(frequency) == next(hz for hz, c in cycles if c.numerator * c.denominator < 2**62)
+
+
+@given(st.integers(0, 11), st.integers(0, 2), st.floats(-0.1, 0.1), st.floats(-1.0, 1.0), st.integers(0, 10**11))
+def test_a_displaced_trajectory_is_the_honest_one_but_for_one_axis(
+    kind: int, axis: int, position: float, velocity: float, t_ns: int
+) -> None:
+    honest = ALL[kind]
+    axis %= honest._n
+    displaced = Displaced(honest, honest._n, axis, position, velocity)
+    for fact in ("duration_ns", "steady_from_ns", "repeat_ns", "repeat_from_ns", "phase_names"):
+        assert getattr(displaced, fact) == getattr(honest, fact)
+    assert displaced.phase_at(t_ns) == honest.phase_at(t_ns)
+    for each in range(honest._n):
+        q, v, a = honest.at(each, t_ns)
+        moved = (q + position, v + velocity, a)
+        assert displaced.at(each, t_ns) == (moved if each == axis else (q, v, a))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,10 @@
 """One made-up bad day, told in whole: every kind of event with its tick, its numbers, its cause and what to do next."""
 
+import json
+import math
+
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from drivers.bus.counters import BusState
@@ -36,6 +40,37 @@ def told(records: NDArray[np.void]) -> list[Event]:
     before["state"] = records["state"][0]
     stream.tell(before)
     return [*stream.tell(records), *stream.close()]
+
+
+def test_a_line_says_when_from_the_first_tick_on_and_nothing_of_it_outside_of_the_loop() -> None:
+    event = Event(Kind.STATE, Severity.INFO, "INIT", tick=0, time_ns=7)
+    assert event.line == f"tick 0 (0.000 s): {event.text}; next: none"
+    assert event._replace(tick=-1).line == f"{event.text}; next: none"
+    whole = event._replace(tick=12, run_ns=12 * PERIOD, cause="a hand", action="look", axis="x", times=2)
+    assert whole.line == f"tick 12 (0.012 s): {whole.text}; cause: a hand; next: look"
+    assert whole.text == f"{event.text} on x (2 times)"
+
+
+@pytest.mark.parametrize(("measured", "value", "limit", "unit", "words"), [
+    ("speed", 0.25, 0.125, "m/s", ": speed 0.25 m/s, limit 0.125 m/s"),
+    ("ratio", 2.0, math.nan, "", ": ratio 2, limit nan"),
+    ("ratio", math.nan, 3.0, "", ": ratio nan, limit 3"),
+    ("force", math.inf, 5.0, "N", ": force inf N, limit 5 N"),
+    ("speed", math.nan, math.nan, "m/s", ""),
+    ("", 1.0, 2.0, "m", ""),
+])  # fmt: skip
+def test_what_was_measured_is_told_in_words_and_as_json_can_say_it(
+    measured: str, value: float, limit: float, unit: str, words: str
+) -> None:
+    bare = Event(Kind.FAULT_SEEN, Severity.WARNING, "overspeed", tick=3, time_ns=7, axis="x")
+    event = bare._replace(measured=measured, value=value, limit=limit, unit=unit)
+    assert event.text == bare.text + words
+    document = json.loads(json.dumps(event.document, allow_nan=False))
+    numbers = [None if math.isnan(number) else number for number in (value, limit)]
+    assert [document["value"], document["limit"]] == ["inf" if number == math.inf else number for number in numbers]
+    assert (document["kind"], document["severity"], document["line"]) == ("FAULT_SEEN", "WARNING", event.line)
+    assert {document[name] for name in ("name", "axis")} == {"overspeed", "x"}
+    assert (document["tick"], document["time_ns"], document["run_ns"], document["times"]) == (3, 7, 0, 1)
 
 
 def test_slots_that_were_skipped_are_counted_and_a_start_far_behind_its_deadline_is_measured() -> None:

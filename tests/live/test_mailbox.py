@@ -57,6 +57,18 @@ def test_any_interleaving_of_posts_and_polls_delivers_everything(
     box.close()
 
 
+def test_what_became_of_a_tasks_file_is_known_once_it_is_answered_and_of_no_other(box: Mailbox) -> None:
+    with Mailbox(box.path) as sender:
+        assert box.task_posted == 0
+        for number, ready in ((1, True), (2, False), (3, True), (4, False)):
+            sender.post_task(number)
+            assert box.task_posted == number
+            assert sender.task_ready(number) is None
+            box.answer_task(number, ready=ready)
+            assert sender.task_ready(number) is ready
+            assert sender.task_ready(number + 1) is None
+
+
 def test_a_full_mailbox_refuses_and_keeps_what_it_has(box: Mailbox) -> None:
     for _ in range(SLOTS):
         box.post(CommandKind.STOP, 0)

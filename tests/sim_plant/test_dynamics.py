@@ -167,6 +167,20 @@ def test_a_lagged_step_of_force_moves_a_free_mass_as_the_closed_form_says() -> N
             assert stage.positions[0] == pytest.approx(expected, rel=1e-6, abs=1e-11)
 
 
+@pytest.mark.parametrize("damper", ["viscous", "drag"])
+def test_a_damper_that_is_quick_against_a_tick_is_followed_through_it(damper: str) -> None:
+    """To a nanometre, as v = F / c + (v0 - F / c) exp(-c t / m) says; the drag is that of a cell pierced at once."""
+    mass, c, force, begin = 0.05, 200.0, 10.0, 0.02
+    pierced = [{"axis": "x", "surface": 0.0, "direction": 1, "puncture_depth": 1e-9, "stiffness": 1.0, "drag": c}]
+    slowed: dict[str, Any] = {"viscous": [c]} if damper == "viscous" else {"viscous": [0.0], "cells": pierced}
+    stage = stage_of(begin, mass=[mass], coulomb=[0.0], quadratic=[0.0], backlash=1e-12, **slowed)
+    for i in range(1, 6):
+        stage.advance(MS, [force])
+        t, last = i * 1e-3, force / c
+        expected = last * t + (begin - last) * (mass / c) * (1.0 - math.exp(-t * c / mass))
+        assert stage.readings()[0] == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_free_axis_rings_at_the_frequency_and_damping_its_mode_says() -> None:
     """Two masses on a spring: relative motion at f / sqrt(1 - load), damped by damping / sqrt(1 - load)."""
     load, damping, force = 0.3, 0.03, 0.1

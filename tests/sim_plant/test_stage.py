@@ -1,5 +1,6 @@
 """The stage's physics against an independent integrator, against closed forms, and against itself in batches."""
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sim_plant.config import CellConfig, PlantConfig
+from sim_plant.physics import exact_trigonometry
 from sim_plant.physics.exact_trigonometry import sin_turns, sin_turns_array, sincos_turns, sincos_turns_array
 from sim_plant.physics.ideal_batch import FEW
 from sim_plant.physics.stage import Stage, Truth
@@ -267,6 +269,21 @@ def test_sine_and_cosine_are_right_to_the_last_bits_and_the_same_for_floats_and_
     assert abs(cosine - np.cos(exact)) < 4e-16
     sines, cosines = sincos_turns_array(np.array([turns, turns]))
     assert (sines[1], cosines[1]) == (sine, cosine)
+
+
+def test_sine_and_cosine_are_taylors_series_to_the_last_coefficient_in_either_form() -> None:
+    """The last terms are below the last bit of most angles: of many, some are rounded otherwise without them."""
+
+    def series(first: int, last: int) -> tuple[float, ...]:
+        return tuple((-1) ** (n // 2) / math.factorial(n) for n in range(last, first - 1, -2))
+
+    sine, cosine = series(3, 17), series(4, 18)
+    assert (sine, cosine) == (exact_trigonometry._SINE, exact_trigonometry._COSINE)
+    for x in np.linspace(-math.pi / 4, math.pi / 4, 20_001).tolist():
+        x2 = x * x
+        odd, even = (functools.reduce(lambda total, c: c + x2 * total, terms) for terms in (sine, cosine))
+        assert exact_trigonometry._sine(x) == x + x * (x2 * odd)
+        assert exact_trigonometry._cosine(x) == 1.0 + x2 * (x2 * even - 0.5)
 
 
 @given(st.lists(st.floats(-1e6, 1e6) | st.floats(-1.0, 1.0), min_size=1, max_size=9))

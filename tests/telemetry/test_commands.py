@@ -253,6 +253,22 @@ def test_a_gateway_that_lies_about_the_verdict_is_found_out(tmp_path: Path) -> N
         liars.close()
 
 
+def test_a_peer_may_be_silent_for_ten_seconds_from_the_reply_on_however_long_that_took() -> None:
+    second = 1_000_000_000
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    with far, near:
+        connection = Connection(near, "a test", "here", b"", 0)
+        for asked, told in ((1 * second, 61 * second), (70 * second, 71 * second)):
+            request = pb.CommandRequest(kind=CommandKind.LOAD_TASK, sequence=1)
+            far.sendall(frame(seal(request.SerializeToString(), REQUEST, connection._nonce, b"")))
+            assert connection.poll(asked) is not None
+            assert not connection.overdue(told), "who waits for a reply is not idle"
+            connection.answer(pb.CommandReply(now_ns=told))
+            assert not connection.overdue(told + 10 * second)
+            assert connection.overdue(told + 10 * second + 1)
+
+
 @pytest.mark.live
 def test_idle_connections_and_nonsense_keep_no_operator_out(bench: CommandBench) -> None:
     handle = os.open(bench.directory, os.O_PATH)

@@ -51,7 +51,7 @@ def steady_gains(kf: Any, tolerance: float = 1e-12, limit: int = 100_000) -> tup
     """
     previous = np.zeros((3, 1))
     for _ in range(limit):
-        kf.predict(u=np.zeros((1, 1)))
+        kf.predict()
         kf.update(np.zeros((1, 1)))
         if np.all(np.abs(kf.K - previous) <= tolerance * np.abs(kf.K)):
             return [float(k) for k in kf.K[:, 0]], float(kf.S[0, 0])

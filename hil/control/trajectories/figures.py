@@ -40,7 +40,7 @@ def rational_hz(frequency_hz: float) -> Fraction:
     while True:
         fraction = Fraction(repr(float(frequency_hz))).limit_denominator(limit)
         cycle = fraction / SECOND
-        if (fraction > 0 and cycle.numerator * cycle.denominator < INT64_LIMIT) or limit == 1:
+        if cycle.numerator * cycle.denominator < INT64_LIMIT:
             return fraction
         limit //= 10
 
