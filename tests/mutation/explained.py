@@ -7,11 +7,12 @@ from typing import Any
 
 
 class Explained:
-    """The tables in explained.toml, of survivors, and in green.toml, of tests that stay green in a hollow product."""
+    """The tables in explained/, of survivors by folder, and in green.toml, of tests that stay green in a hollow product."""
 
     def __init__(self) -> None:
-        self.rows = _rows("explained.toml", "survivor")
-        self.green: dict[str, str] = {row["test"]: row["why"] for row in _rows("green.toml", "green")}
+        here = Path(__file__).parent
+        self.rows = [row for path in sorted((here / "explained").glob("*.toml")) for row in _rows(path, "survivor")]
+        self.green: dict[str, str] = {row["test"]: row["why"] for row in _rows(here / "green.toml", "green")}
         self._known = {(row["file"], row["line"], row["mutant"]) for row in self.rows}
 
     def covers(self, case: Any) -> bool:
@@ -24,7 +25,7 @@ class Explained:
         return sorted(f"{file}: {line}" for file, line, mutant in self._known - there)
 
 
-def _rows(name: str, table: str) -> list[dict[str, str]]:
-    document = tomllib.loads((Path(__file__).parent / name).read_text(encoding="utf-8"))
+def _rows(path: Path, table: str) -> list[dict[str, str]]:
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
     rows: list[dict[str, str]] = document[table]
     return rows
