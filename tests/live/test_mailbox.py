@@ -1,6 +1,7 @@
 """The mailbox: commands arrive once, in order; damage is counted and never raises in the control process."""
 
 import mmap
+import os
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,32 @@ def test_what_became_of_a_tasks_file_is_known_once_it_is_answered_and_of_no_othe
             box.answer_task(number, ready=ready)
             assert sender.task_ready(number) is ready
             assert sender.task_ready(number + 1) is None
+
+
+def test_what_is_left_in_a_mailbox_by_either_end_does_not_touch_anything_else_in_it(box: Mailbox) -> None:
+    with Mailbox(box.path) as sender:
+        sender.beat_recorder(7)
+        sender.post_task(3)
+        assert [sender.post(CommandKind.STOP, 5), sender.post(CommandKind.RESET, 6)] == [1, 2]
+        box.answer_task(2, ready=True)
+        box.answer_task(3, ready=False)
+        assert [command.expires_ns for command in box.poll()] == [5, 6]
+        assert (box.task_posted, box.damaged, box.recorder_ok(7), box.recorder_ok(6)) == (3, 0, True, False)
+        assert [sender.task_ready(number) for number in (1, 2, 3, 4)] == [None, True, False, None]
+        assert [sender.post(CommandKind.STOP, 8), sender.damaged] == [3, 0]
+    with Mailbox(box.path) as late:
+        assert [command.sequence for command in late.poll()] == [3]
+
+
+def test_a_mailbox_makes_its_folder_for_its_user_alone_and_closing_leaves_nothing_open(tmp_path: Path) -> None:
+    made = Mailbox.create(tmp_path / "run" / "rig" / "mailbox")
+    assert made.path.parent.stat().st_mode & 0o777 == 0o700
+    descriptor, mapped = made._fd, made._map
+    for _ in range(2):
+        made.close()
+        assert mapped.closed
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
 
 
 def test_a_full_mailbox_refuses_and_keeps_what_it_has(box: Mailbox) -> None:
