@@ -105,6 +105,26 @@ def test_a_fault_is_seen_latched_and_cleared_by_a_reset_each_in_its_tick() -> No
     assert (cleared.run_ns, cleared.time_ns) == (25 * PERIOD, 7 + 25 * PERIOD)
 
 
+@pytest.mark.parametrize(
+    ("fault", "when_seen", "when_latched"),
+    [
+        (Fault.FOLLOWING_ERROR, Severity.WARNING, Severity.ERROR),
+        (Fault.INTERFACE_DOWN, Severity.WARNING, Severity.CRITICAL),  # after which nothing is sent any more
+    ],
+)
+def test_a_fault_that_latches_is_worse_than_one_that_is_seen(
+    fault: Fault, when_seen: Severity, when_latched: Severity
+) -> None:
+    records = quiet(3, first=20)
+    records["n_evidence"][1:], records["evidence_total"][1:] = 1, [1, 2]
+    records["evidence_of"][1:, 0], records["faults_active"][1:] = int(fault) | 1 << 16, 1 << int(fault)
+    records["fault"][1:] = int(fault)
+    assert [(event.name, event.severity) for event in told(records)] == [
+        (fault.name.lower(), when_seen),
+        (fault.name.lower(), when_latched),
+    ]
+
+
 def test_what_is_to_be_done_about_an_axis_names_it_and_of_none_leaves_a_place_for_the_name() -> None:
     records = quiet(2, first=20)
     number = int(Fault.SPEED_PLANNED)
