@@ -2,6 +2,7 @@
 # Installs the Debian package on a fresh guest with systemd as init, and tests the service there as a rig's PC would run it.
 # Results come out to .vm/results-systemd. Exit status 0 only if the guest ran tests and all passed.
 # usage: test_systemd.sh [TEST FILES, in the story's order; all]
+# HIL_VM_MARKS: which tests of them; "slow" are those that take this guest ten minutes
 set -euo pipefail
 
 PROJECT=$(cd "$(dirname "$0")/../.." && pwd)
@@ -28,6 +29,7 @@ cp -r "$PROJECT/examples" "$SHARE/"
 cp "$PROJECT/docs/at-the-rig.md" "$SHARE/docs/"
 cp "$PROJECT/deploy/vm/guest_systemd.sh" "$SHARE/guest.sh"
 echo "${*:-tests/vm/systemd}" > "$SHARE/arguments"
+echo "${HIL_VM_MARKS:-systemd and not slow}" > "$SHARE/marks"
 
 kernel=$(cat "$VM/kernel/ready")
 echo "vm: booting $kernel with systemd in software emulation; limit $LIMIT s"
