@@ -9,7 +9,7 @@ import pytest
 from hil import Law
 from hil.control.laws.base import LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN
-from hil.control.laws.users import PerElement
+from hil.control.laws.users import OnArrays, PerElement
 
 GAINS = ("stiff", "soft")
 
@@ -84,7 +84,7 @@ def test_every_object_is_told_its_own(law: type[Law], shape: tuple[int, ...]) ->
     random = np.random.default_rng(sum(shape))
     model = Model(*(drawn(random, shape) for _ in fields(Model)))
     limit, gains = drawn(random, shape[-1:]), {"stiff": drawn(random, shape[-1:]), "soft": 2.5}
-    whole = PerElement(law, model, 1e-3, limit, {**gains, "mood": "calm"})
+    whole = OnArrays("mine", PerElement(law, model, 1e-3, limit, {**gains, "mood": "calm"}))  # which ends its calls
     where = list(np.ndindex(shape[:-1] if law.coupled else shape))
     alone = [
         law(

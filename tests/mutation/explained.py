@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Explained:
-    """The tables in explained/, of survivors by folder, and in green.toml, of tests that stay green in a hollow product."""
+    """The tables in explained/, of survivors, and in green.toml, of tests that stay green in a hollow product."""
 
     def __init__(self) -> None:
         here = Path(__file__).parent
