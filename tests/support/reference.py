@@ -67,10 +67,14 @@ def campaign_hash(cells: Sequence[Any]) -> str:
 
 
 def campaign(rig: str) -> dict[str, Any]:
-    """Number of cells and their hash, of the whole campaign on a rig's own layout."""
+    """Number of cells and their hash, of the whole campaign on a rig's own layout. Raises AssertionError where one of
+    them does not pass.
+    """
     from hil.studies.fault_campaign.campaign import campaign as run_campaign
 
     cells = run_campaign([RIGS / f"{rig}.toml"], 1, os.cpu_count() or 1, lambda done, total: None)
+    failed = [f"{cell.checkpoint} / {cell.trial} / {cell.axis}: {cell.why}" for cell in cells if not cell.passed]
+    assert not failed, "\n".join(failed)
     return {"cells": len(cells), "sha256": campaign_hash(cells)}
 
 
