@@ -86,6 +86,7 @@ def test_counters_are_sums() -> None:
     assert of_all([one, other]) == PortCounters(*range(0, 121, 11), BusState.ERROR_PASSIVE)
 
 
+@pytest.mark.replaces_methods
 @pytest.mark.parametrize("lost", [(), (0,), (1,), (0, 1)])
 @pytest.mark.parametrize("what", ["rebind", "purge"])
 def test_all_segments_are_brought_back_whatever_one_of_them_says(what: str, lost: tuple[int, ...]) -> None:
@@ -140,6 +141,7 @@ def test_of_segments_that_are_not_all_there_none_is_open() -> None:
         open_segments(bus, role="host", fd=True)
 
 
+@pytest.mark.replaces_methods
 def test_those_that_were_open_are_left_when_one_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, int | None]] = []
     cables = {"one": Cable.pair()}
