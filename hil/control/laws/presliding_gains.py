@@ -1,4 +1,4 @@
-"""Gains of presliding-kalman that follow from the model's mode, written for floats and arrays.
+"""Gains of presliding-kalman that follow from the model, written for floats and arrays.
 
 Loop and observer in motion hold 6 dB and 30 degrees as the model says, and 3 dB and 15 degrees with mass +-20 % and
 mode +-10 % (hil/control/loop_corners.py), for any mode from 0.15 swings in a period on: a search that kept these and
@@ -27,22 +27,13 @@ OF_MODE: dict[str, tuple[float, tuple[float, ...]]] = {
     "integral": (0.1, (0.08,)),
     "table_delay": (6.0, (12.0,)),
 }
-# Of a rigid axis whose model states presliding: a step of 1 um is over sooner, and Z does not ring on stiff friction.
-# On friction as in the textbook it would swing to and fro by nearly 0.1 mm.
-INTEGRAL_OF_PRESLIDING = 0.06
+# Where the model has no mode, but states presliding. A step of 1 um is over sooner, and Z does not ring on stiff
+# friction; on friction as in the textbook an axis would swing to and fro by nearly 0.1 mm.
+OF_PRESLIDING: dict[str, float] = {"integral": 0.06}
 
 
 def of_model(name: str, swings: Number, presliding: Number) -> Number:
     """That gain for a mode of so many swings in a period, and the presliding that the model states; 0: none."""
-    value = of_mode(name, swings)
-    if name != "integral":
-        return value
-    stated = select(presliding > 0.0, INTEGRAL_OF_PRESLIDING, value)
-    return select(swings > 0.0, value, stated)
-
-
-def of_mode(name: str, swings: Number) -> Number:
-    """That gain for a mode of so many swings in a period; 0: none."""
     rigid, flexible = OF_MODE[name]
     zero = swings - swings
     value = zero + flexible[0]
@@ -50,4 +41,5 @@ def of_mode(name: str, swings: Number) -> Number:
         begin, end = SWINGS[place - 1], SWINGS[place]
         slope = (flexible[place] - flexible[place - 1]) / (end - begin)
         value = value + slope * -at_least(-at_least(swings - begin, 0.0), begin - end)
-    return select(swings > 0.0, value, zero + rigid)
+    guided = select(presliding > 0.0, zero + OF_PRESLIDING.get(name, rigid), zero + rigid)
+    return select(swings > 0.0, value, guided)
