@@ -161,7 +161,6 @@ def save_worst(
 def _bring_up_to(document: tomlkit.TOMLDocument, single: RigConfig) -> None:
     """Have a rig file say what such a rig is, wherever it says something else: its numbers, and what --set chose."""
     wanted = single.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-    wanted["law"] = single.law.model_dump(mode="json", exclude_none=True)  # tuned gains stand for themselves
     for name, chosen in wanted.items():
         if not isinstance(chosen, dict):
             document[name] = chosen
