@@ -14,7 +14,6 @@ import pytest
 
 PATIENCE_S = 900.0  # software emulation on a busy machine, where installing took 300; only a failure waits it out
 PACKAGES = Path("/share/packages")
-EXAMPLES = Path("/share/examples")
 RIGS = Path("/etc/hil/rigs")
 
 # The edit of the rig file: this guest is fifty times slower than a rig's PC and promises no timing at all. At 20 Hz no

@@ -1,21 +1,20 @@
 """What users bring, in the commands of the installed package: laws, an estimator and tasks beside a rig file of theirs.
 
-Simulated, at 100 Hz and for little more than a second: this guest takes fifty times as long as a rig's PC. The same
-classes as a service: section 4 of the page. `hil tune` and `hil check --law` would take it ten minutes and do without.
+Simulated, for little more than a second. The same classes as a service: section 4 of the page; tuned, judged and shown
+live: test_2_plug_ins_at_length.py.
 """
 
-import shutil
 from pathlib import Path
 
 import pytest
 
-from tests.vm.systemd.service import EXAMPLES, console
+from tests.vm.systemd.brought import BRIEF, NETWORK, SIZES, bring_all
+from tests.vm.systemd.service import console
 
 pytestmark = [pytest.mark.vcan, pytest.mark.systemd]
 
 PLACE = Path("/root/mine")
 RIG = PLACE / "mine.toml"
-NETWORK = "./network.py:Network"
 ESTIMATOR = "--set estimator.name=./luenberger.py:Luenberger --set estimator.parameters={bandwidth_hz=20}"
 EXIT_FAULT = 3
 
@@ -28,12 +27,8 @@ def hil(words: str, status: int = 0) -> str:
 
 
 def test_a_rig_file_of_ones_own_begins_with_hil_new():
-    shutil.copytree(EXAMPLES / "laws", PLACE)
-    for source in ("estimators/luenberger.py", "tasks/rose.py"):
-        shutil.copy(EXAMPLES / source, PLACE)
-    shutil.copy("/share/tests/support/misbehaves.py", PLACE)
-    sizes = "--mass 1 --travel 0.05 --encoder 1e-7 --force 20 --friction 0.5 --watchdog 0.05 --rate 100"
-    hil(f"new {RIG} --axes x,y --layout stage_fd {sizes}")
+    bring_all(PLACE)
+    hil(f"new {RIG} --axes x,y --layout stage_fd {SIZES}")
 
 
 @pytest.mark.parametrize("law", ["lqr.py:Lqr", "lqg.py:Lqg", "mpc.py:PreviewMpc", "network.py:Network"])
@@ -74,7 +69,7 @@ def test_a_recording_of_both_is_replayed_without_the_files():
 
 
 def test_both_are_compared_swept_and_tried_on_faults():
-    brief = f"--set task.move_s=0.2 --set task.settle_s=0 --set task.approach_s=0.1 {ESTIMATOR}"
+    brief = f"{BRIEF} {ESTIMATOR}"
     assert NETWORK in hil(f"compare {RIG} --laws {NETWORK} --seconds 1 --workers 1 {brief}")
     swept = f"sweep {RIG} --plants 2 --seconds 1 --workers 1 --output {PLACE} --set law.name={NETWORK}"
     assert hil(f"{swept} {brief}").count("reproduced singly, bit for bit") == 2

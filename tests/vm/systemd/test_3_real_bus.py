@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.vm.slcan import SerialAdapter
+from tests.vm.systemd.brought import BESIDE, CLASSES
 from tests.vm.systemd.page import CtrlC, follow, says, whatever
-from tests.vm.systemd.service import EDIT, EXAMPLES, RIGS, console, edited, eventually, sh
+from tests.vm.systemd.service import EDIT, RIGS, console, edited, eventually, sh
 from tests.vm.systemd.stage import CHANNEL, NAMESPACE, STAGE, its_controller, remember_controller
 
 pytestmark = [pytest.mark.vcan, pytest.mark.systemd]
@@ -21,13 +22,11 @@ BITRATE, QUEUE = 500_000, 7
 ARPHRD_CAN = "280"
 ENABLED = 1  # DriveStatus.ENABLED
 # The shipped microscope, as somebody would write it down for a stage of their own on classic CAN, with a law, an
-# estimator and a path of their own beside the rig file. Of the examples' laws the network is stable at 20 Hz.
-BESIDE = (EXAMPLES / "laws" / "network.py", EXAMPLES / "estimators" / "luenberger.py")
+# estimator and a path of their own beside the rig file.
 PATH = "time_s,x,y\n0,0,0\n2,0.0005,0\n4,0.001,0.0005\n6,0.001,0.001\n8,0.001,0.001\n"
 OWN_RIG = {
     **EDIT,
-    r'^name = "presliding-kalman"$': 'name = "./network.py:Network"',
-    r"^\[estimator\]$": '[estimator]\nname = "./luenberger.py:Luenberger"\nparameters = { bandwidth_hz = 4.0 }',
+    **CLASSES,
     r'^kind = "injection"$': 'kind = "path"\nfile = "slow.csv"',
     '^name = "microscope"$': 'name = "stage"',
     '^protocol = "stage_fd"$': f'protocol = "stage_classic"\nbitrate = {BITRATE}\ntransmit_queue = {QUEUE}',
