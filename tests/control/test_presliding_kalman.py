@@ -81,6 +81,27 @@ def test_what_is_learnt_over_repeats_is_the_error_of_the_tool_not_of_the_encoder
     assert law._memory._squares == pytest.approx((law._observer.e - bent) ** 2)
 
 
+def test_a_force_that_is_learnt_takes_over_from_the_observer_without_a_jerk() -> None:
+    """11 g on a constant force, which the observer holds; then the repeats hold most of it, from their first tick."""
+    mass, opposing, repeat = 0.0114, 0.02, 100
+    law = PreslidingKalman(Model(mass, 0.0, 0.0, 0.0, 0.0), PERIOD, 5.0)
+    law.learn_repeats(repeat * 1_000_000, 0)
+    x = axis_inputs()
+    x.fresh = x.answered = 1.0
+    position, speed, off, learnt = 0.0, 0.0, [], []
+    for tick in range(5 * repeat):
+        x.task_ns, x.position = tick * 1_000_000, position
+        asked = law.force(x)  # acts from the next sample on
+        acceleration = (x.force_last - opposing) / mass
+        position += PERIOD * speed + 0.5 * PERIOD**2 * acceleration
+        speed += PERIOD * acceleration
+        x.force_before, x.force_last = x.force_last, asked
+        off.append(abs(position))
+        learnt.append(law._learnt)
+    assert learnt[2 * repeat] > 0.6 * opposing > 0.0 == learnt[2 * repeat - 1]
+    assert max(off[2 * repeat :]) < 1e-3 * max(off[:repeat])
+
+
 @pytest.mark.parametrize("frequency", [0.0, 120.0, 250.0])
 def test_a_force_that_was_another_than_expected_is_put_right_by_one_sample(frequency: float) -> None:
     """The drive's force behind the lag was 0.4 N off when it took over: position, speed and mode are those after it."""

@@ -50,6 +50,23 @@ def test_what_comes_back_every_repeat_goes_away_and_the_first_repeats_are_left_a
     assert max(found[8:]) < 0.02 * found[0]
 
 
+def test_where_a_repeat_begins_the_memory_says_by_how_much_its_force_is_another_than_before() -> None:
+    """In any program: learning, the best once more, none; and from nothing to what was known before."""
+    learnt, rng, played = memory(), np.random.default_rng(5), [0.0] * COUNT
+    learnt.begin_with([0.25] * COUNT)
+    steps = [0.0]
+    for tick in range(-3, 30 * COUNT):
+        learnt.note(tick, rng.normal(), rng.normal() * 1e-6, 1.0)
+        force, slot = learnt.force(tick), tick % COUNT
+        expected = force - played[slot] if slot == 0 and tick >= 0 else 0.0
+        assert learnt.steps == (steps[-1], expected)
+        if tick >= 0:
+            played[slot] = force
+        steps.append(expected)
+    assert steps[4] == 0.25
+    assert sum(step != 0.0 for step in steps) > 10
+
+
 def test_a_changed_stage_is_learnt_anew() -> None:
     learnt = memory()
     play(learnt, wave(1.0), 12)

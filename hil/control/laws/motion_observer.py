@@ -249,9 +249,9 @@ class MotionObserver:
             self.n = self.n + gains.n * innovation
         self.d = self.d + gains.d * innovation
 
-    def ahead(self, force: Number, lost: Number) -> tuple[Number, Number]:
-        """Error and rate of the centre of mass one period on, under `force` (N)."""
-        m, f, d, v = self._model, self.f, self.d, self.v
+    def ahead(self, force: Number, lost: Number, d: Number) -> tuple[Number, Number]:
+        """Error and rate of the centre of mass one period on, under `force` and against a disturbance `d` (N)."""
+        m, f, v = self._model, self.f, self.v
         return (
             self.e + m.time * v + (m.e_f * f + m.e_u * force - m.e_d * d) - lost,
             v + (m.v_f * f + m.v_u * force - m.v_d * d),

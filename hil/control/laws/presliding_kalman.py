@@ -18,7 +18,8 @@ flexible mode inside the observer; a bias that is found.
   a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make it too
   stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
 - Where the task repeats and law.iterative_learning says so, what d still is at each instant of it is fed forward in
-  the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile.
+  the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile. Where a repeat
+  begins, d steps by what that force changes: else both would act until d has found out, which throws a light axis.
 
 After the method of an independent study on LuGre and Maxwell-slip guides. Models: Canudas de Wit and others, IEEE TAC
 40(3), 1995; Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005.
@@ -236,6 +237,9 @@ class PreslidingKalman(Law):
         self._force_before = last + 0.0  # arrays are reused by the caller: keep a copy
         observer, sample, start, half = self._observer, inputs.sample, inputs.start, 0.5 * self._period
         q, v = sample.position, sample.velocity
+        memory = self._memory
+        if memory is not None:
+            observer.d = observer.d - memory.steps[0]
         observer.advance(before - self._known_before, (q - self._position) - half * (v + self._velocity))
         error = observer.e + observer.x  # as predicted
         innovation = (inputs.position - q - error) * inputs.fresh
@@ -245,8 +249,9 @@ class PreslidingKalman(Law):
             self._gains.blend(self._gains, self._motion.thrown, self._thrown)
             moves = moves & (self._thrown == 0.0)
         observer.correct(innovation, self._gains)
-        memory = self._memory
+        d = observer.d
         if memory is not None:
+            d = d - memory.steps[1]
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, 0.0 * inputs.fresh) * self._open
         self._learn(q + (observer.e + observer.x), innovation, learn)
@@ -254,7 +259,7 @@ class PreslidingKalman(Law):
             observer.f = self._short + 0.0
             self._ringing = (RINGING * self._motion.swing) * self._short
         lost = (start.position - q) - half * (v + start.velocity)
-        error, rate = observer.ahead(last - self._known_last, lost)
+        error, rate = observer.ahead(last - self._known_last, lost, d)
         known = self._feedforward(inputs)
         if self._motion.flexible:
             tool = self._motion.tool_lag
@@ -263,7 +268,9 @@ class PreslidingKalman(Law):
         share = self._stiff
         kp = self.stiffness + share * (self._rest_stiffness - self.stiffness)
         kd = self.damping + share * (self._rest_damping - self.damping)
-        return known + observer.d - kp * error - kd * rate
+        if memory is not None:
+            d = d - memory.steps[1]
+        return known + d - kp * error - kd * rate
 
     def _repeat(self, memory: RepeatMemory, inputs: LawInputs) -> None:
         """Tell the memory what the sample says of the repeat, and take from it the force of the coming interval."""

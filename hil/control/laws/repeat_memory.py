@@ -31,7 +31,9 @@ class RepeatMemory:
     """Of one axis (floats), or of many (arrays of one shape).
 
     repeat_ns, from_ns: length and beginning of the repeats, ns of task time. limit: of the learnt force, N. frozen: 1.0
-    where what else learns must not, as it would learn against this. Raises ValueError naming law.iterative_learning.
+    where what else learns must not, as it would learn against this. steps: by how much the last two forces differ from
+    what the repeat before had in their place, N, where a repeat begins; else 0. A disturbance that is noted is what is
+    left after the first of them. Raises ValueError naming law.iterative_learning.
     """
 
     def __init__(self, repeat_ns: int, from_ns: int, period: float, limit: Number) -> None:
@@ -76,7 +78,8 @@ class RepeatMemory:
         self._replays, self._pauses = zero, zero  # 1.0 where this repeat plays the best; none
         self._useless = zero  # repeats in turn that were worse than without
         self._before = zero  # the learnt force of the slot before, as it was
-        self._repeat, self._learns = 0, False
+        self._repeat, self._begun, self._learns = 0, False, False
+        self.steps, self._stepped = (zero, zero), zero  # in all in this repeat
         self.frozen = zero + 1.0 if self._start else zero
 
     def tick(self, task_ns: int) -> int:
@@ -85,31 +88,41 @@ class RepeatMemory:
 
     def note(self, tick: int, disturbance: Number, error: Number, good: Number) -> None:
         """What the sample seen in this tick says: N, m; good: 1.0, or 0.0 where it says nothing."""
-        history = self._history
-        del history[0]
-        history.append(disturbance + 0.0)
+        step = self.steps[0]
+        self._history = h = [value - step for value in self._history[1:]]
+        h.append(disturbance + 0.0)
+        self._stepped = self._stepped + step
         self._spoilt = select(good > 0.0, at_least(self._spoilt - 1.0, 0.0), 0.0 * good + SAMPLES)
         if tick < 0:
             return
         self._squares = self._squares + good * (error * error)
         self._samples = self._samples + good
-        if tick >= DELAY:
-            h = history
+        acted = tick - DELAY
+        if acted >= 0:
             found = (h[0] + h[6]) + 2.0 * (h[1] + h[5]) + 3.0 * (h[2] + h[4]) + 4.0 * h[3]
             found = found * (1.0 / 16.0)
-            self._missing[(tick - DELAY) % self._count] = select(self._spoilt > 0.0, 0.0 * found, found)
+            if acted < self._repeat * self._count:
+                found = found + self._stepped  # what was left in the repeat before
+            self._missing[acted % self._count] = select(self._spoilt > 0.0, 0.0 * found, found)
 
     def force(self, tick: int) -> Number:
         """Learnt for the interval that begins now, N."""
+        force = step = self._limit - self._limit
+        if tick >= 0:
+            force, step = self._program(tick // self._count, tick % self._count)
+        self.steps = (self.steps[1], step)
+        return force
+
+    def _program(self, repeat: int, slot: int) -> tuple[Number, Number]:
+        """The force of a slot, and its step."""
         zero = self._limit - self._limit
-        if tick < 0:
-            return zero
-        repeat, slot = tick // self._count, tick % self._count
-        if repeat > self._repeat:
+        begins = repeat > self._repeat
+        if begins:
             self._judge(repeat)
-        if not self._learns:
-            return self._force[slot]
         old, best = self._force[slot], self._best[slot]
+        if not self._learns:
+            first, self._begun = not self._begun, True
+            return old, old if first else zero  # before the first repeat there was none
         after = self._force[slot + 1] if slot + 1 < self._count else old
         before = self._before if slot else old
         more = SMOOTHING * (before - 2.0 * old + after) + self._rate * self._missing[slot]
@@ -117,14 +130,14 @@ class RepeatMemory:
         learnt = select(none, zero, select(again, best, bounded(old + more, self._limit)))
         self._best[slot] = select(self._replays + self._pauses > 0.0, best, old)
         self._force[slot], self._before, self._missing[slot] = learnt, old, zero
-        return learnt
+        return learnt, learnt - old if begins else zero
 
     def _judge(self, repeat: int) -> None:
         """The repeat that has just ended, and what the next one is to be."""
         square = self._squares / at_least(self._samples, 1.0)
         zero = square - square
         one = zero + 1.0
-        self._squares, self._samples, self._repeat = zero, zero, repeat
+        self._squares, self._samples, self._stepped, self._repeat = zero, zero, zero, repeat
         if repeat < WARM_REPEATS and not self._start:
             return
         if not self._learns:
