@@ -90,21 +90,50 @@ def test_learning_that_harms_is_undone_within_three_repeats() -> None:
     assert 0 < longest <= 3
 
 
-def test_learning_pauses_only_after_two_repeats_in_a_row_that_were_worse_than_without_it() -> None:
-    def paused(*sizes: float) -> list[bool]:
-        """Before each repeat, by the errors seen in it."""
-        learnt, found = memory(), []
-        for tick in range(len(sizes) * COUNT):
-            learnt.note(tick, 0.0, sizes[tick // COUNT] * 1e-6, 1.0)
-            learnt.force(tick)
-            if tick % COUNT == COUNT - 1:
-                found.append(learnt.frozen == 0.0)
-        return found
+def without_learning(learnt: RepeatMemory, *sizes: float) -> list[bool]:
+    """Whether each repeat after the warm ones is run without learning, by the errors (um) seen in all of them."""
+    found = []
+    for tick in range(len(sizes) * COUNT):
+        learnt.note(tick, 0.1, sizes[tick // COUNT] * 1e-6, 1.0)
+        learnt.force(tick)
+        if tick % COUNT == COUNT - 1:
+            found.append(learnt.frozen == 0.0)
+    return found[WARM_REPEATS:]
 
-    begun = [1.0] * (WARM_REPEATS + 1)
-    assert not any(paused(*begun, 1.2, 1.0, 1.2, 1.0, 1.2, 1.0)[len(begun) :])
-    assert paused(*begun, 1.2, 1.2, 1.0, 1.0)[len(begun) :] == [False, False, True, False]
-    assert not any(paused(*begun, 1.05, 1.05, 1.05, 1.05)[len(begun) :])
+
+WARM = [1.0] * WARM_REPEATS
+
+
+def test_learning_pauses_after_two_repeats_in_a_row_that_were_worse_than_without_it() -> None:
+    assert not any(without_learning(memory(), *WARM, 1.0, 1.2, 1.0, 1.2, 1.0, 0.5))
+    assert without_learning(memory(), *WARM, 1.0, 1.2, 1.2, 1.0, 1.0) == [False, False, False, True, False]
+    assert not any(without_learning(memory(), *WARM, 1.0, 1.05, 1.05, 1.05, 1.05))
+
+
+def test_after_three_repeats_that_were_worse_and_none_that_was_better_no_more_is_learnt() -> None:
+    worse = [1.2, 1.0, 1.2, 1.0, 1.2]
+    assert without_learning(memory(), *WARM, *worse, *[1.0] * 4) == [False] * 5 + [True] * 4
+    assert without_learning(memory(), *WARM, 1.2, 1.2, 1.0, 1.2, *[1.0] * 9)[3:] == [False] + [True] * 9
+    # One that was better, and they are counted anew.
+    assert not any(without_learning(memory(), *WARM, 1.2, 1.0, 1.2, 0.8, 1.2, 1.0, 1.2, 1.0))
+    for last, kept in ((1.0, True), (1.2, False)):
+        learnt = memory()
+        without_learning(learnt, *WARM, *worse[:-1], last, 1.0)
+        assert any(learnt.best()) is kept
+
+
+def test_a_stage_that_has_changed_gets_three_more_repeats_to_learn_in() -> None:
+    given_up = [1.2, 1.0, 1.2, 1.0, 1.2, 1.0]
+    found = without_learning(memory(), *WARM, *given_up, 1.4, 1.6, 2.0, 2.0, 2.0, 2.0)
+    assert found[6:] == [True, True, False, False, True, False]
+
+
+def test_what_was_begun_with_is_not_given_up_before_it_was_compared() -> None:
+    """The first repeat of a run that begins with something says nothing of what is left without it."""
+    learnt = memory()
+    learnt.begin_with([0.25] * COUNT)
+    found = without_learning(learnt, *WARM, 1.2, 1.0, 1.2, 1.0, 1.2, 1.0, 1.2, 1.0, 1.2, 1.2, 9.0, 1.2, 1.2)
+    assert found == [False] * 9 + [False, True, False, False]
 
 
 def test_the_best_of_a_run_is_what_the_next_one_begins_with() -> None:

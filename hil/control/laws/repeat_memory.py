@@ -10,7 +10,8 @@ error:
 
 - more than WORSE of the best: the best force is played again, and learning goes on from it at half the rate;
 - the best, played again, is more than CHANGED off: the stage has changed, and learning is as quick as at first;
-- two repeats in turn worse than the one without: one is run without, and learning begins anew.
+- two repeats in turn worse than the one without: one is run without, and learning begins anew;
+- MOST_HARM repeats worse than without since one that was better: no more is learnt, until the repeats without change.
 """
 
 from hil.control.number import Number, at_least, bounded, select
@@ -19,6 +20,7 @@ WARM_REPEATS = 2  # the law by itself: what it learns by other means comes first
 RATE, LEAST_RATE = 0.7, 0.1
 SMOOTHING = 0.05  # q
 WORSE, CHANGED, USELESS = 1.21, 2.25, 1.21  # of mean squares
+MOST_HARM = 3.0
 SAMPLES = 7  # weighed 1, 2, 3, 4, 3, 2, 1
 # Periods that the observer's disturbance is behind: with 3, a rigid axis' learning would grow at 140 Hz; with 1,
 # that of an axis with a mode at 150 Hz, at 96 Hz (hil/control/learning_check.py).
@@ -61,8 +63,9 @@ class RepeatMemory:
         self.forget()
 
     def best(self) -> list[Number]:
-        """The force that left least, N, by tick."""
-        return list(self._best)
+        """The force that left least, N, by tick; none where no more is learnt."""
+        given_up = self._harm >= MOST_HARM
+        return [select(given_up, value - value, value) for value in self._best]
 
     def forget(self) -> None:
         """As at the start."""
@@ -77,6 +80,8 @@ class RepeatMemory:
         self._rate = zero + RATE
         self._replays, self._pauses = zero, zero  # 1.0 where this repeat plays the best; none
         self._useless = zero  # repeats in turn that were worse than without
+        self._harm = zero  # repeats worse than without since one that was better
+        self._compared = zero if self._start else zero + 1.0  # 1.0 once a repeat was run without
         self._before = zero  # the learnt force of the slot before, as it was
         self._repeat, self._begun, self._learns = 0, False, False
         self.steps, self._stepped = (zero, zero), zero  # in all in this repeat
@@ -148,14 +153,19 @@ class RepeatMemory:
         measured = self._replays + self._pauses > 0.0
         worse = select(measured, zero, select(square > WORSE * self._least, one, zero))
         changed = select(again, select(square > CHANGED * self._least, one, zero), zero)
-        useless = select(square > USELESS * self._without, self._useless + 1.0, zero)
-        useless = select(none, zero, useless)
+        harmful = select(none, zero, select(square > USELESS * self._without, one, zero))
+        useless = (self._useless + 1.0) * harmful
+        helped = select(none, zero, select(USELESS * square < self._without, one, zero))
+        harm = select(helped > 0.0, zero, self._harm + harmful * self._compared)
+        given_up = self._harm >= MOST_HARM
+        harm = select(given_up & (square > CHANGED * self._without), zero, harm)
         self._least = select(measured, square, -at_least(-square, -self._least))
-        self._without = select(none, square, self._without)
+        self._without = select(none & (self._harm < MOST_HARM), square, self._without)
+        self._compared = at_least(self._compared, self._pauses)
         slower = at_least(0.5 * self._rate, LEAST_RATE)
         rate = select(worse > 0.0, slower, self._rate)
         self._rate = select(changed + self._pauses > 0.0, RATE * one, rate)
-        self._pauses = select(useless > 1.0, one, zero)
-        self._useless = select(useless > 1.0, zero, useless)
+        self._pauses = select((useless > 1.0) | (harm >= MOST_HARM), one, zero)
+        self._useless, self._harm = select(useless > 1.0, zero, useless), harm
         self._replays = worse * (1.0 - self._pauses)
         self.frozen = 1.0 - self._pauses
