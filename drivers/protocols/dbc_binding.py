@@ -67,7 +67,7 @@ def bound_names(binding: DbcBinding) -> set[str]:
     names = {item.message for _, item in bound_items(binding)}
     names |= {item.message for item in [*binding.start, *binding.stop]} | {item.message for item in binding.periodic}
     names |= set(binding.on_change) | set(binding.remote)
-    return names | {name.partition(".")[0] for name in names}
+    return {name.partition(".")[0] for name in names}
 
 
 class Pages:

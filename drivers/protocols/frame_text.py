@@ -60,7 +60,7 @@ class _CyclicReader:
         """A sample or a command in words."""
         sample = self._host.decode(frame)
         if isinstance(sample, Sample):
-            status = str(DriveStatus(sample.status)).replace("DriveStatus.", "")
+            status = DriveStatus(sample.status).name or "not enabled"
             sequence = f", answers {sample.sequence}" if sample.sequence >= 0 else ""
             return f"{self._axes[sample.axis]}: position {sample.position}, {status}{sequence}"
         command = self._device.decode_command(frame) if self._device else sample

@@ -75,7 +75,7 @@ def _commands(host: UserHost, drives: UserDrives, maker: Maker) -> Iterator[Comm
     lasts = drives.enable_lag + 1
     for tick in range(ROUNDS * lasts):
         number = tick // lasts
-        enable = ((1 << n) - 1, 1 << number % n, 0)[number % 3] if number else 0
+        enable = ((1 << n) - 1, 1 << number // 3 % n, 0)[number % 3] if number else 0
         share = FORCES[number % len(FORCES)]
         force = [share * rated[axis] * (-1) ** axis if enable >> axis & 1 else 0.0 for axis in range(n)]
         yield Command(tick, force, enable, reset=number == 4)

@@ -112,6 +112,15 @@ def test_members_that_need_different_steps_keep_their_own_numbers() -> None:
     equal_step_by_step([with_numbers_of_its_own(number) for number in range(10)], THERE_AND_BACK[:6], copies=1)
 
 
+def test_a_member_that_would_need_more_steps_than_there_are_gets_the_most() -> None:
+    base = {"mass": [0.5, 0.3], "coulomb": [0.3, 0.4], "viscous": [1.0, 2.0], "quadratic": [0.1, 0.0]}
+    members = [
+        PlantConfig(**base, torque_lag=1e-3, cogging=[{"axis": "x", "amplitude": 0.1, "period": period}])
+        for period in (1e-9, 1e-2)
+    ]
+    equal_step_by_step(members, [(1.0, 0.1)], copies=1)
+
+
 def test_noise_goes_on_where_it_was_when_brakes_grip_and_let_go() -> None:
     truths = [Truth.from_config(plant_with("encoder_noise", name), 2, ["x", "y"]) for name in ("drift", "gravity")]
     batch, singles = Stage(Truth.stack(truths)), [Stage(truth) for truth in truths]

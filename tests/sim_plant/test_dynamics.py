@@ -126,6 +126,26 @@ def test_the_answer_does_not_depend_on_how_time_is_divided(case: str) -> None:
         assert abs(coarse.positions[0] - fine.positions[0]) < allowed(travel)
 
 
+PASSING: dict[str, tuple[dict[str, Any], float]] = {  # with the speed at which all but inertia is passed by
+    "cogging": ({**FREE, "cogging": [{"axis": "x", "amplitude": 0.02, "period": 1e-4}]}, 0.4),
+    "steep cogging": ({**FREE, "cogging": [{"axis": "x", "amplitude": 10.0, "period": 1e-4}]}, 0.1),
+    "uneven friction": ({**X, "presliding": 1e-5, "friction_variation": 0.3, "friction_period": 1e-4}, 0.4),
+    "a shaking floor": ({**FREE, "vibration": [{"axis": "x", "acceleration": 3.0, "frequency_hz": 2000.0}]}, 0.0),
+    "quadratic friction": ({**FREE, "quadratic": [40.0], "torque_lag": 1e-3}, 2.0),
+}
+
+
+@pytest.mark.parametrize("case", PASSING)
+def test_what_is_passed_within_a_piece_is_seen_however_fast(case: str) -> None:
+    keys, speed = PASSING[case]
+    coarse, fine = stage_of(speed, **keys), stage_of(speed, **keys)
+    for force in [0.1] * 10 + [-0.1] * 10:
+        coarse.advance(MS, [force])
+        for _ in range(16):
+            fine.advance(MS // 16, [force])
+        assert abs(coarse.positions[0] - fine.positions[0]) < 2e-9
+
+
 def test_the_virgin_curve_and_the_loop_of_presliding_are_dahls() -> None:
     """Pulled slowly by a drive that outweighs inertia: friction = F (1 - exp(-x / D)), after a reversal doubled."""
     reach, f, top_force = 1e-5, 0.66, 0.7 * 0.66

@@ -112,6 +112,10 @@ REFUSED = {
         encode("frames = super().encode(command._replace(enable=3))"),
         "host() enables axes 0b0, and 0b11 is read",
     ),
+    "enables nobody without the first": (
+        encode("frames = super().encode(command._replace(enable=command.enable * (command.enable & 1)))"),
+        "host() enables axes 0b10, and 0b0 is read",
+    ),
     "loses the counter": (
         encode("frames = super().encode(command._replace(sequence=7))"),
         "host() sends sequence 0, and 7 is read",

@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.bus import local_channel
+from drivers.bus.counters import BusState
 from drivers.bus.local_channel import channel_dir
 from drivers.bus.local_link import FIRST_DEPTH, Link
 from drivers.bus.local_medium import LocalMedium
@@ -111,6 +112,7 @@ def test_a_member_that_leaves_is_noticed_by_the_next_frame(join: OpenPort) -> No
     stays.send(Frame(1, b""))
     assert take(stays) == [(2, b"goodbye")]
     assert stays.counters().no_ack == 1
+    assert (stays.counters().down, stays.counters().state) == (0, BusState.ERROR_ACTIVE)
 
 
 def test_channels_are_separate_buses(join: OpenPort) -> None:

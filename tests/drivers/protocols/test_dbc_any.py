@@ -302,6 +302,26 @@ def test_names_that_are_there_twice_cannot_be_bound() -> None:
     twice = 'BO_ 1600 Told0: 8 Drive\n SG_ Position : 7|32@0- (1,0) [0|0] "" Host\n\n'
     with pytest.raises(LayoutError, match=r"has 2 messages 'Told0'"):
         ends(TEXT + twice, bound())
+    state = ' SG_ State : 8|8@1+ (1,0) [0|0] "" Host\n'
+    with pytest.raises(LayoutError, match=r"message Told0 has 2 signals 'State'"):
+        ends(TEXT.replace(state, state + state.replace("8|8", "16|8")), bound())
+
+
+def test_a_state_beside_the_positions_of_two_pages_is_read_on_either() -> None:
+    pages = """BO_ 1550 Both: 8 Drive
+ SG_ Kind M : 0|8@1+ (1,0) [0|0] "" Host
+ SG_ State : 8|8@1+ (1,0) [0|0] "" Host
+ SG_ Position0 m0 : 32|32@1- (1,0) [0|0] "" Host
+ SG_ Position1 m1 : 32|32@1- (1,0) [0|0] "" Host
+
+"""
+    position = [{"message": "Both", "signal": f"Position{axis}"} for axis in (0, 1)]
+    status = [{"message": "Both", "signal": "State", "enabled": [5]}] * 2
+    host, _ = ends(TEXT + pages, bound(position=position, status=status, remote=[]))
+    for axis, state, means in ((0, 5, DriveStatus.ENABLED), (1, 4, 0), (1, 5, DriveStatus.ENABLED), (0, 4, 0)):
+        page = bytes((axis, state, 0, 0)) + (-7 - axis).to_bytes(4, "little", signed=True)
+        (sample,) = as_list(host.decode(Frame(1550, page, 0, MS)))
+        assert (sample.axis, sample.position, sample.status) == (axis, -7 - axis, means)
 
 
 def test_a_message_longer_than_the_bus_cannot_be_bound() -> None:

@@ -1,13 +1,18 @@
 """CANopen's own traffic in words, for whoever watches a bus."""
 
 import struct
+from pathlib import Path
 
 import pytest
 
+from drivers.config import BusConfig
 from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from drivers.protocols.base import Command
+from drivers.protocols import device_protocol
+from drivers.protocols.base import Command, DriveStatus, Sample
 from drivers.protocols.canopen.emergency import emergency_words
-from drivers.protocols.frame_text import command_text, service_text
+from drivers.protocols.frame_text import command_text, layout_reader, service_text
+
+RATED = [5.0, 2.0]
 
 
 @pytest.mark.parametrize(
@@ -67,6 +72,14 @@ def test_a_command_says_each_axis_force_and_what_is_disabled() -> None:
     said = command_text(Command(7, [0.5, -1.25], 0b01, True), ["x", "y"])
     assert said == "force x +0.5, y -1.25 (disabled), reset"
     assert command_text(Command(7, [0.0, 0.0], 0b11, False), ["x", "y"]) == "force x +0, y +0"
+
+
+@pytest.mark.parametrize(("protocol", "answers"), [("stage_fd", ", answers 3"), ("cia402", "")])
+def test_a_sample_says_its_state_and_what_it_answers_where_its_layout_counts(protocol: str, answers: str) -> None:
+    bus = BusConfig(protocol=protocol)
+    read, device = layout_reader(bus, ["x", "y"], RATED, Path()), device_protocol(bus, 2, RATED, Path())
+    for status, words in ((0, "not enabled"), (DriveStatus.ENABLED, "ENABLED"), (DriveStatus.FAULT, "FAULT")):
+        assert read(device.encode_feedback(Sample(1, -70, int(status), 3, 0))) == f"y: position -70, {words}{answers}"
 
 
 def test_every_code_that_has_words_of_its_own_says_them() -> None:

@@ -11,6 +11,7 @@ from drivers.frame import ECHO, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
 from drivers.protocols.mounting import Mounting
+from drivers.protocols.user_sides import UserDrives
 from tests.support.wrong_layouts import MAKER, REFUSED, decode, drives, encode, layout
 
 RATED = [5.0, 2.0]
@@ -179,6 +180,51 @@ def test_drives_that_raise_say_where() -> None:
     device.encode_feedback(Sample(0, 98, 1, 0, 0))
     with pytest.raises(LayoutError, match=r"drives\(\)\.encode_feedback: \./wrong\.py:\d+: KeyError: 'gone'"):
         device.encode_feedback(Sample(0, 99, 1, 0, 0))
+
+
+SILENT = """
+import struct
+from hil import Command, DriveSide, Frame, FrameLayout, HostSide, Message, Reject, Sample
+
+class Silent(FrameLayout):
+    def host(self):
+        return Host()
+    def drives(self):
+        return Drives()
+
+class Host(HostSide):
+    def encode(self, command):
+        return [Frame(0x10 + axis, struct.pack("<d", command.force[axis])) for axis in (0, 1)]
+    def decode(self, frame):
+        axis = frame.can_id - 0x20
+        if axis not in (0, 1) or len(frame.data) != 4:
+            return Reject.UNKNOWN_ID
+        return Sample(axis, int.from_bytes(frame.data, "little", signed=True), 0, -1, -1)
+    def messages(self, period_ns):
+        ids = (("host", 0x10), ("host", 0x11), ("axis 0", 0x20), ("axis 1", 0x21))
+        return [Message(hex(at), at, 8, False, period_ns, period_ns, 0, sender) for sender, at in ids]
+
+class Drives(DriveSide):
+    first = 0.0
+    def decode_command(self, frame):
+        if frame.can_id not in (0x10, 0x11) or len(frame.data) != 8:
+            return Reject.UNKNOWN_ID
+        before, self.first = self.first, struct.unpack("<d", frame.data)[0]
+        return Command(0, [before, self.first], 0, False) if frame.can_id == 0x11 else Reject.SERVICE
+    def encode_feedback(self, sample):
+        return Frame(0x20 + sample.axis, sample.position.to_bytes(4, "little", signed=True))
+"""
+
+
+def test_sides_that_say_nothing_of_themselves_promise_nothing() -> None:
+    """No sequence, checksum, state or cause, and no stamp; positions of 32 bits, and torques that arrive exactly."""
+    bus = BusConfig(protocol="./silent.py:Silent", source=SILENT)
+    host, device = host_protocol(bus, 2, RATED, Path()), device_protocol(bus, 2, RATED, Path())
+    assert (host.sequence_modulus, host.checksum, host.states, host.causes, host.fd) == (0, False, False, False, False)
+    assert (host.echo_id, list(host.acts_ns), host.state_ns, host.problems) == (None, [], 0, [])
+    assert host.positions == [(-(2.0**31), 2.0**31 - 1)] * 2
+    assert isinstance(device, UserDrives)
+    assert (device.sequence_modulus, device.force_resolution, device.enable_lag, device.fd) == (0, 0.0, 0, False)
 
 
 def test_drives_may_answer_in_several_frames_the_position_last() -> None:

@@ -141,6 +141,18 @@ def test_two_nodes_with_one_identifier_drive_each_other_off_the_bus() -> None:
     assert heard == []
 
 
+def test_two_nodes_that_send_the_very_same_bits_disturb_nobody() -> None:
+    wire = Wire(1_000_000)
+    heard: list[Frame] = []
+    twins = [wire.attach(name, None) for name in ("a", "b")]
+    wire.attach("listener", heard.append)
+    for twin in twins:
+        twin.send(Frame(0x123, b"\x01"), 0)
+    wire.advance(MS)
+    assert [frame.data for frame in heard] == [b"\x01"] * 2
+    assert [(twin.counters().errors, twin.counters().sent) for twin in twins] == [(0, 1)] * 2
+
+
 def test_an_error_passive_sender_lets_others_go_before_it_tries_again() -> None:
     for tec, order in ((0, [0x001, 0x700]), (200, [0x700, 0x001])):
         wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=1))
