@@ -106,15 +106,19 @@ def test_drives_have_their_torque_from_the_moment_they_are_enabled_and_let_go_at
     assert [drive.state for drive in bench.drives] == [DriveState.OPERATION_ENABLED] * 3 + [DriveState.SWITCHED_ON]
 
 
-def test_the_last_tick_of_a_host_disables_its_drives_whosever_turn_it_is(bench: Bench) -> None:
+@pytest.mark.parametrize("failed", [0, 1])
+def test_the_last_tick_of_a_host_disables_its_drives_whosever_turn_it_is(failed: int, bench: Bench) -> None:
     """After a damped stop on SIGTERM nothing follows that tick; a drive left enabled would hold its brake open."""
     bench.enable = ALL
     bench.tick(10)
+    for drive in bench.drives[:failed]:
+        drive.servo.fail()
     until_sent(bench, cia301.HEARTBEAT_ID + MASTER_ID)
-    assert states(bench) == {DriveState.OPERATION_ENABLED}
+    others = bench.drives[failed:]
+    assert {drive.state for drive in others} == {DriveState.OPERATION_ENABLED}
     bench.enable = 0
     bench.tick()
-    assert states(bench) == {DriveState.SWITCHED_ON}
+    assert {drive.state for drive in others} == {DriveState.SWITCHED_ON}
 
 
 def test_an_enable_that_waits_for_a_lost_sync_is_taken_back_as_soon_as_it_shows(bench: Bench) -> None:
@@ -217,9 +221,12 @@ def test_a_lost_controlword_is_sent_again(bench: Bench) -> None:
 def test_a_drive_that_reboots_is_configured_anew_and_stays_disabled_while_the_others_run(bench: Bench) -> None:
     bench.enable = ALL
     bench.tick(5)
+    bench.host.decode(Frame(EMCY_ID + 2, bytes.fromhex("2073010000000000")))
+    assert [problem.partition(":")[0] for problem in bench.host.problems] == ["node 2"]
     bench.heard += bench.to_drives(Frame(cia301.NMT_ID, bytes((NmtCommand.RESET_NODE, 2))))
     bench.tick(2)
     assert bench.host.nodes[1].phase is Phase.CONFIGURE
+    assert bench.host.problems == []
     bench.tick(300)
     assert bench.host.nodes[1].phase is Phase.RUNNING
     assert [drive.state for drive in bench.drives].count(DriveState.OPERATION_ENABLED) == 3

@@ -230,6 +230,15 @@ def test_start_stop_periodic_and_constant_frames_go_out_when_they_are_due() -> N
     assert said(host.encode(off)) == [(0x160, 0x81), *TORQUES]
 
 
+def test_a_start_without_a_signal_is_a_message_that_has_none_or_has_them_bound() -> None:
+    start = [{"message": "Alive"}, {"message": "Beat"}]
+    host, _ = ends(TEXT, bound(start=start, on_change=[]))
+    sent = said(host.encode(Command(0, [0.0, 0.0], 0b11, False)))
+    assert [frame for frame in sent if frame[0] in (0x603, 0x604)] == [(0x604, 1), (0x603, -1), (0x604, 0)]
+    with pytest.raises(LayoutError, match="message Switch has signals; say which value with `signal`"):
+        ends(TEXT, bound(start=[{"message": "Switch"}, start[0]], on_change=[]))
+
+
 def test_a_drive_that_does_not_obey_a_start_is_told_again() -> None:
     host, device = ends(TEXT, bound())
     for tick in range(300):

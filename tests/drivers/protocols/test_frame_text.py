@@ -8,9 +8,10 @@ import pytest
 from drivers.config import BusConfig
 from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import device_protocol
-from drivers.protocols.base import Command, DriveStatus, Sample
+from drivers.protocols.base import Command, DriveStatus, LayoutError, Sample
 from drivers.protocols.canopen.emergency import emergency_words
 from drivers.protocols.frame_text import command_text, layout_reader, service_text
+from tests.support.foreign_drive import CST_DRIVE, eds_text
 
 RATED = [5.0, 2.0]
 
@@ -80,6 +81,15 @@ def test_a_sample_says_its_state_and_what_it_answers_where_its_layout_counts(pro
     read, device = layout_reader(bus, ["x", "y"], RATED, Path()), device_protocol(bus, 2, RATED, Path())
     for status, words in ((0, "not enabled"), (DriveStatus.ENABLED, "ENABLED"), (DriveStatus.FAULT, "FAULT")):
         assert read(device.encode_feedback(Sample(1, -70, int(status), 3, 0))) == f"y: position -70, {words}{answers}"
+
+
+def test_positions_are_told_where_torques_have_a_unit_that_only_the_drive_knows(tmp_path: Path) -> None:
+    (tmp_path / "made.eds").write_text(eds_text(CST_DRIVE))
+    bus = BusConfig.model_validate({"protocol": "cia402", "cia402": {"eds": ["made.eds"], "nodes": [1, 2]}})
+    with pytest.raises(LayoutError, match="rated_torque"):
+        device_protocol(bus, 2, RATED, tmp_path)
+    read = layout_reader(bus, ["x", "y"], RATED, tmp_path)
+    assert read(Frame(0x182, struct.pack("<iH", -70, 0x0027), 0, 0)) == "y: position -70, ENABLED"
 
 
 def test_every_code_that_has_words_of_its_own_says_them() -> None:
