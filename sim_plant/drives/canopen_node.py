@@ -203,13 +203,12 @@ class CanopenNode:
         number, node = self.dictionary.number, self.node_id
         handlers: dict[int, Callable[[bytes], None]] = {}
         for pdo in reversed(self._rpdos):
-            handlers[pdo.can_id] = partial(self._on_rpdo, pdo)
+            handlers[pdo.can_id] = partial(self._on_rpdo, pdo)  # -1, of an invalid one, is no frame's
         master = number(_CONSUMER_HEARTBEAT) >> 16 & 0x7F
         handlers[cia301.HEARTBEAT_ID + master] = self._on_master_heartbeat
         handlers[cia301.SDO_REQUEST_ID + node] = self._on_sdo
         handlers[number(_SYNC_COB, cia301.SYNC_ID) & cia301.STANDARD_IDS] = self._on_sync
         handlers[cia301.NMT_ID] = self._on_nmt
-        handlers.pop(-1, None)
         self._handlers = handlers
 
     def _on_sdo(self, data: bytes) -> None:

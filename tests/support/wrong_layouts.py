@@ -116,6 +116,10 @@ REFUSED = {
         encode("frames = super().encode(command._replace(enable=command.enable * (command.enable & 1)))"),
         "host() enables axes 0b10, and 0b0 is read",
     ),
+    "enables one at most": (
+        encode("frames = super().encode(command._replace(enable=command.enable & -command.enable))"),
+        "host() enables axes 0b11, and 0b1 is read",
+    ),
     "loses the counter": (
         encode("frames = super().encode(command._replace(sequence=7))"),
         "host() sends sequence 0, and 7 is read",

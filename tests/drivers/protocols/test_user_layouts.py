@@ -140,6 +140,13 @@ def test_a_layout_that_goes_wrong_is_refused_before_it_is_used(how: str) -> None
         assert told in str(caught.value)
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_each_axis_is_enabled_alone_in_the_trial(axis: int) -> None:
+    text = encode(f"frames = super().encode(command._replace(enable=command.enable * (command.enable != {1 << axis})))")
+    with pytest.raises(LayoutError, match=rf"host\(\) enables axes {1 << axis:#b}, and 0b0 is read"):
+        host_protocol(bus_of(text, "Wrong"), 3, [5.0, 2.0, 1.0], Path())
+
+
 def test_a_layout_that_does_not_return_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)
     call_limit.watch.disarm()  # a timer of an earlier call would look in its own time

@@ -126,6 +126,7 @@ def test_a_node_alone_on_the_bus_is_not_acknowledged() -> None:
     assert node.counters().sent == 0
     attempt = bits(COMMAND) + 6 + INTERMISSION
     passive = attempt + 8
+    assert node.counters().errors == node.counters().no_ack
     assert node.counters().no_ack == 16 + (100_000 - 15 * attempt - passive - bits(COMMAND)) // passive + 1
 
 
