@@ -7,7 +7,7 @@ import pytest
 from drivers.frame import Frame
 from drivers.protocols.canopen import cia301
 from drivers.protocols.canopen.cia301 import DriveState, NmtCommand
-from sim_plant.drives.motion_drive import HM, NEGATIVE_LIMIT, POSITIVE_LIMIT, PP, PV, MotionDrive
+from sim_plant.drives.motion_drive import HM, NEGATIVE_LIMIT, POSITIVE_LIMIT, PP, PV, TQ, MotionDrive
 from sim_plant.drives.motor import Motor
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from tests.support.foreign_drive import I8, MOTION_DRIVE, U32, Fact, eds_text
@@ -50,15 +50,15 @@ def test_a_reset_of_the_node_restores_the_makers_objects_and_one_of_communicatio
     assert ask(drive, 0x40, index) == 7
 
 
-@pytest.mark.parametrize(("stored", "mode"), [(PV, PV), (HM, HM), (11, 0)])
+@pytest.mark.parametrize(("stored", "mode"), [(PP, PP), (PV, PV), (HM, HM), (11, 0)])
 def test_it_begins_in_the_mode_that_is_stored_where_it_has_that_and_a_reset_returns_to_it(
     stored: int, mode: int, tmp_path: Path
 ) -> None:
     line = Line(tmp_path, more={(0x6060, 0): Fact(I8, "rw", str(stored), True)})
     assert line.drive.mode == mode
-    assert mode != HM or line.word & 0x1000 == 0, "not homed yet"
-    assert line.write(0x6060, PP, 1) == 0
-    assert line.drive.mode == PP
+    assert mode == PV or line.word & 0x1000 == 0, "no set-point is acknowledged, and it is not homed yet"
+    assert line.write(0x6060, TQ, 1) == 0
+    assert line.drive.mode == TQ
     line.nmt(NmtCommand.RESET_NODE)
     assert line.drive.mode == mode
 

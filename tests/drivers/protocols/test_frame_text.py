@@ -7,7 +7,7 @@ import pytest
 
 from drivers.config import BusConfig
 from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from drivers.protocols import device_protocol
+from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Sample
 from drivers.protocols.canopen.emergency import emergency_words
 from drivers.protocols.frame_text import command_text, layout_reader, service_text
@@ -81,6 +81,62 @@ def test_a_sample_says_its_state_and_what_it_answers_where_its_layout_counts(pro
     read, device = layout_reader(bus, ["x", "y"], RATED, Path()), device_protocol(bus, 2, RATED, Path())
     for status, words in ((0, "not enabled"), (DriveStatus.ENABLED, "ENABLED"), (DriveStatus.FAULT, "FAULT")):
         assert read(device.encode_feedback(Sample(1, -70, int(status), 3, 0))) == f"y: position -70, {words}{answers}"
+
+
+def test_a_command_is_told_with_its_last_frame_and_what_is_wrong_with_one_by_its_reason() -> None:
+    bus = BusConfig(protocol="stage_fd")
+    read, host = layout_reader(bus, ["x", "y"], RATED, Path()), host_protocol(bus, 2, RATED, Path())
+    (command,) = host.encode(Command(7, [0.5, -1.25], 0b11, False))
+    force = read(command).removeprefix("force ")
+    assert [f"{float(part[2:]):.3f}" for part in force.split(", ")] == ["0.500", "-1.250"]
+    feedback = device_protocol(bus, 2, RATED, Path()).encode_feedback(Sample(0, 5, 0, 0, 0))
+    assert read(feedback) == "x: position 5, not enabled, answers 0"
+    for frame in (command, feedback):
+        turned = frame.data[:-1] + bytes((frame.data[-1] ^ 1,))
+        assert read(frame._replace(data=turned)) == "bad checksum"
+        assert read(frame._replace(data=frame.data[:4])) == "wrong length"
+        assert read(frame._replace(flags=0)) == "wrong format"
+    assert read(command._replace(can_id=0x7F0)) == ""
+
+
+def test_own_traffic_of_canopen_is_told_on_a_bus_of_canopen_alone() -> None:
+    beat = Frame(0x705, b"\x05")
+    assert layout_reader(BusConfig(protocol="cia402"), ["x"], [5.0], Path())(beat) == "node 5: operational"
+    assert layout_reader(BusConfig(protocol="stage_fd"), ["x"], [5.0], Path())(beat) == ""
+
+
+DBC = """VERSION ""
+
+BU_: Host Drive
+
+BO_ 256 Told: 6 Drive
+ SG_ Mode : 0|8@1+ (1,0) [0|0] "" Host
+ SG_ Speed : 8|8@1- (0.123456789,0) [0|0] "rpm" Host
+ SG_ Position : 16|32@1- (1,0) [0|0] "counts" Host
+
+BO_ 2147483904 Asked: 2 Host
+ SG_ Torque : 0|16@1- (1,0) [0|0] "" Drive
+
+BO_ 512 Paged: 2 Drive
+ SG_ Page M : 0|8@1+ (1,0) [0|0] "" Host
+ SG_ One m1 : 8|8@1+ (1,0) [0|0] "" Host
+
+VAL_ 256 Mode 3 "Cyclic" ;
+"""
+
+
+def test_a_dbc_file_gives_messages_and_signals_their_names_units_and_words(tmp_path: Path) -> None:
+    (tmp_path / "any.dbc").write_text(DBC)
+    torque, position = ({"message": of, "signal": s} for of, s in (("Asked", "Torque"), ("Told", "Position")))
+    bus = BusConfig.model_validate({"protocol": "dbc:any.dbc", "dbc": {"torque": [torque], "position": [position]}})
+    read = layout_reader(bus, ["x"], [5.0], tmp_path)
+    told = Frame(0x100, struct.pack("<Bbi", 3, 100, -70))
+    assert read(told) == "Told: Mode Cyclic, Speed 12.3457 rpm, Position -70 counts"
+    assert read(told._replace(data=told.data[:2])) == "Told: Mode Cyclic, Speed 12.3457 rpm"
+    assert read(Frame(EXTENDED | 0x100, b"\xfe\xff")) == "Asked: Torque -2"
+    assert read(Frame(0x101, b"")) == ""
+    assert read(Frame(0x200, b"\x01\x07")) == "Paged: Page 1, One 7"
+    assert read(Frame(0x200, b"\x02\x07")).startswith("Paged: DecodeError ")
 
 
 def test_positions_are_told_where_torques_have_a_unit_that_only_the_drive_knows(tmp_path: Path) -> None:
