@@ -21,7 +21,7 @@ from sim_plant.drives.motion_drive import (
 from sim_plant.drives.motor import Motor
 from sim_plant.drives.object_dictionary import key_of
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
-from tests.support.foreign_drive import MOTION_DRIVE, eds_text
+from tests.support.foreign_drive import I32, MOTION_DRIVE, U16, U32, Fact, eds_text
 from tests.support.motion_line import ACCELERATION, MS, NODE, SPEED, Line
 
 
@@ -161,6 +161,37 @@ def test_power_that_fails_leaves_a_drive_as_it_came(tmp_path: Path) -> None:
     assert line.drive.mode == line.drive.dictionary.number(key_of(0x6060))
 
 
+def test_a_following_error_shows_while_it_is_driven_and_after_its_fault_until_the_reset(tmp_path: Path) -> None:
+    window = {(0x6065, 0): Fact(U32, "rw", "30"), (0x6066, 0): Fact(U16), (0x60F4, 0): Fact(I32, "ro")}
+    line = Line(tmp_path, more=window)
+    line.enable(CSP)
+    line.drive.blocked = True
+    shown = []
+    for target in (0, 20, 0):
+        line.write(0x607A, target, 4)
+        line.send(0x080)
+        line.pass_time(10)
+        shown.append(line.drive.dictionary.get(key_of(0x60F4)))
+    assert shown == [0, 20, 0]
+    for word, error in ((0x0F, 20), (0x06, 0)):
+        line.write(0x607A, 20, 4)
+        line.send(0x080)
+        line.write(0x6040, word, 2)
+        line.pass_time(10)
+        assert (line.drive.dictionary.get(key_of(0x60F4)), line.word & 0x2000) == (error, 0)
+    line.enable(CSP)
+    line.write(0x607A, 90, 4)
+    line.send(0x080)
+    line.pass_time(20)
+    assert line.drive.state is DriveState.FAULT
+    line.pass_time(20)
+    assert line.word & 0x2000
+    line.write(0x6040, 0x80, 2)
+    line.pass_time(1)
+    assert line.drive.state is DriveState.SWITCH_ON_DISABLED
+    assert line.word & 0x2000 == 0
+
+
 def test_facts_that_the_file_lacks_are_no_obstacle(tmp_path: Path) -> None:
     facts = {key: fact for key, fact in MOTION_DRIVE.items() if key[0] not in (0x607A, 0x60FF, 0x6081, 0x6502)}
     (tmp_path / "bare.eds").write_text(eds_text(facts | {(0x2001, 0): MOTION_DRIVE[0x6081, 0]}))
@@ -168,3 +199,8 @@ def test_facts_that_the_file_lacks_are_no_obstacle(tmp_path: Path) -> None:
         NODE, ServoDrive(0, 1.0, 1e-3, NEVER_NS, False, 0), Motor(1, 1, 1, 0), eds=tmp_path / "bare.eds"
     )
     assert [mode for mode in EMULATED if drive.emulates(mode)] == [CST]
+    (tmp_path / "barer.eds").write_text(eds_text({key: fact for key, fact in facts.items() if key[0] != 0x6071}))
+    barer = MotionDrive(
+        NODE, ServoDrive(0, 1.0, 1e-3, NEVER_NS, False, 0), Motor(1, 1, 1, 0), eds=tmp_path / "barer.eds"
+    )
+    assert not any(barer.emulates(mode) for mode in EMULATED)
