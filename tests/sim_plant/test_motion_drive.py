@@ -69,6 +69,13 @@ def test_profile_velocity_ramps_and_halts(tmp_path: Path) -> None:
     assert line.write(0x6040, 0x010F, 2) == 0
     line.pass_time(1)
     assert line.speed == 0
+    stood = line.position
+    line.pass_time(100)
+    assert line.position == stood
+    assert line.write(0x6040, 0x0F, 2) == 0
+    line.pass_time(5)
+    assert line.speed == pytest.approx(ACCELERATION * 5e-3)
+    assert line.position - stood <= 3  # 0.5 a t^2: nothing of the time in which it was halted
 
 
 def test_cyclic_positions_are_reached_at_the_next_sync_and_velocities_at_once(tmp_path: Path) -> None:

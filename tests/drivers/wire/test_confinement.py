@@ -258,6 +258,28 @@ def test_a_node_is_passive_above_127_of_either_counter(tec: int, rec: int, state
     assert sender.state is state
 
 
+def test_a_listener_of_broken_frames_becomes_passive_and_one_good_one_makes_it_active_again() -> None:
+    wire, sender, heard, listener = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=200))
+    seen = []
+    while not heard:
+        sender.tec = 0  # else it would be off the bus before
+        sender.send(COMMAND, wire.now_ns)
+        wire.advance(wire.now_ns + MS // 10)
+        seen.append((listener.rec, listener.state))
+    assert max(seen) == (128, BusState.ERROR_PASSIVE)
+    assert seen[-1] == (127, BusState.ERROR_ACTIVE)
+
+
+def test_a_frame_that_its_sender_repeats_comes_again_behind_an_error_frame_of_20_bits() -> None:
+    wire, sender, heard, _ = pair(WireFault(FaultKind.DUPLICATE, count=1))
+    sender.send(COMMAND, 0)
+    wire.advance(MS)
+    whole = bits(COMMAND) + INTERMISSION
+    assert [frame.timestamp_ns for frame in heard] == [bits(COMMAND) * BIT, (20 + whole + bits(COMMAND)) * BIT]
+    assert wire.busy_ns == (2 * whole + 20) * BIT
+    assert sender.counters().errors == 1
+
+
 @pytest.mark.parametrize(("before", "is_off"), [(247, False), (248, True)])
 def test_a_node_is_off_the_bus_above_255(before: int, is_off: bool) -> None:
     wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, count=1, bit=3))
