@@ -191,8 +191,7 @@ class Port:
                 self._counts[_ECHO] += 1
             else:
                 stamp_ns = s * 1_000_000_000 + ns - offset_ns if control else latest_ns
-                if not earliest_ns <= stamp_ns <= latest_ns:
-                    stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
+                stamp_ns = max(earliest_ns, min(stamp_ns, latest_ns))
                 kind = 0 if classic else flags & ~ECHO | FD
                 if message_flags & _OWN_ECHO:
                     self._counts[_ECHO] += 1

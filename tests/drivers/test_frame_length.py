@@ -58,6 +58,15 @@ def test_an_fd_frame_with_a_stuff_bit_behind_every_fourth_bit_is_as_long_as_writ
         assert frame_bits(frame) == fd_length(frame)
 
 
+@pytest.mark.parametrize("length", FD_LENGTHS)
+def test_a_frame_of_equal_bits_is_as_long_as_written_out_whatever_its_header_says(length: int) -> None:
+    for can_id in (0, 0x7FF, EXTENDED, EXTENDED | 0x1FFFFFFF):
+        for payload in (bytes(length), b"\xff" * length):
+            for flags in (FD | BRS, FD | BRS | ESI):
+                frame = Frame(can_id, payload, flags)
+                assert frame_bits(frame) == fd_length(frame)
+
+
 @given(identifiers, payloads, st.sampled_from(FD_LENGTHS))
 def test_without_bit_rate_switch_an_fd_frame_is_nominal_throughout(can_id: int, data: bytes, length: int) -> None:
     frame = Frame(can_id, data[:length], FD)

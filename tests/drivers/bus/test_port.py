@@ -19,12 +19,7 @@ from hypothesis import strategies as st
 
 from drivers.bus import port as bus_module
 from drivers.bus import receive_block
-from drivers.bus.port import (
-    BusState,
-    EchoingPort,
-    Port,
-    PortCounters,
-)
+from drivers.bus.port import BusState, EchoingPort, Port, PortCounters
 from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import CONTROL_BYTES, HEADER_BYTES, SLOTS, SO_RXQ_OVFL, SO_TIMESTAMPNS, STAMPED
 from drivers.frame import BRS, CANFD_MTU, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, to_bytes
@@ -32,12 +27,13 @@ from tests.support.cable import Cable
 
 COMMAND = Frame(0x080, bytes(range(24)), FD | BRS)
 FEEDBACK = Frame(0x100, bytes(range(16)), FD | BRS)
+TOO_LONG = to_bytes(FEEDBACK)[:4] + bytes((65,)) + to_bytes(FEEDBACK)[5:]
 ORDINARY_AND_NOT = [
     *(to_bytes(FEEDBACK._replace(can_id=0x100 + axis)) for axis in range(4)),
     *(to_bytes(FEEDBACK._replace(can_id=can_id)) for can_id in (0x100 | EXTENDED, 0x100 | REMOTE)),
     *(to_bytes(FEEDBACK._replace(flags=FD | flag)) for flag in (0, ESI)),
     to_bytes(COMMAND),
-    to_bytes(FEEDBACK)[:4] + bytes((65,)) + to_bytes(FEEDBACK)[5:],  # longer than any frame
+    TOO_LONG,
     to_bytes(Frame(0x701, b"\x05")),
     to_bytes(Frame(ERROR | 0x004, bytes.fromhex("0001000000070000"))),
     b"handshake",
@@ -354,9 +350,10 @@ def test_packets_of_the_mediums_own_are_handed_to_it(port: Port, cable: Cable) -
     cable.far.send(b"handshake")
     cable.arrive(FEEDBACK)
     cable.far.send(bytes(16)[:-1])
+    cable.far.send(TOO_LONG)
     assert bare(drain(port)) == [FEEDBACK]
-    assert cable.unknown == [b"handshake", bytes(15)]
-    assert port.counters() == PortCounters(received=1, errors=1)
+    assert cable.unknown == [b"handshake", bytes(15), TOO_LONG]
+    assert port.counters() == PortCounters(received=1, errors=2)
 
 
 def test_what_was_sent_before_the_other_end_closed_is_still_received(port: Port, cable: Cable) -> None:
