@@ -75,7 +75,7 @@ class Moteus(CyclicNode):
         self._default_ns = servo.watchdog_ns
         self._mode = STOPPED
         self._speed = 0.0
-        self._enabling_ns = -1
+        self._enabling_ns = 0  # while it prepares: when that has ended
         self._command = dict(_DEFAULTS)
         self._last = (start_ns, math.nan)
         self._told = (float(STOPPED), 0.0)  # mode and fault code when the latest frame came
@@ -110,8 +110,7 @@ class Moteus(CyclicNode):
 
     def live(self) -> None:
         """Enter the mode that was asked for when it is time."""
-        if 0 <= self._enabling_ns <= self.now_ns and self.mode == PREPARING:
-            self._enabling_ns = -1
+        if self.mode == PREPARING and self._enabling_ns <= self.now_ns:
             self._mode = POSITION
             self._apply()
 
@@ -187,7 +186,6 @@ class Moteus(CyclicNode):
         """A mode is written; whether it is one that applies what follows."""
         if mode == STOPPED:
             self._mode = STOPPED
-            self._enabling_ns = -1
             self.unlatch()
             self.servo.deadline_ns = NEVER_NS
             return False
@@ -197,7 +195,7 @@ class Moteus(CyclicNode):
         if mode == POSITION:
             if self._mode not in (POSITION, PREPARING):
                 self._mode = PREPARING if self._enable_delay_ns else POSITION
-                self._enabling_ns = self.now_ns + self._enable_delay_ns if self._enable_delay_ns else -1
+                self._enabling_ns = self.now_ns + self._enable_delay_ns
             return True
         if mode in WITHOUT_LOOP:
             self._mode = int(mode)

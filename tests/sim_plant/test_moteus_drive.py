@@ -1,6 +1,7 @@
 """The emulated moteus controller, spoken to by the maker's own Python client."""
 
 import math
+import struct
 from typing import Any
 
 import pytest
@@ -62,6 +63,24 @@ def test_a_number_that_is_none_is_the_least_integer_of_its_type(kind: int, least
     head = bytes((0x20 | kind << 2 | 1, 0x20))
     assert frame.data.rstrip(b"\x50") == head + bytes.fromhex(least)
     assert math.isnan(client.parse_registers(frame.data).response[0x20])
+
+
+STEPS = {  # of int8, int16, int32: the maker's table, "Mappable values"
+    0x20: (0.01, 0.0001, 0.00001), 0x21: (0.1, 0.00025, 0.00001), 0x22: (0.5, 0.01, 0.001),
+    0x23: (1 / 127, 1 / 32767, 1 / 2147483647), 0x24: (1 / 127, 1 / 32767, 1 / 2147483647), 0x25: (0.5, 0.01, 0.001),
+    0x27: (0.01, 0.001, 0.000001), 0x2B: (1 / 127, 1 / 32767, 1 / 2147483647),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("register", STEPS)
+@pytest.mark.parametrize("kind", range(3))
+def test_an_integer_is_written_and_read_in_the_steps_of_its_register(kind: int, register: int) -> None:
+    bench, value = Bench(), struct.pack(f"<{'bhi'[kind]}", 77)
+    write, padding = bytes((kind << 2 | 1, register)) + value, b"\x50"
+    (answer,) = bench.raw(write + padding + bytes((0x1D, register, 0x11 | kind << 2, register)))
+    assert answer.data[:2] == bytes((0x2D, register))
+    assert struct.unpack("<f", answer.data[2:6])[0] == pytest.approx(77 * STEPS[register][kind], rel=1e-6)
+    assert answer.data[6:].startswith(bytes((0x21 | kind << 2, register)) + value)
 
 
 def test_torque_is_the_feedforward_of_position_mode_without_a_loop() -> None:
