@@ -131,6 +131,7 @@ PASSING: dict[str, tuple[dict[str, Any], float]] = {  # with the speed at which 
     "steep cogging": ({**FREE, "cogging": [{"axis": "x", "amplitude": 10.0, "period": 1e-4}]}, 0.1),
     "uneven friction": ({**X, "presliding": 1e-5, "friction_variation": 0.3, "friction_period": 1e-4}, 0.4),
     "a shaking floor": ({**FREE, "vibration": [{"axis": "x", "acceleration": 3.0, "frequency_hz": 2000.0}]}, 0.0),
+    "a stiff cable": ({**FREE, "cable_stiffness": 2e6}, 0.01),
     "quadratic friction": ({**FREE, "quadratic": [40.0], "torque_lag": 1e-3}, 2.0),
 }
 

@@ -320,17 +320,21 @@ def test_a_state_beside_the_positions_of_two_pages_is_read_on_either() -> None:
     pages = """BO_ 1550 Both: 8 Drive
  SG_ Kind M : 0|8@1+ (1,0) [0|0] "" Host
  SG_ State : 8|8@1+ (1,0) [0|0] "" Host
+ SG_ Count : 16|8@1+ (1,0) [0|0] "" Host
  SG_ Position0 m0 : 32|32@1- (1,0) [0|0] "" Host
  SG_ Position1 m1 : 32|32@1- (1,0) [0|0] "" Host
 
 """
     position = [{"message": "Both", "signal": f"Position{axis}"} for axis in (0, 1)]
     status = [{"message": "Both", "signal": "State", "enabled": [5]}] * 2
-    host, _ = ends(TEXT + pages, bound(position=position, status=status, remote=[]))
+    counters: dict[str, Any] = {"feedback_counter": [{"message": "Both", "signal": "Count"}] * 2}
+    counters["command_counter"] = [{"message": "Beat", "signal": "Toggle"}]
+    changes = bound(position=position, status=status, remote=[], periodic=[], constant=[], on_change=["Alive"])
+    host, _ = ends(TEXT + pages, {**changes, **counters})
     for axis, state, means in ((0, 5, DriveStatus.ENABLED), (1, 4, 0), (1, 5, DriveStatus.ENABLED), (0, 4, 0)):
-        page = bytes((axis, state, 0, 0)) + (-7 - axis).to_bytes(4, "little", signed=True)
+        page = bytes((axis, state, 9 + axis, 0)) + (-7 - axis).to_bytes(4, "little", signed=True)
         (sample,) = as_list(host.decode(Frame(1550, page, 0, MS)))
-        assert (sample.axis, sample.position, sample.status) == (axis, -7 - axis, means)
+        assert (sample.axis, sample.position, sample.status, sample.sequence) == (axis, -7 - axis, means, 9 + axis)
 
 
 def test_a_message_longer_than_the_bus_cannot_be_bound() -> None:
