@@ -138,6 +138,17 @@ class LoopMargins(NamedTuple):
     gain_at: float = 0.0
     phase_at: float = 0.0
 
+    @property
+    def gain_db(self) -> float:
+        """See decibels."""
+        return decibels(self.gain_up, self.gain_down)
+
+    @property
+    def tightest_at(self) -> float:
+        """Where the margin lies that is the smaller part of the textbook's 6 dB and 30 degrees."""
+        phase = math.inf if self.phase_deg is None else self.phase_deg
+        return self.gain_at if self.gain_db / 6.0 < phase / 30.0 else self.phase_at
+
 
 def margins(answer: Array) -> LoopMargins:
     """From the pulse response of the sensitivity S, (ticks,)."""

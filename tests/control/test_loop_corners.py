@@ -181,7 +181,10 @@ def test_a_measured_mode_that_the_model_does_not_know_is_refused_with_its_freque
     [
         ("f,m,p\n1,1,1\n", "the first line has to be frequency_hz,magnitude,phase_deg"),
         ("frequency_hz,magnitude,phase_deg\n1,1,1\n2,x,1\n", "line 3: '2,x,1' is not three numbers"),
-        ("frequency_hz,magnitude,phase_deg\n1,1,1\n2,0,1\n", "line 3: frequency and magnitude have to be positive"),
+        *(
+            (f"frequency_hz,magnitude,phase_deg\n1,1,1\n{row}\n", "line 3: frequency and magnitude have to be positive")
+            for row in ("0,1,1", "inf,1,1", "nan,1,1", "2,0,1", "2,inf,1", "2,nan,1", "2,1,inf", "2,1,-inf", "2,1,nan")
+        ),
         ("frequency_hz,magnitude,phase_deg\n2,1,1\n1,1,1\n", "line 3: frequency 1 is not above 2"),
         ("frequency_hz,magnitude,phase_deg\n1,1,1\n", "1 frequencies; at least 3"),
     ],

@@ -7,6 +7,7 @@ from hil.control.estimator.gains import design_gains
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import pulse_response
 from hil.control.stability import (
+    LoopMargins,
     check_stability,
     finite_difference_lowest_rate,
     finite_difference_poles,
@@ -151,3 +152,21 @@ def test_a_loop_that_was_out_of_range_before_the_pulse_has_no_small_pole() -> No
     answer = np.zeros(240)
     answer[100:] = np.nan
     assert abs(realise_poles(answer)[0]) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "phase", "at"),
+    [
+        (1.5, None, 30.0, 0.1),  # 3.5 of 6 dB, all of 30 degrees
+        (None, 0.6, 30.0, 0.1),
+        (1.5, 0.1, 10.0, 0.2),  # a third of 30 degrees
+        (1.9, None, 27.0, 0.2),  # 5.6 of 6 dB
+        (1.9, None, 29.0, 0.1),
+        (1.5, None, None, 0.1),
+        (None, None, 100.0, 0.2),
+    ],
+)
+def test_margins_are_tightest_where_the_smaller_part_of_six_decibels_or_thirty_degrees_is_left(
+    up: float | None, down: float | None, phase: float | None, at: float
+) -> None:
+    assert LoopMargins(up, down, phase, gain_at=0.1, phase_at=0.2).tightest_at == at

@@ -1,5 +1,6 @@
 """Tasks from files, by waypoints, rasters and spirals: what is followed, and what is refused with row and column."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from hypothesis import strategies as st
 from hil.control.feasibility import horizon
 from hil.control.trajectories import make_trajectory
 from hil.control.trajectories.base import Trajectory
+from hil.control.trajectories.blends import blended
 from hil.control.trajectories.paths import raster_points, spline, waypoints
+from hil.control.trajectories.segments import Segments
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
@@ -315,6 +318,33 @@ def test_a_blend_is_quicker_than_a_rest_at_every_point() -> None:
     assert lasts[2] < lasts[1] < lasts[0]
 
 
+@pytest.mark.parametrize(
+    ("reached", "limits"),
+    [("speed", (0.05, 100.0, 1e6)), ("acceleration", (5.0, 0.5, 1e6)), ("jerk", (5.0, 100.0, 40.0))],
+)
+@pytest.mark.parametrize("points", [
+    [[0.0, 0.0], [0.03, 0.04]],
+    [[0.0, 0.0], [0.004, 0.003], [0.4, 0.301]],  # up to speed in the short line, on in the long one
+    [[0.4, 0.301], [0.004, 0.003], [0.0, 0.0]],
+    [[0.0, 0.0], [0.2, 0.0], [0.2, 0.2], [0.0, 0.2]],
+], ids=["alone", "short, long", "long, short", "corners"])  # fmt: skip
+def test_a_blended_path_is_as_quick_as_one_of_its_limits_allows(
+    points: list[list[float]], reached: str, limits: tuple[float, float, float]
+) -> None:
+    """Seen in the axis that moves most, to within the rounding to whole periods."""
+    parts = blended(points, limits, 5e-3, lambda seconds: max(1, math.ceil(seconds * 1e5)) * 10_000)
+    run = Segments(parts, repeat=False, phase_names=("path",))
+    length = sum(part.duration_ns for part in parts)
+    times = np.unique(np.linspace(0, length, 20_001).astype(np.int64))
+    sampled = run.sample(np.repeat(times[:, None], 2, axis=1))
+    jerk = np.diff(sampled.acceleration, axis=0) / (np.diff(times)[:, None] * 1e-9)
+    peaks = [float(np.abs(values).max()) for values in (sampled.velocity, sampled.acceleration, jerk)]
+    shares = dict(
+        zip(("speed", "acceleration", "jerk"), (p / q for p, q in zip(peaks, limits, strict=True)), strict=True)
+    )
+    assert max(shares.values()) == shares[reached] == pytest.approx(1.0, abs=2e-3)
+
+
 def test_a_spiral_that_repeats_goes_back_the_way_it_came() -> None:
     own = ["task.kind=spiral", "task.axes=['x', 'y']", "task.radius=0.01", "task.move_s=2.0", "task.repeat=true"]
     run = trajectory(load_rig(PAPER, [*own, *EARLY]))
@@ -336,6 +366,18 @@ def test_bytes_of_any_kind_are_rows_or_an_error(tmp_path_factory: pytest.TempPat
             continue
         assert axes
         assert all(len(row) == 1 + len(axes) for row in rows)
+
+
+def test_a_file_of_just_the_bound_is_read_and_one_byte_more_is_not(tmp_path: Path) -> None:
+    """8 MiB, nearly all of it in lines that hold nothing: a cell has bounds of its own."""
+    path, text = tmp_path / "task.csv", "time_s,x\n0,1\n1,2\n"
+    lines = (" " * 65535 + "\n") * 128
+    path.write_text(text + lines[len(text) :])
+    assert path.stat().st_size == 8 << 20
+    assert read_task_file(path) == (["x"], [[0.0, 1.0], [1.0, 2.0]])
+    path.write_text(text + lines[len(text) - 1 :])
+    with pytest.raises(TaskFileError, match=r"task\.csv: "):
+        read_task_file(path)
 
 
 def test_a_path_that_repeats_must_end_where_it_began() -> None:

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -166,6 +167,18 @@ def test_a_clean_end_leaves_no_black_box_and_frees_the_ring(tmp_path: Path) -> N
             assert reader.ended
             assert not reader.writer_alive
     assert [entry.name for entry in (tmp_path / "rig").iterdir()] == ["ring"]
+
+
+@pytest.mark.parametrize("written", [0, 1, 5])
+def test_what_a_dead_writer_left_is_a_black_box_if_there_is_a_record_in_it(written: int, tmp_path: Path) -> None:
+    path = tmp_path / "dead"
+    with RingWriter(tmp_path / "ring", 4) as writer:
+        for index in range(written):
+            writer.append(_record(index))
+        shutil.copy(tmp_path / "ring", path)  # as it stands when its writer is killed now
+    with RingWriter(path, 4), RingReader(path) as reader:
+        assert not len(reader.read().records)
+    assert previous_path(path).exists() == (written > 0)
 
 
 @pytest.mark.parametrize("content", [b"", b"HILRING1", b"\0" * 8192, b"HILRING1" + b"\xff" * 8192], ids=range(4))

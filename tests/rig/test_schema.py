@@ -117,6 +117,12 @@ def test_all_problems_are_named_at_once() -> None:
     assert len(caught.value.problems) == 4
 
 
+def test_a_refusal_reads_as_a_line_for_each_problem() -> None:
+    error = RigError(["rate_hz = 1: too few", "bus.bitrate = 5: too few"])
+    assert str(error) == "rate_hz = 1: too few\nbus.bitrate = 5: too few"
+    assert str(error.of_file("my.toml")) == "my.toml: rate_hz = 1: too few\nmy.toml: bus.bitrate = 5: too few"
+
+
 def test_a_missing_file_and_a_broken_file_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.toml"
     broken.write_bytes(b"name = [\xff")
