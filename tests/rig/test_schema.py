@@ -117,6 +117,17 @@ def test_all_problems_are_named_at_once() -> None:
     assert len(caught.value.problems) == 4
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "blackbox_s", "period_ns", "slots"),
+    [(1000, 60, 1_000_000, 60_000), (300, 1.5, 3_333_333, 450), (600.5, 1, 1_665_279, 601), (200, 1, 5_000_000, 256)],
+)
+def test_the_ring_holds_the_black_box_s_time_and_at_least_256_ticks(
+    rate_hz: float, blackbox_s: float, period_ns: int, slots: int
+) -> None:
+    rig = load_rig(PAPER, [f"rate_hz={rate_hz}", f"telemetry.blackbox_s={blackbox_s}"])
+    assert (rig.period_ns, rig.ring_slots) == (period_ns, slots)
+
+
 def test_a_refusal_reads_as_a_line_for_each_problem() -> None:
     error = RigError(["rate_hz = 1: too few", "bus.bitrate = 5: too few"])
     assert str(error) == "rate_hz = 1: too few\nbus.bitrate = 5: too few"
