@@ -253,3 +253,14 @@ def test_slots_skipped_right_after_the_first_tick_are_counted_and_those_before_i
     events = [event for part in np.array_split(records, 1 + apart) for event in stream.tell(part)]
     assert [(e.tick, e.value) for e in events if e.kind is Kind.TICKS_LOST] == [(4, 3.0)]
     assert not [e for e in EventStream(AXES, PERIOD).tell(quiet(2, first=9)) if e.kind is Kind.TICKS_LOST]
+
+
+@pytest.mark.parametrize("later", [0, 1, 2, 5])
+def test_what_was_flagged_in_lost_records_is_told_with_the_first_one_behind_them(later: int) -> None:
+    stream = EventStream(AXES, PERIOD)
+    stream.tell(quiet(2))
+    records = quiet(3, first=10)
+    records["evidence_total"] = [2, 2, 2 + later]
+    records["n_evidence"][2], records["evidence_of"][2] = later, int(Fault.FOLLOWING_ERROR)
+    events = [event for event in stream.tell(records, lost=8) if event.name == "more in one tick than a record keeps"]
+    assert [(event.tick, event.times) for event in events] == [(10, 2)]
