@@ -196,6 +196,23 @@ def test_a_damaged_response_is_refused_by_line(tmp_path: Path, text: str, messag
         read_response(path)
 
 
+def test_a_response_of_just_the_bounds_is_read_and_one_beyond_them_is_not(tmp_path: Path) -> None:
+    """100 000 lines, and 8 MiB, nearly all of it in the spaces behind 127 numbers."""
+    path, header = tmp_path / "x.csv", "frequency_hz,magnitude,phase_deg\n"
+    for lines, reason in ((100_000, "line 2: 'x' is not three numbers"), (100_001, "100001 lines: at most 100000")):
+        path.write_text(header + "x\n" * (lines - 1))
+        with pytest.raises(RigError, match=reason):
+            read_response(path)
+    wide = [f"{k},1,0".ljust(65535) + "\n" for k in range(1, 129)]
+    text = header + "".join(wide)[: (8 << 20) - len(header) - 1] + "\n"
+    path.write_text(text)
+    assert path.stat().st_size == 8 << 20
+    assert len(read_response(path)[0]) == 128
+    path.write_text(text + " ")
+    with pytest.raises(RigError, match=r"x\.csv: "):
+        read_response(path)
+
+
 def test_a_presliding_range_is_checked() -> None:
     for value in ("[1e-6]", "[2e-6, 1e-6]", "[0, 1e-6]"):
         with pytest.raises(RigError, match="presliding"):

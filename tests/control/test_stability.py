@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from hil.control import stability
 from hil.control.estimator.gains import design_gains
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import pulse_response
 from hil.control.stability import (
+    REALISED,
     AxisStability,
     LoopMargins,
     StabilityReport,
@@ -235,6 +237,26 @@ def test_the_lowest_stable_rate_is_found_to_a_thousandth_or_said_to_be_none() ->
         assert at < 1.0 <= below + 1e-6
     assert finite_difference_lowest_rate(1.0, 3000.0, 20000.0) == np.inf
     assert finite_difference_lowest_rate(1.0, 1.0, 2.0) == 50.0
+
+
+def test_every_axis_has_a_lowest_rate_of_its_own_and_a_rate_that_is_refused_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def stable_axes(rig: RigConfig) -> np.ndarray:
+        if rig.rate_hz < 300.0:
+            raise ValueError("a law that refuses such a rate")
+        return np.array([rig.rate_hz >= 200.0, rig.rate_hz >= 2000.0])
+
+    monkeypatch.setattr(stability, "_stable_axes", stable_axes)
+    axes = check_stability(load_rig(RIG, PAPERS_GAINS), lowest_rate=True, ticks=REALISED).axes
+    assert [axes[name].lowest_stable_rate_hz for name in "xy"] == [
+        pytest.approx(300.0, rel=1e-3), pytest.approx(2000.0, rel=1e-3)
+    ]  # fmt: skip
+    assert [axes[name].finite_difference_rate_hz for name in "xy"] == [
+        finite_difference_lowest_rate(mass, kp, kd) for mass, kp, kd, _ in PAPER
+    ]
+    unasked = check_stability(load_rig(RIG), ticks=REALISED).axes["x"]
+    assert (unasked.lowest_stable_rate_hz, unasked.finite_difference_rate_hz) == (None, None)
 
 
 @pytest.mark.parametrize(("grows", "stable"), [(0.98, True), (1.0, False), (1.01, False)])

@@ -1,6 +1,5 @@
 """Tasks from files, by waypoints, rasters and spirals: what is followed, and what is refused with row and column."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,7 @@ from hypothesis import strategies as st
 from hil.control.feasibility import horizon
 from hil.control.trajectories import make_trajectory
 from hil.control.trajectories.base import Trajectory
-from hil.control.trajectories.blends import blended
 from hil.control.trajectories.paths import raster_points, spline, waypoints
-from hil.control.trajectories.segments import Segments
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
@@ -316,33 +313,6 @@ def test_a_blend_is_quicker_than_a_rest_at_every_point() -> None:
     lasts = [horizon(trajectory(load_rig(PAPER, [*own, f"task.blend={blend}"]))) for blend in (0.0, 1e-4, 2e-3)]
     assert lasts[2] < 0.6 * lasts[0]
     assert lasts[2] < lasts[1] < lasts[0]
-
-
-@pytest.mark.parametrize(
-    ("reached", "limits"),
-    [("speed", (0.05, 100.0, 1e6)), ("acceleration", (5.0, 0.5, 1e6)), ("jerk", (5.0, 100.0, 40.0))],
-)
-@pytest.mark.parametrize("points", [
-    [[0.0, 0.0], [0.03, 0.04]],
-    [[0.0, 0.0], [0.004, 0.003], [0.4, 0.301]],  # up to speed in the short line, on in the long one
-    [[0.4, 0.301], [0.004, 0.003], [0.0, 0.0]],
-    [[0.0, 0.0], [0.2, 0.0], [0.2, 0.2], [0.0, 0.2]],
-], ids=["alone", "short, long", "long, short", "corners"])  # fmt: skip
-def test_a_blended_path_is_as_quick_as_one_of_its_limits_allows(
-    points: list[list[float]], reached: str, limits: tuple[float, float, float]
-) -> None:
-    """Seen in the axis that moves most, to within the rounding to whole periods."""
-    parts = blended(points, limits, 5e-3, lambda seconds: max(1, math.ceil(seconds * 1e5)) * 10_000)
-    run = Segments(parts, repeat=False, phase_names=("path",))
-    length = sum(part.duration_ns for part in parts)
-    times = np.unique(np.linspace(0, length, 20_001).astype(np.int64))
-    sampled = run.sample(np.repeat(times[:, None], 2, axis=1))
-    jerk = np.diff(sampled.acceleration, axis=0) / (np.diff(times)[:, None] * 1e-9)
-    peaks = [float(np.abs(values).max()) for values in (sampled.velocity, sampled.acceleration, jerk)]
-    shares = dict(
-        zip(("speed", "acceleration", "jerk"), (p / q for p, q in zip(peaks, limits, strict=True)), strict=True)
-    )
-    assert max(shares.values()) == shares[reached] == pytest.approx(1.0, abs=2e-3)
 
 
 def test_a_spiral_that_repeats_goes_back_the_way_it_came() -> None:

@@ -51,7 +51,7 @@ ROOMS = {
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
         ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
-         "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
+         "tests/control/test_blends.py", "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
          *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(

@@ -76,6 +76,17 @@ def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
 def test_an_override_of_the_emulated_encoder_alone_changes_the_axes_with_it() -> None:
     rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9"])
     assert [axis.encoder_resolution for axis in rig.axes.values()] == [5e-9, 5e-9]
+    each = load_rig(PAPER, ["plant.encoder_resolution=[5e-9, 4e-9]", "axes.x.limits.speed=1.0"])
+    assert [axis.encoder_resolution for axis in each.axes.values()] == [5e-9, 4e-9]
+
+
+@pytest.mark.parametrize("stated", ["axes.x.encoder_resolution=3e-9", "axes.y.encoder_resolution=3e-9"])
+def test_an_override_of_one_axis_encoder_beside_it_leaves_the_axes_to_what_they_say(stated: str) -> None:
+    """Two statements are a modelling error that somebody wants."""
+    before = {name: axis.encoder_resolution for name, axis in load_rig(PAPER).axes.items()}
+    rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9", stated])
+    assert {name: axis.encoder_resolution for name, axis in rig.axes.items()} == before | {stated[5]: 3e-9}
+    assert rig.plant.encoder_resolution == 5e-9
 
 
 @pytest.mark.parametrize(
