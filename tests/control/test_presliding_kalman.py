@@ -210,8 +210,8 @@ def test_at_the_modes_that_gains_are_given_for_they_keep_the_margins_and_give_no
         sets += [f"{key}.mode_frequency_hz={swings / PERIOD * (1.0 - LOAD) ** 0.5}", f"{key}.torque_lag={LAG}"]
         sets += [f"{key}.presliding=[0.3e-6, 30e-6]"]
     found = frequency_response.loop_response(load_rig(RIGS / "microscope-ideal.toml", sets))
-    for axis in range(len(SWINGS)):
-        met = margins_of_loop(found.loop[:, axis], found.frequency_hz)
+    for at in range(len(SWINGS)):
+        met = margins_of_loop(found.loop[:, at], found.frequency_hz)
         assert met.phase_deg is not None
         assert 6.0 <= met.gain_db <= 6.5
         assert 30.0 <= met.phase_deg <= 33.0
