@@ -14,7 +14,7 @@ def test_from_the_first_tick_on_a_record_says_what_the_cycle_knows() -> None:
     said = {5: CommandKind.HOME, 60: CommandKind.ACTIVATE, 90: CommandKind.STOP}
 
     run = LockstepRun(load_rig(RIGS / "paper.toml"), RIGS, operator=operator)
-    refused, states = 0, set()
+    refused, states, applied = 0, set(), [[0.0, 0.0], [0.0, 0.0]]
     for index in range(120):
         record, cycle = run.tick().record, run.cycle
         n = len(cycle.inbox.samples)
@@ -27,6 +27,8 @@ def test_from_the_first_tick_on_a_record_says_what_the_cycle_knows() -> None:
         refused += int((commands["accepted"] == 0).sum())
         assert int(record["commands_refused"]) == refused
         assert int(record["task_ns"]) == cycle.setpoints.task_ns
+        assert [(x.force_before, x.force_last) for x in cycle.inputs] == list(zip(*applied[-2:], strict=True))
+        applied.append(list(cycle.gate.force))
         if cycle.state not in TORQUE_STATES:
             assert not record["force_requested"].any()
         states.add(cycle.state)
@@ -35,5 +37,6 @@ def test_from_the_first_tick_on_a_record_says_what_the_cycle_knows() -> None:
     assert refused == 1  # HOME, before the axes are ready
     assert {State.ACTIVE, State.STOPPING} < states
     assert cycle.state is State.READY
+    assert len({tuple(force) for force in applied}) > 30
     assert int(record["sequence"]) > 100
     assert all(record["drive_status"].tolist()[:n])
