@@ -246,3 +246,17 @@ def test_the_used_part_of_a_record_ends_with_its_last_received_frame(tmp_path: P
     assert last["n_received"] == 2
     assert last["received"][:2].tobytes() == short["received"][:2].tobytes()
     assert FRAME.itemsize * MAX_RECEIVED + RECORD.fields["received"][1] <= RECORD.itemsize
+
+
+def test_a_dead_writers_ring_that_a_recording_holds_is_no_black_box_any_more(tmp_path: Path) -> None:
+    dead = tmp_path / "dead"
+    with RingWriter(tmp_path / "ring", 4) as writer, RingReader(tmp_path / "ring") as living:
+        writer.append(_record(0))
+        shutil.copy(tmp_path / "ring", dead)
+        living.mark_saved()
+        assert not living.saved
+    with RingReader(dead) as reader:
+        reader.mark_saved()
+        assert (reader.saved, reader.ended) == (True, False)
+    RingWriter(dead, 4).close()
+    assert not previous_path(dead).exists()
