@@ -19,7 +19,7 @@ from hil.control.laws.base import Array
 from hil.control.loop_corners import Corner, CornerFinding
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import PulseLoop, responses
-from hil.control.stability import decibels, margins_of_loop
+from hil.control.stability import margins_of_loop
 from hil.rig.schema import RigConfig, RigError
 
 Complex = NDArray[np.complex128]
@@ -103,8 +103,8 @@ def measured_finding(rig: RigConfig, response: LoopResponse, axis: str, path: Pa
     turned = np.unwrap(np.angle((1.0 + loop) / (1.0 + modelled)))
     beyond = np.abs(turned - turned[0]) > np.pi  # from where on the one has gone round -1 more often than the other
     stable = not beyond[-1]
-    gain, degrees = decibels(met.gain_up, met.gain_down), np.inf if met.phase_deg is None else met.phase_deg
-    where = met.gain_at if gain / 6.0 < degrees / 30.0 else met.phase_at
+    degrees = np.inf if met.phase_deg is None else met.phase_deg
+    where = met.tightest_at
     if not stable:
         where = float(here[beyond.argmax()])
-    return CornerFinding(axis, f"measured ({path.name})", False, True, stable, gain, float(degrees), where)
+    return CornerFinding(axis, f"measured ({path.name})", False, True, stable, met.gain_db, float(degrees), where)

@@ -17,7 +17,7 @@ from hil.control.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import CRUISE, PulseLoop, responses
-from hil.control.stability import REALISED, LoopMargins, decibels, is_stable, margins, realise_poles
+from hil.control.stability import REALISED, LoopMargins, is_stable, margins, realise_poles
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ModelConfig
 
@@ -193,10 +193,10 @@ def _finding(
     poles = realise_poles(motion[:REALISED])
     stable = is_stable(motion, poles)
     met = margins(answer) if stable else LoopMargins(None, None, None)
-    gain, phase = decibels(met.gain_up, met.gain_down), math.inf if met.phase_deg is None else met.phase_deg
-    at = met.gain_at if gain / 6.0 < phase / 30.0 else met.phase_at
+    phase = math.inf if met.phase_deg is None else met.phase_deg
+    at = met.tightest_at
     if not stable:
         at = abs(float(np.angle(poles[0]))) / (2.0 * math.pi) if poles else 0.5
     text, at_rest = corner.text(model), corner.stuck is not None
     nominal = corner == Corner()
-    return CornerFinding(name, text, at_rest, nominal, stable, gain, phase, at * rate_hz)
+    return CornerFinding(name, text, at_rest, nominal, stable, met.gain_db, phase, at * rate_hz)

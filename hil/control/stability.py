@@ -78,9 +78,10 @@ class StabilityReport:
         """One line per unstable axis."""
         return [
             f"law '{self.law}' is unstable on axis '{name}' at {self.rate_hz:g} Hz: a pole at |z| = {axis.radius:.4f}"
-            + (f"; it is stable from {axis.lowest_stable_rate_hz:.0f} Hz on" if axis.lowest_stable_rate_hz else "")
+            + (f"; it is stable from {rate:.0f} Hz on" if rate < math.inf else "")
             + "; lower law.gains or run `hil tune`"
             for name, axis in self.axes.items()
+            for rate in [axis.lowest_stable_rate_hz or math.inf]
             if not axis.stable
         ]
 
@@ -138,6 +139,17 @@ class LoopMargins(NamedTuple):
     gain_at: float = 0.0
     phase_at: float = 0.0
 
+    @property
+    def gain_db(self) -> float:
+        """See decibels."""
+        return decibels(self.gain_up, self.gain_down)
+
+    @property
+    def tightest_at(self) -> float:
+        """Where the margin lies that is the smaller part of the textbook's 6 dB and 30 degrees."""
+        phase = math.inf if self.phase_deg is None else self.phase_deg
+        return self.gain_at if self.gain_db / 6.0 < phase / 30.0 else self.phase_at
+
 
 def margins(answer: Array) -> LoopMargins:
     """From the pulse response of the sensitivity S, (ticks,)."""
@@ -189,9 +201,9 @@ def finite_difference_lowest_rate(mass: float, kp: float, kd: float) -> float:
 def _lowest(stable: Callable[[float], bool], rate: float) -> float:
     """The rate above which a loop is stable, searched downwards from `rate` where it is stable there, else upwards."""
     low, high = (RATES_HZ[0], rate) if stable(rate) else (rate, RATES_HZ[1])
-    if high > rate and not stable(high):
+    if not stable(high):
         return float("inf")
-    if high == rate and stable(low):
+    if stable(low):
         return low
     while high / low > 1.0 + RATE_TOLERANCE:
         middle = float(np.sqrt(low * high))

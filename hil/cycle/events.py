@@ -127,7 +127,7 @@ class EventStream:
         for name in _COMPARED:
             marked |= _changes(records[name], before[name])
         marked |= _changes(records["port"][:, -1], last.bus)
-        marked |= np.diff(records["index"], prepend=last.tick if last.tick >= 0 else records["index"][0] - 1) > 1
+        marked |= np.diff(records["index"], prepend=last.tick) > 1
         if self._pairs or int(records["evidence_total"][0]) != last.total + int(records["n_evidence"][0]):
             marked[0] = True
         flagged = np.flatnonzero(records["n_evidence"][:-1] > 0)

@@ -181,7 +181,10 @@ def test_a_measured_mode_that_the_model_does_not_know_is_refused_with_its_freque
     [
         ("f,m,p\n1,1,1\n", "the first line has to be frequency_hz,magnitude,phase_deg"),
         ("frequency_hz,magnitude,phase_deg\n1,1,1\n2,x,1\n", "line 3: '2,x,1' is not three numbers"),
-        ("frequency_hz,magnitude,phase_deg\n1,1,1\n2,0,1\n", "line 3: frequency and magnitude have to be positive"),
+        *(
+            (f"frequency_hz,magnitude,phase_deg\n1,1,1\n{row}\n", "line 3: frequency and magnitude have to be positive")
+            for row in ("0,1,1", "inf,1,1", "nan,1,1", "2,0,1", "2,inf,1", "2,nan,1", "2,1,inf", "2,1,-inf", "2,1,nan")
+        ),
         ("frequency_hz,magnitude,phase_deg\n2,1,1\n1,1,1\n", "line 3: frequency 1 is not above 2"),
         ("frequency_hz,magnitude,phase_deg\n1,1,1\n", "1 frequencies; at least 3"),
     ],
@@ -190,6 +193,23 @@ def test_a_damaged_response_is_refused_by_line(tmp_path: Path, text: str, messag
     path = tmp_path / "x.csv"
     path.write_text(text)
     with pytest.raises(RigError, match=message):
+        read_response(path)
+
+
+def test_a_response_of_just_the_bounds_is_read_and_one_beyond_them_is_not(tmp_path: Path) -> None:
+    """100 000 lines, and 8 MiB, nearly all of it in the spaces behind 127 numbers."""
+    path, header = tmp_path / "x.csv", "frequency_hz,magnitude,phase_deg\n"
+    for lines, reason in ((100_000, "line 2: 'x' is not three numbers"), (100_001, "100001 lines: at most 100000")):
+        path.write_text(header + "x\n" * (lines - 1))
+        with pytest.raises(RigError, match=reason):
+            read_response(path)
+    wide = [f"{k},1,0".ljust(65535) + "\n" for k in range(1, 129)]
+    text = header + "".join(wide)[: (8 << 20) - len(header) - 1] + "\n"
+    path.write_text(text)
+    assert path.stat().st_size == 8 << 20
+    assert len(read_response(path)[0]) == 128
+    path.write_text(text + " ")
+    with pytest.raises(RigError, match=r"x\.csv: "):
         read_response(path)
 
 

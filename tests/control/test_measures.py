@@ -67,3 +67,17 @@ def test_the_way_to_a_stop_counts_at_the_end_it_leads_to(velocity: float, upper:
 @pytest.mark.parametrize("name", ["paper", "odrive", "moteus"])
 def test_nothing_is_asked_about_the_units_of_a_shipped_rig(name: str) -> None:
     assert unit_questions(load_rig(RIGS / f"{name}.toml")) == []
+
+
+@pytest.mark.parametrize(("kind", "length", "force"), [("linear", "m", "N"), ("rotary", "rad", "N m")])
+def test_every_quantity_has_the_unit_of_its_kind_of_axis_and_the_key_of_its_limit(
+    kind: str, length: str, force: str
+) -> None:
+    axis = load_rig(RIGS / "paper.toml", SETS).axes["x"].model_copy(update={"kind": kind})
+    found = {m.quantity: (m.unit, m.key.split(" or ")[1]) for m in measures("x", axis, (np.zeros((2, 1)),) * 3, PERIOD)}
+    assert found == {
+        "position": (length, "axes.x.limits.position = [-0.2, 0.3]"),
+        "speed": (f"{length}/s", "axes.x.limits.speed = 0.5"),
+        "force": (force, "axes.x.limits.force = 10.0"),
+        "force rate": (f"{force}/s", "axes.x.limits.force_rate = 2000.0"),
+    }

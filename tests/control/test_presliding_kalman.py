@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
+from hil.control import frequency_response
 from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
 from hil.control.laws.presliding_bank import Bank, moved, slopes
-from hil.control.laws.presliding_gains import of_model
+from hil.control.laws.presliding_gains import SWINGS, of_model
 from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
 from hil.control.nominal_model import rig_model
+from hil.control.stability import margins_of_loop
 from hil.rig.file import load_rig
 from tests.support.paths import RIGS
 
@@ -195,3 +197,21 @@ def test_what_is_learnt_of_a_place_counts_once_the_place_is_left() -> None:
     assert table.at(3e-3) == pytest.approx(0.05 * 5.5)
     assert table.at(2.5e-3) == pytest.approx(0.05 * 5.5)
     assert table.at(5e-3) == table.at(-2e-3) == 0.0
+
+
+def test_at_the_modes_that_gains_are_given_for_they_keep_the_margins_and_give_none_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """6 dB and 30 degrees as the model says; the search for the least error left the loop right at them."""
+    monkeypatch.setattr(frequency_response, "TICKS", 500)
+    sets = ["law.name=presliding-kalman"]
+    for axis, swings in zip(("x", "y", "z", "theta"), SWINGS, strict=True):
+        key = f"axes.{axis}.model"
+        sets += [f"{key}.mode_frequency_hz={swings / PERIOD * (1.0 - LOAD) ** 0.5}", f"{key}.torque_lag={LAG}"]
+        sets += [f"{key}.presliding=[0.3e-6, 30e-6]"]
+    found = frequency_response.loop_response(load_rig(RIGS / "microscope-ideal.toml", sets))
+    for at in range(len(SWINGS)):
+        met = margins_of_loop(found.loop[:, at], found.frequency_hz)
+        assert met.phase_deg is not None
+        assert 6.0 <= met.gain_db <= 6.5
+        assert 30.0 <= met.phase_deg <= 33.0

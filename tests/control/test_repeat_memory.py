@@ -215,3 +215,16 @@ def test_what_else_learns_is_frozen_from_the_start_where_something_is_known_and_
         play(learnt, wave(1.0), 3, first=WARM_REPEATS + 1)
         learnt.forget()
     assert (fresh.frozen, known.frozen) == (0.0, 1.0)
+
+
+def test_after_a_worse_repeat_the_best_is_played_once_more_to_the_bit_and_then_it_learns_on() -> None:
+    learnt, rng, forces = memory(), np.random.default_rng(3), []
+    for repeat, size in enumerate([1.0] * (WARM_REPEATS + 1) + [0.5, 0.7, 0.5, 0.5]):
+        played = []
+        for tick in range(repeat * COUNT, (repeat + 1) * COUNT):
+            learnt.note(tick, rng.normal(), size * 1e-6, 1.0)
+            played.append(learnt.force(tick))
+        forces.append(played)
+    good, worse, again, on = forces[-4:]
+    assert worse != good == again != on
+    assert forces[:WARM_REPEATS] == [[0.0] * COUNT] * WARM_REPEATS

@@ -3,14 +3,22 @@
 import numpy as np
 import pytest
 
+from hil.control import stability
 from hil.control.estimator.gains import design_gains
 from hil.control.nominal_model import rig_model
 from hil.control.pulse_loop import pulse_response
 from hil.control.stability import (
+    REALISED,
+    AxisStability,
+    LoopMargins,
+    StabilityReport,
     check_stability,
+    decibels,
     finite_difference_lowest_rate,
     finite_difference_poles,
+    is_stable,
     margins,
+    margins_of_loop,
     realise_poles,
     refuse_unstable,
 )
@@ -62,6 +70,7 @@ def test_realised_poles_of_the_rigs_loop_are_those_of_its_equations() -> None:
     for axis, (name, kp, kd) in enumerate([("x", 2000.0, 9.0), ("y", 1000.0, 5.0)]):
         expected = pd_poles(rig, kp, kd, axis)
         found = report.axes[name].poles
+        assert (report.axes[name].lowest_stable_rate_hz, report.axes[name].finite_difference_rate_hz) == (None, None)
         assert abs(found[0]) == pytest.approx(abs(expected[0]), abs=1e-4)
         assert abs(found[2]) == pytest.approx(abs(expected[2]), abs=1e-3)
 
@@ -151,3 +160,107 @@ def test_a_loop_that_was_out_of_range_before_the_pulse_has_no_small_pole() -> No
     answer = np.zeros(240)
     answer[100:] = np.nan
     assert abs(realise_poles(answer)[0]) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "phase", "at"),
+    [
+        (1.5, None, 30.0, 0.1),  # 3.5 of 6 dB, all of 30 degrees
+        (None, 0.6, 30.0, 0.1),
+        (1.5, 0.1, 10.0, 0.2),  # a third of 30 degrees
+        (1.9, None, 27.0, 0.2),  # 5.6 of 6 dB
+        (1.9, None, 29.0, 0.1),
+        (1.5, None, None, 0.1),
+        (None, None, 100.0, 0.2),
+    ],
+)
+def test_margins_are_tightest_where_the_smaller_part_of_six_decibels_or_thirty_degrees_is_left(
+    up: float | None, down: float | None, phase: float | None, at: float
+) -> None:
+    assert LoopMargins(up, down, phase, gain_at=0.1, phase_at=0.2).tightest_at == at
+
+
+def test_margins_are_those_of_loops_whose_margins_are_known() -> None:
+    """2/3 / (s (s + 1)^2) turns at 1 rad/s, where it is 1/3; 2 (s + 1)^2 / s^3 likewise, where it is 4."""
+    omega = np.linspace(0.02, 8.0, 100_000)
+    s = 1j * omega
+
+    def phase_margin(loop: np.ndarray) -> tuple[float, float]:
+        at = int(np.argmin(np.abs(np.abs(loop) - 1.0)))
+        return abs(float(np.degrees(np.angle(-loop[at])))), float(omega[at])
+
+    for loop, up, down in ((2.0 / 3.0 / (s * (s + 1.0) ** 2), 3.0, None), (2.0 * (s + 1.0) ** 2 / s**3, None, 0.25)):
+        found, (phase, at) = margins_of_loop(loop, omega), phase_margin(loop)
+        assert found.gain_up == (up and pytest.approx(up, rel=1e-3))
+        assert found.gain_down == (down and pytest.approx(down, rel=1e-3))
+        assert found.gain_at == pytest.approx(1.0, abs=2e-3)
+        assert found.phase_deg == pytest.approx(phase, abs=0.05)
+        assert found.phase_at == pytest.approx(at, abs=2e-3)
+    assert margins_of_loop(0.5 / (s + 1.0), omega) == (None, None, None, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "db"),
+    [(10.0, None, 20.0), (None, 0.1, 20.0), (10.0, 0.01, 20.0), (100.0, 0.1, 20.0), (None, None, np.inf)],
+)
+def test_decibels_are_of_whichever_is_nearer(up: float | None, down: float | None, db: float) -> None:
+    assert decibels(up, down) == pytest.approx(db)
+    assert AxisStability(True, [], up, down, None).gain_db == pytest.approx(db)
+
+
+def test_a_report_says_which_axis_is_unstable_from_which_rate_on_it_is_not_and_is_json() -> None:
+    lost = AxisStability(False, [1.25 + 0j, 0.5 + 0.25j], None, None, None, 1234.4)
+    held = AxisStability(True, [-0.5j], 2.0, 0.25, 45.0, 50.0, 60.0)
+    report = StabilityReport("mine", 1000.0, {"x": lost, "y": held})
+    line = "law 'mine' is unstable on axis 'x' at 1000 Hz: a pole at |z| = 1.2500"
+    assert report.problems() == [line + "; it is stable from 1234 Hz on; lower law.gains or run `hil tune`"]
+    for rate in (None, np.inf):  # not asked for, none found
+        axis = AxisStability(False, [1.25 + 0j], None, None, None, rate)
+        assert StabilityReport("mine", 1000.0, {"x": axis}).problems() == [line + "; lower law.gains or run `hil tune`"]
+    assert (report.stable, StabilityReport("mine", 1000.0, {"y": held}).stable) == (False, True)
+    assert (lost.phase_deg, held.phase_deg, held.radius) == (np.inf, 45.0, 0.5)
+    assert report.as_json() == {
+        "law": "mine", "rate_hz": 1000.0, "stable": False,
+        "axes": {
+            "x": {"stable": False, "radius": 1.25, "poles": [[1.25, 0.0], [0.5, 0.25]], "gain_margin": None,
+                  "gain_margin_down": None, "phase_margin_deg": None, "lowest_stable_rate_hz": 1234.4,
+                  "finite_difference_rate_hz": None},
+            "y": {"stable": True, "radius": 0.5, "poles": [[0.0, -0.5]], "gain_margin": 2.0, "gain_margin_down": 0.25,
+                  "phase_margin_deg": 45.0, "lowest_stable_rate_hz": 50.0, "finite_difference_rate_hz": 60.0},
+        },
+    }  # fmt: skip
+
+
+def test_the_lowest_stable_rate_is_found_to_a_thousandth_or_said_to_be_none() -> None:
+    for mass, kp, kd, _ in PAPER:
+        rate = finite_difference_lowest_rate(mass, kp, kd)
+        at, below = (max(map(abs, finite_difference_poles(mass, kp, kd, 1.0 / r))) for r in (rate, rate / 1.001))
+        assert at < 1.0 <= below + 1e-6
+    assert finite_difference_lowest_rate(1.0, 3000.0, 20000.0) == np.inf
+    assert finite_difference_lowest_rate(1.0, 1.0, 2.0) == 50.0
+
+
+def test_every_axis_has_a_lowest_rate_of_its_own_and_a_rate_that_is_refused_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def stable_axes(rig: RigConfig) -> np.ndarray:
+        if rig.rate_hz < 300.0:
+            raise ValueError("a law that refuses such a rate")
+        return np.array([rig.rate_hz >= 200.0, rig.rate_hz >= 2000.0])
+
+    monkeypatch.setattr(stability, "_stable_axes", stable_axes)
+    axes = check_stability(load_rig(RIG, PAPERS_GAINS), lowest_rate=True, ticks=REALISED).axes
+    assert [axes[name].lowest_stable_rate_hz for name in "xy"] == [
+        pytest.approx(300.0, rel=1e-3), pytest.approx(2000.0, rel=1e-3)
+    ]  # fmt: skip
+    assert [axes[name].finite_difference_rate_hz for name in "xy"] == [
+        finite_difference_lowest_rate(mass, kp, kd) for mass, kp, kd, _ in PAPER
+    ]
+
+
+@pytest.mark.parametrize(("grows", "stable"), [(0.98, True), (1.0, False), (1.01, False)])
+def test_a_motion_that_does_not_fade_is_unstable_whatever_its_poles_say(grows: float, stable: bool) -> None:
+    answer = 1e-3 * grows ** np.arange(400.0)
+    assert is_stable(answer, [0.5 + 0j]) == stable
+    assert not is_stable(answer, [1.0 + 0j])
+    assert not is_stable(answer, [0.5 + 0j, -1.0 + 0j])

@@ -74,3 +74,13 @@ def check(sets: dict[str, Any], at: list[float]) -> None:
             found_there = [violation for violation in violations(rig, start) if violation.axis == name]
             broken = [one for one in found_there if abs(one.value - one.limit) > ROUNDING * abs(one.limit)]
             assert (low <= place <= high) != bool(broken), (name, place, low, high, broken)
+
+
+@pytest.mark.parametrize("target", [0.0123, 0.0077, 0.0001, -0.0191])
+def test_a_window_much_narrower_than_the_places_first_looked_at_is_found_around_its_target(target: float) -> None:
+    sets = ["task.kind=point_to_point", 'task.axes=["x"]', f"task.target=[{target}]", "task.move_s=0.02"]
+    rig = load_rig(RIGS / "microscope-ideal.toml", sets)
+    (low, high), *_ = start_ranges(rig)
+    assert low < target < high
+    assert target - low == pytest.approx(high - target, rel=0.01)
+    assert high - low < 0.002

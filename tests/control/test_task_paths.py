@@ -13,7 +13,7 @@ from hil.control.trajectories.base import Trajectory
 from hil.control.trajectories.paths import raster_points, spline, waypoints
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError, TaskConfig
-from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file
+from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file, sample_problems
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.batch import BatchRun
 from hil.virtual.lockstep import LockstepRun
@@ -319,8 +319,9 @@ def test_a_spiral_that_repeats_goes_back_the_way_it_came() -> None:
     own = ["task.kind=spiral", "task.axes=['x', 'y']", "task.radius=0.01", "task.move_s=2.0", "task.repeat=true"]
     run = trajectory(load_rig(PAPER, [*own, *EARLY]))
     assert (run.repeat_from_ns, run.repeat_ns) == (200_000_000, 4_000_000_000)
-    there, back = (run.at(0, 200_000_000 + t)[0] for t in (700_000_000, 3_300_000_000))
-    assert there == pytest.approx(back, abs=1e-15)
+    for t in range(10_000_000, 2_000_000_000, 35_000_000):
+        there, back = (run.at(0, 200_000_000 + when) for when in (t, 4_000_000_000 - t))
+        assert (there[0], there[1]) == (pytest.approx(back[0], abs=1e-13), pytest.approx(-back[1], abs=1e-11))
 
 
 @given(st.binary(max_size=200))
@@ -336,6 +337,33 @@ def test_bytes_of_any_kind_are_rows_or_an_error(tmp_path_factory: pytest.TempPat
             continue
         assert axes
         assert all(len(row) == 1 + len(axes) for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("taken", "refused"),
+    [
+        ([[0.0, 0.0], [1e-6, 1.0]], [[0.0, 0.0], [0.99e-6, 1.0]]),
+        ([[0.0, 1e6], [1e6, -1e6]], [[0.0, 1e6], [1.0, -1.000001e6]]),
+        ([[k, 0.0] for k in range(20_000)], [[k, 0.0] for k in range(20_001)]),
+        ([[k, 0.0] for k in range(2)], [[0.0, 0.0]]),
+    ],
+    ids=["a microsecond", "a million", "most rows", "least rows"],
+)
+def test_samples_are_taken_up_to_their_bounds(taken: list[list[float]], refused: list[list[float]]) -> None:
+    assert sample_problems(["x"], taken) == []
+    assert len(sample_problems(["x"], refused)) == 1
+
+
+def test_a_file_of_just_the_bound_is_read_and_one_byte_more_is_not(tmp_path: Path) -> None:
+    """8 MiB, nearly all of it in lines that hold nothing: a cell has bounds of its own."""
+    path, text = tmp_path / "task.csv", "time_s,x\n0,1\n1,2\n"
+    lines = (" " * 65535 + "\n") * 128
+    path.write_text(text + lines[len(text) :])
+    assert path.stat().st_size == 8 << 20
+    assert read_task_file(path) == (["x"], [[0.0, 1.0], [1.0, 2.0]])
+    path.write_text(text + lines[len(text) - 1 :])
+    with pytest.raises(TaskFileError, match=r"task\.csv: "):
+        read_task_file(path)
 
 
 def test_a_path_that_repeats_must_end_where_it_began() -> None:

@@ -234,3 +234,14 @@ def test_setpoints_that_hold_rest_there_and_follow_nothing_any_more() -> None:
             assert (x.mean_velocity, x.mean_acceleration, x.mean_sign, x.task_ns) == (0.0, 0.0, 0.0, -1)
         assert setpoints.task_ns == -1
         setpoints.update([600 * MS] * 2, [601 * MS] * 2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "periods"), [(0.0, 1), (0.0014, 1), (0.0016, 2), (0.0024, 2), (0.2504, 250), (0.2506, 251)]
+)
+def test_a_duration_is_the_nearest_number_of_whole_periods_and_at_least_one(seconds: float, periods: int) -> None:
+    moves = MOVES.model_copy(update={"move_s": seconds, "dwell_s": 0.0})
+    assert make_trajectory(moves, ["x", "y"], (0.0, 0.0), MS).repeat_ns == 2 * periods * MS
+    around = CIRCLE.model_copy(update={"approach_s": seconds, "settle_s": 0.5})
+    circle = make_trajectory(around, ["x", "y"], (0.0, 0.0), MS)
+    assert (circle.repeat_from_ns, circle.steady_from_ns) == (periods * MS, periods * MS + 500 * MS)

@@ -1,8 +1,10 @@
 """Laws that users bring: found in every way, run by every command, and trusted with nothing."""
 
 import importlib.metadata
+import math
 import shutil
 import threading
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,9 @@ from hil import Law
 from hil.control import law_registry
 from hil.control.law_registry import law_class
 from hil.control.laws import make_axis_laws, make_law
-from hil.control.laws.base import axis_inputs
+from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.coupled import gather
-from hil.control.laws.users import UserAxes
+from hil.control.laws.users import OnArrays, PerElement, UserAxes
 from hil.control.nominal_model import rig_model
 from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
@@ -36,6 +38,7 @@ from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
+from tests.control.test_laws_per_element import inputs_of
 from tests.support.batch_equality import assert_batch_is_single
 from tests.support.misbehaves import WAYS
 from tests.support.paths import LAWS_OF_USERS, MISBEHAVES, RIGS
@@ -331,3 +334,50 @@ def test_a_users_law_is_reset_with_position_and_force_of_its_axes(coupled: bool)
     n = 1 if coupled else 2
     UserAxes([Listens(None, 1e-3, 5.0) for _ in range(n)], "listens", 2).reset([1.0, 2.0], [3.0, 4.0])
     assert told == ([([1.0, 2.0], [3.0, 4.0])] if coupled else [(1.0, 3.0), (2.0, 4.0)])
+
+
+@pytest.mark.parametrize(
+    ("answer", "asked"),
+    [(1, 1.0), (np.float32(0.5), 0.5), (np.array(2.0), 2.0)]
+    + [(no, None) for no in (None, True, "1.0", b"1.0", np.array([1.0]), [1.0], math.inf, np.float64("nan"), 1j)],
+)
+def test_a_number_is_a_force_and_nothing_that_only_looks_like_one(answer: Any, asked: float | None) -> None:
+    class Answers(Law):
+        def reset(self, position: Any, force: Any) -> None: ...
+
+        def force(self, inputs: Any) -> Any:
+            return answer
+
+    laws = UserAxes([Answers(None, 1e-3, 5.0)], "answers", 1)
+    laws.reset([0.0], [0.0])
+    (force,) = laws.force([None])
+    assert (math.isnan(force), bool(laws.failure)) == (asked is None, asked is None)
+    assert asked is None or force == asked
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_every_call_of_a_users_law_is_under_the_time_limit_and_what_follows_is_not(coupled: bool) -> None:
+    watch, noted = call_limit.watch, []
+
+    class Notes(Law):
+        def reset(self, position: Any, force: Any) -> None:
+            noted.append((watch.within, watch.calls))
+
+        def force(self, inputs: Any) -> Any:
+            noted.append((watch.within, watch.calls))
+            return np.zeros(1) if coupled else 0.0
+
+    Notes.coupled = coupled
+    one = UserAxes([Notes(None, 1e-3, 5.0)], "notes", 1)
+    model = Model(*(np.ones((2, 1)) for _ in fields(Model)))
+    many = OnArrays("notes", PerElement(Notes, model, 1e-3, np.ones(1), {}))
+    for call in (
+        lambda: one.reset([0.0], [0.0]),
+        lambda: one.force([axis_inputs()]),
+        lambda: many.reset(np.zeros((2, 1)), np.zeros((2, 1))),
+        lambda: many.force(inputs_of(np.random.default_rng(1), (2, 1), 0)),
+    ):
+        call()
+        assert not watch.within
+    assert all(within for within, _ in noted)
+    assert len({calls for _, calls in noted}) == len(noted) == 2 + 2 * 2

@@ -243,3 +243,24 @@ def test_what_a_busy_machine_has_in_every_second_is_told_once_in_it() -> None:
     kinds = (Kind.TICKS_LOST, Kind.TICK_LATE)
     found = {kind: [(event.tick - 1000, event.times) for event in events if event.kind is kind] for kind in kinds}
     assert found == {Kind.TICKS_LOST: [(102, 1), (708, 3)], Kind.TICK_LATE: [(152, 1), (758, 3)]}
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["in one batch", "in two"])
+def test_slots_skipped_right_after_the_first_tick_are_counted_and_those_before_it_are_none(apart: bool) -> None:
+    records = quiet(2)
+    records["index"][1] = 4
+    stream = EventStream(AXES, PERIOD)
+    events = [event for part in np.array_split(records, 1 + apart) for event in stream.tell(part)]
+    assert [(e.tick, e.value) for e in events if e.kind is Kind.TICKS_LOST] == [(4, 3.0)]
+    assert not [e for e in EventStream(AXES, PERIOD).tell(quiet(2, first=9)) if e.kind is Kind.TICKS_LOST]
+
+
+@pytest.mark.parametrize("later", [0, 1, 2, 5])
+def test_what_was_flagged_in_lost_records_is_told_with_the_first_one_behind_them(later: int) -> None:
+    stream = EventStream(AXES, PERIOD)
+    stream.tell(quiet(2))
+    records = quiet(3, first=10)
+    records["evidence_total"] = [2, 2, 2 + later]
+    records["n_evidence"][2], records["evidence_of"][2] = later, int(Fault.FOLLOWING_ERROR)
+    events = [event for event in stream.tell(records, lost=8) if event.name == "more in one tick than a record keeps"]
+    assert [(event.tick, event.times) for event in events] == [(10, 2)]

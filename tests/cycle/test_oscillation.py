@@ -4,10 +4,10 @@ import math
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.cycle.oscillation import OscillationDetector
+from hil.cycle.oscillation import LONGEST_SWING_S, OscillationDetector
 
 RATE = 1000.0
 AMPLITUDE = 1e-5
@@ -76,6 +76,41 @@ def test_what_a_disturbance_leaves_behind_fades_and_is_none(frequency: float, ph
 def test_noise_of_half_the_amplitude_is_none_on_whatever_slow_error(noise: list[float]) -> None:
     errors = [AMPLITUDE * (n + 5 * math.sin(k / 200)) for k, n in enumerate(noise)]
     assert first_seen(errors) == -1
+
+
+def plainly_seen(errors: list[float], longest: int) -> list[tuple[int, float]]:
+    """The rules of hil/cycle/oscillation.py over a whole record, in amplitudes: ticks of the alarms, and how large."""
+    alarms = []
+    begin, turned_at, rising, before, count = 0, errors[0], 1, 0.0, 0
+    for k in range(1, len(errors)):
+        extreme = rising * max(rising * error for error in errors[begin:k])
+        if rising * (extreme - errors[k]) < 0.25:
+            continue
+        swing = abs(extreme - turned_at)
+        if swing < 1.0 or k - begin - 1 > longest:
+            count = 0
+        else:
+            count = count + 1 if swing >= 0.8 * before else 1
+        if count >= 3 and swing >= 2.0:
+            alarms.append((k, swing / 2.0))
+        begin, turned_at, rising, before = k, extreme, -rising, swing
+    return alarms
+
+
+EIGHTHS = st.lists(st.tuples(st.integers(-20, 20), st.integers(1, 6)), max_size=40)  # of the amplitude; ticks
+
+
+@given(EIGHTHS)
+@example([(8, 1), (7, 1), (6, 1), (-8, 1), (8, 1), (-8, 1), (-7, 1), (-6, 1)])  # a quarter back, and no less
+@example([(8, 1), (-8, 5), (8, 4), (-8, 4), (8, 1), (-8, 5), (8, 6), (-8, 5), (8, 5), (-8, 5)])  # as slow as it may be
+@example([(10, 1), (-10, 1), (6, 1), (-7, 1), (4, 1), (-7, 1), (10, 1), (-6, 1), (2, 1), (-9, 1), (7, 1), (-9, 1)])
+@example([(4, 1), (-4, 1), (8, 1), (-8, 1), (9, 1), (3, 1), (-4, 1), (4, 1), (-12, 1), (12, 1)])
+def test_the_detector_sees_what_its_rules_say_when_they_say_it(moves: list[tuple[int, int]]) -> None:
+    errors = [0.0, *(value / 8.0 for value, ticks in moves for _ in range(ticks))]
+    detector = OscillationDetector(1.0, LONGEST_SWING_S / 4.0)
+    detector.restart(errors[0])
+    seen = [(k, detector.swing) for k, error in enumerate(errors) if k and detector.seen(error)]
+    assert seen == plainly_seen(errors, 4)
 
 
 def test_a_new_beginning_forgets() -> None:

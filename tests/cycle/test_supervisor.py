@@ -124,3 +124,16 @@ def test_what_keeps_an_operator_from_activating(missing: str, overrides: list[st
     supervisor = ControlCycle(paper(*overrides), RIGS).supervisor
     assert supervisor._may_activate(Tick(1, 0, 0, PortCounters()))
     assert supervisor._may_activate(Tick(1, 0, 0, PortCounters(), **{missing: False})) is may  # type: ignore[arg-type]
+
+
+def test_after_a_reset_every_axis_is_to_be_heard_anew_before_its_position_counts() -> None:
+    rig = drives()
+    ticks_until(rig, State.READY)
+    rig.tick(Script((CommandKind.ESTOP,)))
+    assert (rig.cycle.inbox.heard, rig.cycle.sampling.tracked) == ([True, True], True)
+    rig.tick(Script((CommandKind.RESET,), silent=(1,)))
+    for _ in range(3):
+        rig.tick(Script(silent=(1,)))
+        assert (rig.cycle.inbox.heard, rig.cycle.sampling.tracked) == ([True, False], False)
+    rig.tick()
+    assert (rig.cycle.inbox.heard, rig.cycle.sampling.tracked) == ([True, True], True)

@@ -2,7 +2,9 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -168,11 +170,65 @@ def test_a_clean_end_leaves_no_black_box_and_frees_the_ring(tmp_path: Path) -> N
     assert [entry.name for entry in (tmp_path / "rig").iterdir()] == ["ring"]
 
 
+def test_a_ring_in_use_is_refused_with_whose_it_is_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "rig" / "ring"
+    with RingWriter(path, 4) as writer:
+        with pytest.raises(RingError, match=rf"ring: another control process .* \(pid {os.getpid()}\)"):
+            RingWriter(path, 4)
+        writer.append(_record(7))
+        with RingReader(path) as reader:
+            assert reader.writer_alive
+            assert (reader.pid, reader.read().records["index"].tolist()) == (os.getpid(), [7])
+    assert [entry.name for entry in path.parent.iterdir()] == ["ring"]
+
+
+def test_the_layout_is_that_of_its_version(tmp_path: Path) -> None:
+    """A black box outlives an update: another layout needs another version."""
+    with RingWriter(tmp_path / "ring", 4, period_ns=1_000_000, metadata={"rig": "x"}) as writer:
+        for index in range(3):
+            writer.append(_record(index))
+        raw = (tmp_path / "ring").read_bytes()
+        header = ("<8sIIQQQQQ", b"HILRING1", 3, 4864, 4, 8192, 12, 1_000_000, os.getpid())
+        assert struct.unpack_from(header[0], raw) == header[1:]
+        assert [struct.unpack_from("<Q", raw, place)[0] for place in (128, 192)] == [3, 0]
+        assert raw[4096:8192].rstrip(b"\0") == b'{"rig": "x"}'
+        assert raw[8192 + 4864 :][:4864] == bytes(_record(1))
+        assert len(raw) == 8192 + 4 * 4864
+    ended = (tmp_path / "ring").read_bytes()
+    assert struct.unpack_from("<Q", ended, 192) == (1,)
+
+
+@pytest.mark.parametrize("written", [0, 1, 5])
+def test_what_a_dead_writer_left_is_a_black_box_if_there_is_a_record_in_it(written: int, tmp_path: Path) -> None:
+    path = tmp_path / "dead"
+    with RingWriter(tmp_path / "ring", 4) as writer:
+        for index in range(written):
+            writer.append(_record(index))
+        shutil.copy(tmp_path / "ring", path)  # as it stands when its writer is killed now
+    with RingWriter(path, 4), RingReader(path) as reader:
+        assert not len(reader.read().records)
+    assert previous_path(path).exists() == (written > 0)
+
+
 @pytest.mark.parametrize("content", [b"", b"HILRING1", b"\0" * 8192, b"HILRING1" + b"\xff" * 8192], ids=range(4))
 def test_a_file_that_is_no_ring_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "ring").write_bytes(content)
     with pytest.raises(RingError, match="ring"):
         RingReader(tmp_path / "ring")
+
+
+def test_closing_again_closes_nobody_else_s_file(tmp_path: Path) -> None:
+    writer = RingWriter(tmp_path / "ring", 4)
+    for end in (RingReader(tmp_path / "ring"), writer):
+        end.close()
+        with open(os.devnull) as other:  # which gets the number that was given back
+            end.close()
+            os.fstat(other.fileno())
+
+
+def test_a_ring_of_one_slot_could_hand_out_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="slots = 1: a ring needs at least 2"):
+        RingWriter(tmp_path / "ring", 1)
 
 
 def test_a_missing_ring_is_refused_by_name(tmp_path: Path) -> None:
@@ -190,3 +246,17 @@ def test_the_used_part_of_a_record_ends_with_its_last_received_frame(tmp_path: P
     assert last["n_received"] == 2
     assert last["received"][:2].tobytes() == short["received"][:2].tobytes()
     assert FRAME.itemsize * MAX_RECEIVED + RECORD.fields["received"][1] <= RECORD.itemsize
+
+
+def test_a_dead_writers_ring_that_a_recording_holds_is_no_black_box_any_more(tmp_path: Path) -> None:
+    dead = tmp_path / "dead"
+    with RingWriter(tmp_path / "ring", 4) as writer, RingReader(tmp_path / "ring") as living:
+        writer.append(_record(0))
+        shutil.copy(tmp_path / "ring", dead)
+        living.mark_saved()
+        assert not living.saved
+    with RingReader(dead) as reader:
+        reader.mark_saved()
+        assert (reader.saved, reader.ended) == (True, False)
+    RingWriter(dead, 4).close()
+    assert not previous_path(dead).exists()

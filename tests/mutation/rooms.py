@@ -46,12 +46,12 @@ ROOMS = {
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
          "tests/control/test_repeat_memory.py", *_RUNS,
-         "tests/control/test_laws.py", _PAGES),
+         "tests/control/test_laws.py", _PAGES, "tests/control/test_user_laws.py"),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
         ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
-         "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
+         "tests/control/test_blends.py", "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
          *_RUNS, *_LOCKSTEP),
     ),
     "estimator": Room(

@@ -6,10 +6,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
-from hil.rig.bus_load import feedback_notes
-from hil.rig.file import load_rig
 from tests.support.foreign_drive import CST_DRIVE, U32, Fact, eds_text
-from tests.support.paths import RIGS
 
 APP = build_app("drives")
 
@@ -96,11 +93,3 @@ def test_a_file_that_is_no_eds_is_said_to_be_none(tmp_path: Path) -> None:
     status, text = ask(tmp_path / "letter.txt")
     assert status == 74
     assert "not an EDS or DCF file" in text
-
-
-def test_check_says_what_feedback_in_the_drives_own_time_costs() -> None:
-    rig = load_rig(RIGS / "odrive.toml")
-    (note,) = feedback_notes(rig, RIGS)
-    assert "0.2 to 2.2 ms old" in note
-    assert "0.2 ms, costs 0.06 degrees" in note
-    assert feedback_notes(load_rig(RIGS / "paper.toml"), RIGS) == []

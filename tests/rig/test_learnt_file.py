@@ -7,7 +7,10 @@ from typing import Any
 import pytest
 
 from hil.rig import learnt_file
+from hil.rig.file import learning_hash, load_rig
 from hil.rig.learnt_file import LearntFileError, read_learnt_file, write_learnt_file
+from hil.rig.schema import RigConfig, RigError
+from tests.support.paths import RIGS
 
 STATE = {"x": [1.0, -0.5], "y": [0.25, 0.0]}
 
@@ -59,3 +62,17 @@ def test_axes_of_different_lengths_are_refused(path: Path) -> None:
     assert read_learnt_file(path, ["y"]) == ("None", [[0.0, 1.0]])
     with pytest.raises(LearntFileError, match="axes of different lengths"):
         read_learnt_file(path, ["x", "y"])
+
+
+def test_a_rig_takes_what_was_learnt_on_it_and_no_other_while_it_learns(path: Path) -> None:
+    def rig(*changes: str) -> RigConfig:
+        return load_rig(path.parent / "rig.toml", ["law.name=presliding-kalman", *changes])
+
+    (path.parent / "rig.toml").write_text((RIGS / "paper.toml").read_text())
+    learning, learnt = "law.iterative_learning=true", "law.learnt=learnt.json"
+    write_learnt_file(path, "paper", learning_hash(rig(learning)), STATE)
+    assert rig(learning, learnt).law.learnt_state == [STATE["x"], STATE["y"]]
+    with pytest.raises(RigError, match=r"law\.learnt = 'learnt\.json': only with law\.iterative_learning = true"):
+        rig(learnt)
+    with pytest.raises(RigError, match=r"law\.learnt = 'learnt\.json': learnt on another rig \(hash "):
+        rig(learning, learnt, "task.radius=0.01")

@@ -76,6 +76,17 @@ def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
 def test_an_override_of_the_emulated_encoder_alone_changes_the_axes_with_it() -> None:
     rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9"])
     assert [axis.encoder_resolution for axis in rig.axes.values()] == [5e-9, 5e-9]
+    each = load_rig(PAPER, ["plant.encoder_resolution=[5e-9, 4e-9]", "axes.x.limits.speed=1.0"])
+    assert [axis.encoder_resolution for axis in each.axes.values()] == [5e-9, 4e-9]
+
+
+@pytest.mark.parametrize("stated", ["axes.x.encoder_resolution=3e-9", "axes.y.encoder_resolution=3e-9"])
+def test_an_override_of_one_axis_encoder_beside_it_leaves_the_axes_to_what_they_say(stated: str) -> None:
+    """Two statements are a modelling error that somebody wants."""
+    before = {name: axis.encoder_resolution for name, axis in load_rig(PAPER).axes.items()}
+    rig = load_rig(PAPER, ["plant.encoder_resolution=5e-9", stated])
+    assert {name: axis.encoder_resolution for name, axis in rig.axes.items()} == before | {stated[5]: 3e-9}
+    assert rig.plant.encoder_resolution == 5e-9
 
 
 @pytest.mark.parametrize(
@@ -115,6 +126,23 @@ def test_all_problems_are_named_at_once() -> None:
     with pytest.raises(RigError) as caught:
         load_rig(PAPER, ["rate_hz=1", "bus.bitrate=5", "task.radius=-1", "nosuchkey=1"])
     assert len(caught.value.problems) == 4
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "blackbox_s", "period_ns", "slots"),
+    [(1000, 60, 1_000_000, 60_000), (300, 1.5, 3_333_333, 450), (600.5, 1, 1_665_279, 601), (200, 1, 5_000_000, 256)],
+)
+def test_the_ring_holds_the_black_box_s_time_and_at_least_256_ticks(
+    rate_hz: float, blackbox_s: float, period_ns: int, slots: int
+) -> None:
+    rig = load_rig(PAPER, [f"rate_hz={rate_hz}", f"telemetry.blackbox_s={blackbox_s}"])
+    assert (rig.period_ns, rig.ring_slots) == (period_ns, slots)
+
+
+def test_a_refusal_reads_as_a_line_for_each_problem() -> None:
+    error = RigError(["rate_hz = 1: too few", "bus.bitrate = 5: too few"])
+    assert str(error) == "rate_hz = 1: too few\nbus.bitrate = 5: too few"
+    assert str(error.of_file("my.toml")) == "my.toml: rate_hz = 1: too few\nmy.toml: bus.bitrate = 5: too few"
 
 
 def test_a_missing_file_and_a_broken_file_are_refused(tmp_path: Path) -> None:

@@ -152,19 +152,17 @@ class PerElement(Law):
         self._model, self._period, self._limit, self._gains = model, period, force_limit, gains
         self.coupled = bool(law.coupled)
         self.preview = law.preview
-        self._shape: tuple[int, ...] = ()
-        self._laws: list[Law] = []
 
     def reset(self, position: Array, force: Array) -> None:
         """See Law."""
         words = {key: value for key, value in self._gains.items() if isinstance(value, str)}
         numbers = {key: value for key, value in self._gains.items() if key not in words}
         shapes = [np.shape(value) for value in (position, self._model.mass, *numbers.values())]
-        self._shape = np.broadcast_shapes(*shapes)
+        self._shape: tuple[int, ...] = np.broadcast_shapes(*shapes)
         model = [self._cells(getattr(self._model, name)) for name in Model.__dataclass_fields__]
         limits = self._cells(self._limit)
         columns = [self._cells(value) for value in numbers.values()]
-        self._laws = []
+        self._laws: list[Law] = []
         for index, limit in enumerate(limits):
             own = dict(zip(numbers, (column[index] for column in columns), strict=True))
             each = Model(*(column[index] for column in model))
