@@ -190,7 +190,7 @@ def stability_table(report: StabilityReport) -> Table:
             f"{'' if axis.stable else '[red]'}{axis.radius:.4f}",
             "-" if gain is None else f"{20.0 * math.log10(gain):.1f} dB",
             "-" if phase is None else f"{phase:.0f} deg",
-            *("-" if rate is None else f"{rate:.0f} Hz" for rate in rates),
+            *("-" if rate is None else f"{rate:.0f} Hz" if rate < math.inf else "no rate" for rate in rates),
         )
     return table
 

@@ -39,7 +39,7 @@ class DisturbanceObserver(Law):
         self._gravity = model.gravity
         self._limit = force_limit
         self._feedforward = Feedforward(model)
-        self.reset(model.mass, model.gravity)  # any position: none is remembered
+        self.reset(model.mass - model.mass, model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """No error; what `force` has beyond the gravity hold counts as disturbance."""

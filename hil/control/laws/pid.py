@@ -40,7 +40,7 @@ class Pid(Law):
         self._gravity = model.gravity
         self._period = period
         self._limit = force_limit
-        self.reset(model.mass, model.gravity)  # any position: none is remembered
+        self.reset(model.mass - model.mass, model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """The integral takes over what `force` has beyond the gravity hold."""

@@ -44,7 +44,7 @@ class SlotineLi(Law):
             given["bias_gain"],
         ]
         self._gains = tuple([gain * period for gain in adaptation])
-        self.reset(model.mass, model.gravity)  # any position: none is remembered
+        self.reset(model.mass - model.mass, model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """Estimates restart; the bias takes over what `force` has beyond the gravity hold."""

@@ -43,7 +43,7 @@ class SuperTwisting(Law):
         self._linear = model.mass * (0.1 / period) if linear is None else linear
         self._smooth = at_least(smooth, 1e-12)
         self._damping = model.mass * self._rate
-        self.reset(model.mass, model.gravity)  # any position: none is remembered
+        self.reset(model.mass - model.mass, model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """The integral term takes over what `force` has beyond the gravity hold."""
