@@ -86,7 +86,10 @@ ROOMS = {
         ("sim_plant/drives",), ("tests/sim_plant/test_conversations.py", "tests/sim_plant/test_drive.py",
          "tests/drivers/protocols", "tests/sim_plant", "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
-    "telemetry": Room(("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"), ("tests/telemetry",)),
+    "telemetry": Room(
+        ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"),
+        ("tests/telemetry", "tests/operate/test_events_told.py"),
+    ),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,

@@ -152,13 +152,14 @@ def by_plain_readers(path: Path, event: Event) -> list[str]:
     found = []
     with path.open("rb") as file:
         reader = make_reader(file)
-        for schema, channel, message in reader.iter_messages(topics=["events"]):
+        for number, (schema, channel, message) in enumerate(reader.iter_messages(topics=["events"])):
             assert schema is not None
             pool = descriptor_pool.DescriptorPool()
             for part in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
                 pool.Add(part)
             kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
             decoded = kind.FromString(message.data)
+            assert decoded.sequence == number
             names = kind.DESCRIPTOR.fields_by_name
             if same({field: getattr(decoded, field) for field in FIELDS}, event):
                 assert names["kind"].enum_type.values_by_number[decoded.kind].name == event.kind.name
