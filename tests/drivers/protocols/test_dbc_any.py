@@ -285,6 +285,7 @@ def test_a_page_is_read_where_its_multiplexer_says_so() -> None:
         ({"start": [{"message": "Switch"}] * 2}, "say which value"),
         ({"periodic": [{"message": "Asked0.Current", "period_s": 0.01}]}, "torque, which is sent every tick"),
         ({"periodic": [{"message": "Switch", "period_s": 0.01}]}, "no signal of 'Switch' is bound"),
+        ({"periodic": [{"message": "Alice", "period_s": 0.01}]}, "has no message 'Alice'; did you mean Alive"),
         ({"periodic": [{"message": "Alive", "period_s": 0.01}]}, "both on_change and periodic"),
         ({"on_change": ["Asked0"]}, "torque, which is sent every tick"),
         ({"remote": ["Asked0"]}, "no bound feedback message"),

@@ -27,7 +27,8 @@ def test_a_node_whose_frames_always_fail_becomes_passive_after_16_and_bus_off_af
     assert [frame.can_id for frame in rig.at_host] == [0x101, 0x102, 0x103]  # the others go on
 
 
-def test_an_error_passive_sender_lets_others_go_first() -> None:
+@pytest.mark.parametrize("queued_behind", [False, True], ids=["nothing else to send", "a frame for later"])
+def test_an_error_passive_sender_lets_others_go_first(queued_behind: bool) -> None:
     wire, sender, heard, listener = pair(WireFault(FaultKind.CORRUPT, node="sender", bit=15, count=20))
     sender.send(Frame(0x001, b""), 0)
     wire.advance(5 * MS)
@@ -38,6 +39,8 @@ def test_an_error_passive_sender_lets_others_go_first() -> None:
     for _ in range(2):
         sender.send(Frame(0x001, b""), wire.now_ns)
         other.send(Frame(0x700, b""), wire.now_ns + 1)
+    if queued_behind:
+        sender.send(Frame(0x002, b""), 7 * MS)
     wire.advance(6 * MS)
     assert [frame.can_id for frame in heard] == [0x001, 0x700, 0x001, 0x700]  # by priority the 0x700s come last
 
