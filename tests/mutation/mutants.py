@@ -123,7 +123,7 @@ class _Finder:
         declared = isinstance(node, ast.AnnAssign) and node.value is None
         if in_function and isinstance(node, _DELETED) and not text and not declared:
             self.replace(node, "delete statement", "pass")
-        elif isinstance(node, ast.Return) and node.value is not None and not _is_none(node.value):
+        elif isinstance(node, ast.Return) and node.value is not None and not _is_untrue(node.value):
             self.replace(node, "return nothing", "return None")
         elif isinstance(node, ast.Break | ast.Continue):
             self.replace(node, "leave loop", "continue" if isinstance(node, ast.Break) else "break")
@@ -198,8 +198,15 @@ class _Finder:
             self.add(node, "swap arguments", self.begin(first), self.end(second), text)
 
 
-def _is_none(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and node.value is None
+def _is_untrue(node: ast.expr) -> bool:
+    """None, and False: no caller of ours tells it from None; another mutant makes True of it."""
+    return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
+
+
+def _is_assertion(node: ast.AST, child: ast.AST) -> bool:
+    """zip's `strict`, which like an assert acts on our own mistakes alone."""
+    called = node.func if isinstance(node, ast.Call) else None
+    return isinstance(called, ast.Name) and called.id == "zip" and isinstance(child, ast.keyword)
 
 
 def _is_names_list(node: ast.AST) -> bool:
@@ -216,7 +223,7 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
         if name in unmutated:
             continue
         for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST):
+            if isinstance(child, ast.AST) and not _is_assertion(node, child):
                 yield child
 
 

@@ -51,6 +51,20 @@ def test_every_small_change_is_made_once_and_nothing_else() -> None:
     )
 
 
+def test_what_only_a_mistake_of_ours_could_tell_is_left_alone() -> None:
+    source = b"""
+def among(values: list[int], others: list[int]) -> bool:
+    for value, other in zip(values, others, strict=True):
+        if value == other:
+            return True
+    return False
+"""
+    found = [mutant.lines(source) for mutant in mutants_of("a.py", source)]
+    assert not any("strict=False" in after for _, after in found)
+    assert [after for before, after in found if before == "return False"] == ["return True"]
+    assert sorted(after for before, after in found if before == "return True") == ["return False", "return None"]
+
+
 def test_a_mutant_differs_in_one_place_and_parses() -> None:
     path = "hil/cycle/inbox.py"
     source = (ROOT / path).read_bytes()
