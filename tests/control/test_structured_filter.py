@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.structured_filter import keep_disturbance, sign_array, sign_float, slide, standing
+from hil.control.laws.structured_kalman import StructuredKalman
 from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
@@ -112,6 +114,25 @@ def test_the_filters_axis_slides_sticks_and_turns_as_set_valued_friction_has_it(
     )
     for index, (velocity, push) in enumerate(cases):
         assert tuple(float(v[index]) for v in many) == slide(velocity, push, dry, PERIOD, 1.0 / mass)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_axis_that_waits_for_its_reversal_is_expected_to_be_where_friction_holds_it(way: float) -> None:
+    """The force of the interval stops the axis late in it, and friction holds it while the reference moves on."""
+    mass, dry, v0, v1, v2 = 0.02, 1.0, way * 7e-3, way * -3e-3, way * -13e-3
+    law = StructuredKalman(Model(mass, dry, 0.0, 0.0, 0.0), PERIOD, 5.0)
+    x = axis_inputs()
+    x.answered = x.fresh = 1.0
+    x.ahead, x.sample.velocity = PERIOD, v0
+    x.start.velocity, x.start.position, x.end.velocity = v1, 0.5 * (v0 + v1) * PERIOD, v2
+    x.mean_velocity, x.mean_acceleration = 0.5 * (v1 + v2), (v2 - v1) / PERIOD
+    law.force(x)  # the first sample
+    x.force_last = mass * (v1 - v0) / PERIOD + way * dry
+    end, moved = slid(v0, x.force_last, dry, PERIOD, mass)
+    assert abs(end) < 1e-9
+    known = mass * (v2 - v1) / PERIOD - way * dry + mass * v1 / PERIOD  # and the speed that the reference has already
+    error, rate = moved - x.start.position, end - v1
+    assert law.force(x) == pytest.approx(known - law.stiffness * error - law.damping * rate, rel=1e-4)
 
 
 def test_an_axis_that_has_not_broken_away_teaches_no_bias() -> None:
