@@ -196,6 +196,16 @@ def test_a_bus_of_full_members_refuses_a_frame_like_a_full_transmit_queue(join: 
     assert sender.send(Frame(1, b""))
 
 
+def test_a_host_that_did_not_read_for_a_while_sees_a_flood_as_one(join: OpenPort) -> None:
+    """Twice what a drain returns is kept for it: frames were discarded, it is told, not that just so many came."""
+    sender, host = join("device"), join(receive_limit=16)
+    for port in (sender, host):
+        take(port)
+    assert sum(sender.send(Frame(1, bytes((number,)))) for number in range(100)) == 2 * 16
+    assert take(host) == [(1, bytes((number,))) for number in range(16, 32)]
+    assert host.counters().discarded == 16
+
+
 @pytest.mark.parametrize("reader_joins_first", [True, False])
 def test_a_queue_is_as_deep_as_its_reader_asked_for_though_it_has_never_read(
     join: OpenPort, reader_joins_first: bool
