@@ -165,9 +165,10 @@ class Sidecar:
 
     def _leave(self) -> None:
         if self.attached:
-            while self._drain(time.monotonic_ns()):
-                pass
-            if not self.attached.reader.writer_alive:
+            reader, written = self.attached.reader, self.attached.reader.written
+            while (reader.next < written or not reader.writer_alive) and self._drain(time.monotonic_ns()):
+                pass  # of one that is written as fast as it is read there is no end: the rest is the next sidecar's
+            if not reader.writer_alive:
                 self._conclude(time.monotonic_ns())
             self._events.leave()
             self._gateway.give_up(time.monotonic_ns(), self.attached.window.state, everything=True)
