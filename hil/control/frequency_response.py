@@ -103,8 +103,5 @@ def measured_finding(rig: RigConfig, response: LoopResponse, axis: str, path: Pa
     turned = np.unwrap(np.angle((1.0 + loop) / (1.0 + modelled)))
     beyond = np.abs(turned - turned[0]) > np.pi  # from where on the one has gone round -1 more often than the other
     stable = not beyond[-1]
-    degrees = np.inf if met.phase_deg is None else met.phase_deg
-    where = met.tightest_at
-    if not stable:
-        where = float(here[beyond.argmax()])
-    return CornerFinding(axis, f"measured ({path.name})", False, True, stable, met.gain_db, float(degrees), where)
+    where = met.tightest_at if stable else float(here[beyond.argmax()])
+    return CornerFinding(axis, f"measured ({path.name})", False, True, stable, met.gain_db, met.phase_margin, where)

@@ -193,10 +193,9 @@ def _finding(
     poles = realise_poles(motion[:REALISED])
     stable = is_stable(motion, poles)
     met = margins(answer) if stable else LoopMargins(None, None, None)
-    phase = math.inf if met.phase_deg is None else met.phase_deg
     at = met.tightest_at
     if not stable:
         at = abs(float(np.angle(poles[0]))) / (2.0 * math.pi) if poles else 0.5
     text, at_rest = corner.text(model), corner.stuck is not None
     nominal = corner == Corner()
-    return CornerFinding(name, text, at_rest, nominal, stable, met.gain_db, phase, at * rate_hz)
+    return CornerFinding(name, text, at_rest, nominal, stable, met.gain_db, met.phase_margin, at * rate_hz)

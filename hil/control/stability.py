@@ -145,10 +145,14 @@ class LoopMargins(NamedTuple):
         return decibels(self.gain_up, self.gain_down)
 
     @property
+    def phase_margin(self) -> float:
+        """Degrees, infinite where none is met."""
+        return math.inf if self.phase_deg is None else self.phase_deg
+
+    @property
     def tightest_at(self) -> float:
         """Where the margin lies that is the smaller part of the textbook's 6 dB and 30 degrees."""
-        phase = math.inf if self.phase_deg is None else self.phase_deg
-        return self.gain_at if self.gain_db / 6.0 < phase / 30.0 else self.phase_at
+        return self.gain_at if self.gain_db / 6.0 < self.phase_margin / 30.0 else self.phase_at
 
 
 def margins(answer: Array) -> LoopMargins:

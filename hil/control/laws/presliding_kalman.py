@@ -251,7 +251,7 @@ class PreslidingKalman(Law):
         observer.correct(innovation, self._gains)
         d = observer.d
         if memory is not None:
-            d = d - memory.steps[1]
+            d = d - memory.steps[1]  # as it is after the sample
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, 0.0 * inputs.fresh) * self._open
         self._learn(q + (observer.e + observer.x), innovation, learn)
@@ -269,7 +269,7 @@ class PreslidingKalman(Law):
         kp = self.stiffness + share * (self._rest_stiffness - self.stiffness)
         kd = self.damping + share * (self._rest_damping - self.damping)
         if memory is not None:
-            d = d - memory.steps[1]
+            d = d - memory.steps[1]  # as it will be in the interval that begins now
         return known + d - kp * error - kd * rate
 
     def _repeat(self, memory: RepeatMemory, inputs: LawInputs) -> None:
