@@ -90,6 +90,7 @@ class FaultMonitor:
         self._refused_ticks = 0
         self._previous_index = -1
         self._previous_now_ns = 0
+        self._held_up = False  # frames lost while slots were skipped may still have to be told
         self._overruns = 0
         self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
         self._glitches = [0] * n
@@ -132,15 +133,9 @@ class FaultMonitor:
         return armed if len(armed) <= MAX_EVIDENCE else sorted(armed, key=_gravity)
 
     def check_bus(self, tick: Tick, useless_now: int) -> None:
-        """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use
-        (answers that pile up behind a stall are late, not a flood).
-        """
+        """Fault confinement, transmit queue, flood; from the port's counters and the frames that were of no use."""
         port, before = tick.port, self._port
-        slots = tick.index - self._previous_index
-        if slots < 1:
-            slots = 1
-        if useless_now >= self._flood_frames * slots:
-            self.flag(Fault.RECEIVE_FLOOD, useless_now, self._flood_frames * slots)
+        self._check_flood(tick.index - self._previous_index, port, useless_now)
         if port == before:
             self._no_ack_ticks = self._refused_ticks = 0
             if port.state is not BusState.ERROR_ACTIVE:
@@ -162,7 +157,18 @@ class FaultMonitor:
             self.flag(Fault.TRANSMIT_REFUSED, port.refused - before.refused, 0.0)
             if self._refused_ticks >= limit:
                 self.flag(Fault.TRANSMIT_BLOCKED, self._refused_ticks, limit)
-        if slots == 1 and (port.overflow > before.overflow or port.discarded > before.discarded):
+
+    def _check_flood(self, slots: int, port: PortCounters, useless_now: int) -> None:
+        """More than so many slots can hold; what piles up behind a stall, or is lost there, is late and no flood."""
+        most = self._flood_frames * max(1, slots)
+        if useless_now >= most:
+            self.flag(Fault.RECEIVE_FLOOD, useless_now, most)
+        before = self._port
+        if slots > 1:
+            self._held_up = True
+        elif self._held_up:  # a bus tells what was lost with the first frame after it, which answers this tick's
+            self._held_up = port.received == before.received
+        elif port.overflow > before.overflow or port.discarded > before.discarded:
             self.flag(Fault.RECEIVE_FLOOD, port.overflow + port.discarded - before.overflow - before.discarded, 0.0)
 
     def _flag_bus_state(self, port: PortCounters) -> None:

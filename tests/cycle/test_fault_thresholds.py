@@ -386,9 +386,14 @@ def test_of_two_faults_the_graver_one_counts_and_among_equals_the_first() -> Non
         assert bench.monitor.worst_fault(State.ACTIVE)[0] is expected
 
 
-def test_frames_lost_behind_a_stall_are_no_flood() -> None:
-    for counter in ("overflow", "discarded"):
-        assert Bench().show(Seen(slots=2, counted={counter: 100})) == {Fault.OVERRUN}
+@pytest.mark.parametrize("counter", ["overflow", "discarded"])
+def test_frames_lost_behind_a_stall_are_no_flood_and_those_of_a_later_tick_are(counter: str) -> None:
+    """A bus tells what was lost with the first frame after it: an answer to the tick that came late, or a later one."""
+    bench, lost = Bench(), Seen(counted={counter: 100})
+    assert bench.show(Seen(slots=2, counted={counter: 100})) == {Fault.OVERRUN}
+    assert bench.show(WELL) == bench.show(lost) == set(), "nothing was received: it may still be told"
+    assert bench.show(Seen(counted={counter: 1, "received": 1})) == set(), "and here it was"
+    assert bench.show(lost) == {Fault.RECEIVE_FLOOD}
 
 
 @pytest.mark.parametrize("times", [1.0, math.nextafter(1.0, 0.0)])

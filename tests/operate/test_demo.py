@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -261,6 +262,25 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
     assert conversation.heard == [CommandKind.RESET, CommandKind.RESET, CommandKind.ACTIVATE]
     assert demo.stalls == 1
     assert "a drive's watchdog tripped at tick 70" in said.export_text()
+
+
+@pytest.mark.parametrize(("fault", "status"), [("RECEIVE_FLOOD", 0), ("FOLLOWING_ERROR", EXIT_FAULT)])
+def test_only_a_stop_that_this_machine_caused_may_be_the_last_thing_of_a_demo(
+    fault: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is reset where there is time for it; where the time is up, it is said."""
+    monkeypatch.setattr(Demo, "run", lambda *_: None)
+    monkeypatch.setattr(demo_module, "Signals", lambda: SimpleNamespace(seen=0))
+    monkeypatch.setattr(demo_module, "private_runtime", lambda: tmp_path / "runtime")
+    monkeypatch.setattr(demo_module, "summed_up", lambda *_: {"latched": {"name": fault}})
+    try:
+        demo_module.demo(RIG, out=tmp_path / "out")
+        ended = 0
+    except SystemExit as left:
+        ended = left.code
+    assert ended == status
+    told = capsys.readouterr().out
+    assert ("held up a process at the very end" in told) == ("next, try" in told) == (status == 0)
 
 
 def test_a_drive_whose_watchdog_did_not_trip_is_named_too() -> None:
