@@ -82,6 +82,7 @@ class Seen:
 
 
 WELL = Seen()
+LOSSES = Seen(counted={"overflow": 1}), Seen(counted={"discarded": 1})
 
 
 class Bench:
@@ -182,11 +183,10 @@ EXPECTED: dict[Fault, tuple[Reaction, set[State]]] = {
     Fault.AXIS_NOT_AS_STATED: (Reaction.ZERO, MOVING),
     Fault.OSCILLATION: (Reaction.STOP, MOVING),
 }
-DRIVES_OWN = {Fault.DRIVE_FAULT, Fault.DRIVE_WATCHDOG, Fault.DRIVE_DISABLED, Fault.ENABLE_TIMEOUT, Fault.ENCODER_FAULT}
-DRIVES_OWN |= {Fault.DRIVE_STAYS_ENABLED}  # the drive holds it, so it does not keep RESET from clearing it
-# Not the monitor's: test_cycle_faults.py, test_commissioning.py.
-WHOLE_CYCLE = {Fault.ENABLE_TIMEOUT, Fault.HEARTBEAT_LOST, Fault.AXIS_NOT_AS_STATED}
-WHOLE_CYCLE |= {Fault.OSCILLATION}  # what one tick shows is no swing: the last test
+# A drive holds these, so they do not keep RESET from clearing them.
+DRIVES_OWN = {fault for fault in RULES if fault.name.startswith("DRIVE_")} | {Fault.ENABLE_TIMEOUT, Fault.ENCODER_FAULT}
+# Not the monitor's, or not of one tick: test_cycle_faults.py, test_commissioning.py, the last test here.
+WHOLE_CYCLE = {Fault.ENABLE_TIMEOUT, Fault.HEARTBEAT_LOST, Fault.AXIS_NOT_AS_STATED, Fault.OSCILLATION}
 
 
 def motion_cases() -> Iterator[Case]:
@@ -239,8 +239,7 @@ def bus_cases() -> Iterator[Case]:
     yield Case(Fault.RECEIVE_FLOOD, Seen(useless=flood), Seen(useless=flood - 1))
     late = Seen(slots=3, useless=3 * flood)  # what piles up behind a stall is late, not a flood
     yield Case(Fault.RECEIVE_FLOOD, late, replace(late, useless=3 * flood - 1), others=(Fault.OVERRUN,))
-    for counter in ("overflow", "discarded"):
-        lost = Seen(counted={counter: 1})
+    for lost in LOSSES:
         yield Case(Fault.RECEIVE_FLOOD, lost, Seen(counted={"sent": 1}))
 
 
@@ -306,8 +305,7 @@ def test_just_below_its_threshold_it_is_never_flagged_however_long(case: Case) -
 @every_case
 def test_at_its_threshold_it_is_flagged_in_that_tick_and_alone(case: Case) -> None:
     bench = Bench()
-    before = flagged(bench, case, case.at, case.ticks - 1)
-    assert before == [set()] * (case.ticks - 1)
+    assert flagged(bench, case, case.at, case.ticks - 1) == [set()] * (case.ticks - 1)
     assert bench.show(case.at, resting=case.resting) == {case.fault, *case.others}
     if case.fault is not Fault.ENCODER_GLITCH:
         assert case.fault in bench.show(case.at, resting=case.resting), "and stays"
@@ -346,9 +344,8 @@ def test_it_is_the_worst_where_it_is_armed_and_nothing_elsewhere(case: Case) -> 
 
 def test_the_second_glitch_in_a_row_is_a_jump_and_the_third_still_is() -> None:
     bench, off = Bench(), Seen(step=beyond(LIMIT.jump_step))
-    seen = [bench.show(off) for _ in range(3)]
-    assert seen == [{Fault.ENCODER_GLITCH}, {Fault.ENCODER_JUMP}, {Fault.ENCODER_JUMP}]
-    assert [bench.monitor.worst_fault(state)[0] for state in (State.ACTIVE,)] == [Fault.ENCODER_JUMP]
+    assert [bench.show(off) for _ in range(3)] == [{Fault.ENCODER_GLITCH}, {Fault.ENCODER_JUMP}, {Fault.ENCODER_JUMP}]
+    assert bench.monitor.worst_fault(State.ACTIVE)[0] is Fault.ENCODER_JUMP
     bench.show(WELL)
     assert bench.show(off) == {Fault.ENCODER_GLITCH}, "a believed sample in between ends the row"
 
@@ -374,7 +371,7 @@ def test_a_position_that_moves_by_one_count_is_not_stuck() -> None:
 
 
 def test_of_two_faults_the_graver_one_counts_and_among_equals_the_first() -> None:
-    pairs: list[tuple[Seen, Fault]] = [
+    pairs = [
         (Seen(status=DriveStatus.FAULT, setpoint=1.0, age=1), Fault.DRIVE_FAULT),
         (Seen(status=DriveStatus.FAULT | DriveStatus.WATCHDOG, bus=BusState.BUS_OFF), Fault.BUS_OFF),
         (Seen(status=DriveStatus.FAULT | DriveStatus.WATCHDOG), Fault.DRIVE_FAULT),
@@ -386,14 +383,12 @@ def test_of_two_faults_the_graver_one_counts_and_among_equals_the_first() -> Non
         assert bench.monitor.worst_fault(State.ACTIVE)[0] is expected
 
 
-@pytest.mark.parametrize("counter", ["overflow", "discarded"])
-def test_frames_lost_behind_a_stall_are_no_flood_and_those_of_a_later_tick_are(counter: str) -> None:
-    """A bus tells what was lost with the first frame after it: an answer to the tick that came late, or a later one."""
-    bench, lost = Bench(), Seen(counted={counter: 100})
-    assert bench.show(Seen(slots=2, counted={counter: 100})) == {Fault.OVERRUN}
-    assert bench.show(WELL) == bench.show(lost) == set(), "nothing was received: it may still be told"
-    assert bench.show(Seen(counted={counter: 1, "received": 1})) == set(), "and here it was"
-    assert bench.show(lost) == {Fault.RECEIVE_FLOOD}
+@pytest.mark.parametrize("lost", LOSSES)
+def test_frames_lost_behind_a_stall_are_no_flood_until_an_answer_has_come_after_it(lost: Seen) -> None:
+    bench = Bench()  # a bus tells what was lost with the first frame after it
+    assert bench.show(replace(lost, slots=2)) == {Fault.OVERRUN}
+    told = [WELL, lost, replace(lost, counted={**lost.counted, "received": 1}), lost]
+    assert [bench.show(seen) for seen in told] == [set(), set(), set(), {Fault.RECEIVE_FLOOD}]
 
 
 @pytest.mark.parametrize("times", [1.0, math.nextafter(1.0, 0.0)])
