@@ -79,28 +79,21 @@ class FaultMonitor:
     def __init__(
         self, safety: SafetyConfig, axes: Sequence[AxisLimits], period_ns: int, innovation_limit: Sequence[float]
     ) -> None:
-        n = len(axes)
         self._safety = safety
         self._flood_frames, self._bad_frame_limit = safety.flood_frames, safety.bad_frame_limit  # read in every tick
         self._axes = list(axes)
         self._period_ns = period_ns
         self._innovation_limit = list(innovation_limit)  # m
         self._port = PortCounters()
-        self._no_ack_ticks = 0
-        self._refused_ticks = 0
         self._previous_index = -1
         self._previous_now_ns = 0
         self._held_up = False  # frames lost while slots were skipped may still have to be told
-        self._overruns = 0
-        self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
-        self._glitches = [0] * n
-        self._diverging = [0] * n
-        self._stuck = [0] * n
-        self._stuck_position = [0.0] * n
+        self._stuck_position = [0.0] * len(axes)
         self._swings = [OscillationDetector(limits.oscillation, period_ns * 1e-9) for limits in axes]
         self.active = 0
         self.evidence: list[Evidence] = []
         self.counts = [0] * len(Fault)
+        self.restart()
 
     def restart(self) -> None:
         """Forget streaks; at every activation and reset."""
@@ -108,7 +101,8 @@ class FaultMonitor:
         self._glitches = [0] * n
         self._diverging = [0] * n
         self._stuck = [0] * n
-        self._no_ack_ticks = self._refused_ticks = self._overruns = self._enabled_ticks = 0
+        self._no_ack_ticks = self._refused_ticks = self._overruns = 0
+        self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
         for swings in self._swings:
             swings.restart(0.0)
 

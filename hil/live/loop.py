@@ -106,15 +106,14 @@ class ControlLoop:
         self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
         self._intake: TaskIntake | None = None
         self._task_number = parts.mailbox.task_posted
-        self._chores = self._plan_chores(rig.period_ns)
-        self._chore_ticks = max(self._chores) + 1
+        self._plan_chores(rig.period_ns)
         self._stop_ticks = round((rig.safety.stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
 
-    def _plan_chores(self, period_ns: int) -> dict[int, Callable[[], None]]:
+    def _plan_chores(self, period_ns: int) -> None:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
         chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus, self._look_for_task)
-        ticks = max(len(chores), round(interval * 1e9 / period_ns))
-        return {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
+        self._chore_ticks = ticks = max(len(chores), round(interval * 1e9 / period_ns))
+        self._chores = {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
 
     # the loop ---------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,8 @@ import pytest
 from hil.control.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.control.frequency_response import LoopResponse, loop_response, measured_finding, read_response
 from hil.control.loop_corners import CornerFinding, check_corners
-from hil.control.pulse_loop import RigidPlant
+from hil.control.nominal_model import rig_model
+from hil.control.pulse_loop import PulseLoop, RigidPlant
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -45,6 +46,36 @@ def test_without_lag_mode_and_stiffness_the_plant_is_the_rigid_one() -> None:
         flexible.advance(force)
     np.testing.assert_allclose(flexible.error, rigid.error, rtol=1e-9)
     np.testing.assert_allclose(flexible.rate, rigid.rate, rtol=1e-9)
+
+
+COUPLED = """
+from hil import Law
+
+
+class Both(Law):
+    coupled = True
+
+    def reset(self, position, force): ...
+
+    def force(self, inputs):
+        return 1e3 * (inputs.end.position - inputs.position)
+"""
+
+
+@pytest.mark.parametrize(("law", "rows"), [("pd-feedforward", 2), ("./both.py:Both", 3)])
+def test_the_last_plant_of_every_copy_is_left_alone(law: str, rows: int, tmp_path: Path) -> None:
+    """A law that looks at all axes at once has a plant for every axis that is pulsed, any other law one for all."""
+    (tmp_path / "both.py").write_text(COUPLED)
+    (tmp_path / "rig.toml").write_text((RIGS / "paper.toml").read_text())
+    rig = load_rig(tmp_path / "rig.toml", [f"law.name={law}", "law.gains={}"])
+    loop = PulseLoop(rig, rig_model(rig), copies=3)
+    assert loop.shape == (3 * rows, 2)
+    alone = loop.alone(np.arange(3.0 * rows * 2).reshape(loop.shape))
+    assert (alone[:, 0] / 2).tolist() == [rows - 1, 2 * rows - 1, 3 * rows - 1]
+    pulsed = loop.pulse()
+    assert not loop.alone(pulsed).any()
+    assert (loop.beyond(pulsed) == 1.0).all()
+    assert np.count_nonzero(pulsed) == 3 * 2
 
 
 @pytest.mark.parametrize(

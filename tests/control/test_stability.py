@@ -199,6 +199,14 @@ def test_margins_are_those_of_loops_whose_margins_are_known() -> None:
     assert margins_of_loop(0.5 / (s + 1.0), omega) == (None, None, None, 0.0, 0.0)
 
 
+def test_the_answer_of_a_sampled_loop_has_the_margins_of_the_loop() -> None:
+    """0.5 / (z - 1), whose gain is 1 where 2 sin(w/2) is 0.5."""
+    found = margins(np.array([1.0, *(-(0.5**k) for k in range(1, 1000))]))
+    crossing = np.arcsin(0.25) / np.pi  # cycles per sample
+    assert found.phase_at == np.floor(1000 * crossing) / 1000
+    assert found.phase_deg == pytest.approx(np.degrees(np.pi / 2 - np.pi * crossing), abs=0.2)
+
+
 @pytest.mark.parametrize(
     ("up", "down", "db"),
     [(10.0, None, 20.0), (None, 0.1, 20.0), (10.0, 0.01, 20.0), (100.0, 0.1, 20.0), (None, None, np.inf)],

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.control.feasibility import corner_starts, violations
-from hil.control.start_ranges import NOWHERE, ROUNDING, start_ranges
+from hil.control.start_ranges import NOWHERE, ROUNDING, _Key, start_ranges
 from hil.rig.file import load_rig
 from tests.control.test_feasibility import AXES, rig_with, tasks
 from tests.support.paths import RIGS
@@ -21,6 +21,17 @@ def test_the_shipped_rigs_may_begin_wherever_the_margin_of_their_travel_is_kept(
     found = start_ranges(rig)
     for place in corner_starts(rig).values():
         assert all(low <= value <= high for value, (low, high) in zip(place, found, strict=True))
+
+
+def test_a_rig_is_known_again_by_its_rate_task_and_axes() -> None:
+    """Simulations make many cycles of one rig, which is searched once; other names make another rig of it."""
+    one, same, faster, named = (
+        load_rig(RIGS / "microscope-ideal.toml", more) for more in ([], [], ["rate_hz=2000"], [])
+    )
+    named = named.model_copy(update={"axes": {name + "2": axis for name, axis in named.axes.items()}})
+    assert _Key(one) == _Key(same)
+    assert hash(_Key(one)) == hash(_Key(same))
+    assert [_Key(one) == _Key(other) for other in (faster, named)] == [False, False]
 
 
 def test_a_task_that_is_too_large_may_begin_nowhere() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.control.feasibility import horizon
-from hil.control.trajectories import make_trajectory
+from hil.control.trajectories import make_trajectory, paths
 from hil.control.trajectories.base import Trajectory
 from hil.control.trajectories.paths import raster_points, spline, waypoints
 from hil.rig.file import build_rig, load_rig, rig_hash
@@ -93,6 +93,11 @@ def test_a_spline_is_smooth_up_to_its_acceleration(steps: list[tuple[float, floa
     assert [
         tuple(row) for row in zip(many.position[:, 0], many.velocity[:, 0], many.acceleration[:, 0], strict=True)
     ] == few
+
+
+def test_a_path_begins_at_the_instant_at_which_its_approach_ends() -> None:
+    path = paths.Path(spline([[0.0, 0.0], [0.5, 0.01], [1.0, 0.0]], repeat=False), [0], [0.001], 200, 0)
+    assert [path.phase_names[path.phase_at(t_ns)] for t_ns in (0, 199, 200, 201)] == ["approach"] * 2 + ["path"] * 2
 
 
 def test_waypoints_are_reached_within_the_limits() -> None:

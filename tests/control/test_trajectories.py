@@ -86,6 +86,12 @@ def test_before_its_start_a_trajectory_stands_at_its_start() -> None:
         assert not early.velocity.any()
 
 
+def test_a_figure_begins_at_the_instant_at_which_its_approach_ends() -> None:
+    circle = make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD)
+    begins = circle.repeat_from_ns
+    assert [circle.phase_names[circle.phase_at(begins + ns)] for ns in (-1, 0)] == ["approach", "figure"]
+
+
 def test_circle_is_the_papers_after_the_approach() -> None:
     circle = make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD)
     t = 3.3

@@ -43,6 +43,13 @@ def test_a_run_that_ends_in_a_fault_says_which_axis_when_and_by_how_much_and_rep
     assert [event.line for event in replayed.events if event.kind is Kind.STATE][-1].endswith("command NAME reset")
 
 
+def test_ticks_of_a_ring_that_states_no_period_are_told_too() -> None:
+    records = np.zeros(3, RECORD)
+    records["index"], records["state"], records["flags"] = range(3), [int(State.READY)] * 2 + [int(State.ACTIVE)], 8
+    told = EventStream([("x", "linear")], 0).tell(records)
+    assert [event.name for event in told if event.kind is Kind.STATE] == ["BOOT -> READY", "READY -> ACTIVE"]
+
+
 def test_a_storm_is_bounded_and_loses_no_fault_uncounted() -> None:
     """Ten faults a tick that come and go, at 1 kHz: 10 000 a second, of which a record keeps eight."""
     ticks, flagged = 2000, 20

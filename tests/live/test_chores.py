@@ -96,8 +96,7 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Made]:
 def tell(loop: ControlLoop, told: Told) -> None:
     """Chores as for that systemd."""
     loop.parts = loop.parts._replace(notifier=told)  # type: ignore[arg-type]
-    loop._chores = loop._plan_chores(PERIOD)
-    loop._chore_ticks = max(loop._chores) + 1
+    loop._plan_chores(PERIOD)
 
 
 def tick(loop: ControlLoop, times: int) -> None:

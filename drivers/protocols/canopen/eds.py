@@ -46,6 +46,10 @@ class Entry(NamedTuple):
         code = BASIC_TYPES.get(self.data_type)
         return calcsize(f"<{code}") if code else 0
 
+    def holds(self, value: int) -> bool:
+        """Whether its data type has room for a number, signed or not."""
+        return self.size > 0 and -(1 << 8 * self.size - 1) <= value < 1 << 8 * self.size
+
     @property
     def writable(self) -> bool:
         """Can be written over SDO."""

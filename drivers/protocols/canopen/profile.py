@@ -374,7 +374,7 @@ class _Planner:
             return self._absent(index, subindex)
         if not entry.writable:
             return f"is {'constant' if entry.access == 'const' else 'read-only'}"
-        if not entry.size or not -(1 << 8 * entry.size - 1) <= value < 1 << 8 * entry.size:
+        if not entry.holds(value):
             return f"cannot hold {value} (data type {entry.data_type:04X}h)"
         if (entry.low is not None and value < entry.low) or (entry.high is not None and value > entry.high >= 0):
             return f"allows {entry.low} to {entry.high}, not {value}"

@@ -1,12 +1,14 @@
 """The meeting place of a local bus: its lock is waited for, and its channels are listed."""
 
 import contextlib
+import os
 import stat
+from pathlib import Path
 
 import pytest
 
 from drivers.bus import local_channel
-from drivers.bus.local_channel import channel_dir, channels, locked
+from drivers.bus.local_channel import address, channel_dir, channels, locked
 
 
 def test_the_lock_is_waited_for_until_it_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,6 +29,19 @@ def test_the_lock_is_waited_for_until_it_is_given_back(monkeypatch: pytest.Monke
     with locked(directory):  # it was given back
         pass
     assert len(slept) == 3
+
+
+def test_a_path_too_long_for_a_socket_has_a_short_address_for_as_long_as_it_is_used(tmp_path: Path) -> None:
+    place = tmp_path / ("long" * 30) / "member.sock"
+    place.parent.mkdir()
+    place.touch()
+    before = os.listdir("/proc/self/fd")
+    with address(place) as short:
+        assert len(short) < 100
+        assert Path(short).samefile(place)
+    assert os.listdir("/proc/self/fd") == before
+    with address(tmp_path / "s") as plain:
+        assert plain == str(tmp_path / "s")
 
 
 def test_channels_are_those_that_somebody_has_used() -> None:

@@ -230,6 +230,20 @@ def test_start_stop_periodic_and_constant_frames_go_out_when_they_are_due() -> N
     assert said(host.encode(off)) == [(0x160, 0x81), *TORQUES]
 
 
+@pytest.mark.parametrize("each_its_bit", [True, False])
+@pytest.mark.parametrize("enable", range(4))
+def test_one_signal_enables_the_axes_bit_by_bit_or_all_of_them(each_its_bit: bool, enable: int) -> None:
+    """Which of the two: values for on and off are one switch for all."""
+    one = {"message": "Switch", "signal": "On", **({} if each_its_bit else {"on": 5, "off": 3})}
+    host, device = ends(TEXT, bound(enable=[one], start=[], stop=[]))
+    frames = host.encode(Command(0, [1.0, 1.0], enable, False))
+    assert [frame.data[0] for frame in frames if frame.can_id == 1541] == [
+        enable if each_its_bit else 5 if enable else 3
+    ]
+    (heard,) = [command for frame in frames if isinstance(command := device.decode_command(frame), Command)]
+    assert heard.enable == (enable if each_its_bit else 0b11 * (enable > 0))
+
+
 def test_a_start_without_a_signal_is_a_message_that_has_none_or_has_them_bound() -> None:
     start = [{"message": "Alive"}, {"message": "Beat"}]
     host, _ = ends(TEXT, bound(start=start, on_change=[]))

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from drivers.protocols.canopen.eds import Entry
 from drivers.protocols.canopen.profile import FULL_SCALE, rated_torque
 from tests.support.drive_plan_reference import FILE, texts
 
@@ -14,6 +15,14 @@ def test_a_drive_is_told_what_it_always_was() -> None:
     known = json.loads(FILE.read_text(encoding="utf-8"))["plans"]
     assert texts() == known, "python -m tests.support.reference drives"
     assert sum(not lines for lines in known.values()) <= 3, "they do differ"
+
+
+@pytest.mark.parametrize(("data_type", "size"), [(2, 1), (5, 1), (3, 2), (6, 2), (4, 4), (7, 4), (9, 0)])
+def test_an_object_holds_the_numbers_of_its_size(data_type: int, size: int) -> None:
+    """CiA 301, table 44; 9 is a string."""
+    entry = Entry("object", data_type, "rw", None, None, None, mappable=False)
+    least, most = -(256**size // 2), 256**size - 1
+    assert [entry.holds(value) for value in (least - 1, least, most, most + 1)] == [False, size > 0, size > 0, False]
 
 
 @pytest.mark.parametrize("rated_force", [1e-9, 0.032767, 0.0327671, 0.5, 3.0, 32.767, 1000.0])

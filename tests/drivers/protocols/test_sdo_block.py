@@ -69,6 +69,16 @@ def test_what_is_short_needs_no_block() -> None:
     assert (exchange.requests, exchange.transfer.closing) == ([SDO.pack(0x40, 0x2000, 0, bytes(4))], b"")
 
 
+@pytest.mark.parametrize(("threshold", "command"), [(3, 0xC6), (4, 0x43), (5, 0x43)])
+def test_a_server_answers_plainly_up_to_the_threshold_that_a_client_states(threshold: int, command: int) -> None:
+    dictionary = ObjectDictionary(1)
+    dictionary.values[key_of(0x2000)] = b"abcd"
+    wanted = SDO.pack(0xA4, 0x2000, 0, bytes((127, threshold, 0, 0)))  # blocks of 127 segments
+    for answers in ("expedited", "block"):
+        (answer,) = SdoServer(dictionary, Quirks(answers=answers)).on_request(wanted)
+        assert answer[0] == (command if answers == "expedited" else 0xC6)
+
+
 def test_a_damaged_segment_is_found_by_the_checksum() -> None:
     exchange = Exchange(bytes(20))
 

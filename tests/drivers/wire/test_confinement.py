@@ -179,16 +179,17 @@ def test_a_sender_that_is_active_again_waits_for_nobody(tec: int, order: list[in
 
 
 def test_a_node_that_nobody_hears_tries_again_after_its_error_frame_and_later_when_it_is_passive() -> None:
-    begun: list[int] = []
+    attempts: list[tuple[int, int]] = []
     wire = Wire(
         1_000_000,
         faults=[WireFault(FaultKind.NO_ACK, node="alone")],
-        observer=lambda start, _end, _sender, _frame, _sent: begun.append(start),
+        observer=lambda start, end, _sender, _frame, _sent: attempts.append((start, end)),
     )
     wire.attach("alone", None).send(COMMAND, 0)
     wire.attach("other", None)
     wire.advance(5 * MS)
-    gaps = [after - before - bits(COMMAND) * BIT for before, after in pairwise(begun)]
+    assert {end - start for start, end in attempts} == {bits(COMMAND) * BIT}
+    gaps = [after - end for (_, end), (after, _) in pairwise(attempts)]
     # The error flag of 6 bits and its delimiter of 8 are in place of 8 bits of the frame; 3 of intermission follow.
     assert gaps[:15] == [9 * BIT] * 15
     assert set(gaps[15:]) == {17 * BIT}
