@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hil.control.laws.base import axis_inputs
 from hil.control.setpoints import Setpoints
 from hil.control.trajectories import Trajectory, make_trajectory, plan_task, task_repeat
+from hil.control.trajectories.chosen_axes import ChosenAxes
 from hil.control.trajectories.displaced import Displaced
 from hil.control.trajectories.figures import rational_hz
 from hil.control.trajectories.segments import Segments
@@ -38,10 +39,11 @@ def injection_task() -> TaskConfig:
 
 
 def trajectories() -> list[Trajectory]:
-    start = np.array([0.03, -0.02])
-    made = [make_trajectory(task, ["x", "y"], start, PERIOD) for task in TASKS]
+    """None of the first has anything to do with z."""
+    start = np.array([0.03, -0.02, 0.01])
+    made = [make_trajectory(task, ["x", "y", "z"], start, PERIOD) for task in TASKS]
     injection = make_trajectory(injection_task(), ["x", "y", "z", "theta"], np.zeros(4), PERIOD)
-    return [*made, injection, Displaced(made[0], 2, 1, 0.1, 0.0)]
+    return [*made, injection, Displaced(made[0], 3, 1, 0.1, 0.0)]
 
 
 TASKS = [CIRCLE, LISSAJOUS, MOVES, HOLD, SPIRAL, WAYPOINTS, BLENDED, SPLINE, RASTER, PATH]
@@ -55,8 +57,7 @@ def test_every_kind_of_task_is_tried_here() -> None:
 
 @pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
 def test_one_instant_and_a_batch_agree_bit_for_bit(trajectory: Trajectory) -> None:
-    n = trajectory.sample(np.zeros((1, 2), np.int64)).position.shape[-1] if trajectory._n == 2 else 4
-    times = np.random.default_rng(1).integers(-MS, 20_000 * MS, size=(200, n))
+    times = np.random.default_rng(1).integers(-MS, 20_000 * MS, size=(200, trajectory._n))
     batch = trajectory.sample(times)
     for row, each in enumerate(times):
         single = trajectory.sample(each)
@@ -140,6 +141,13 @@ def test_a_displaced_trajectory_is_the_honest_one_but_for_one_axis(
         q, v, a = honest.at(each, t_ns)
         moved = (q + position, v + velocity, a)
         assert displaced.at(each, t_ns) == (moved if each == axis else (q, v, a))
+
+
+def test_some_axes_of_a_trajectory_repeat_as_it_does() -> None:
+    whole = make_trajectory(CIRCLE, ["x", "y"], np.zeros(2), PERIOD)
+    kept = ChosenAxes(whole, [1])
+    assert (kept.repeat_ns, kept.repeat_from_ns) == (whole.repeat_ns, whole.repeat_from_ns) != (None, 0)
+    assert kept.at(0, 10**9) == whole.at(1, 10**9)
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,7 @@ def test_signs_of_life_come_three_times_as_often_as_systemd_asks_for(made: Made)
         told = Told(watchdog_s)
         tell(loop, told)
         assert (loop._chore_ticks, len(loop._chores)) == (ticks, 5)
+        assert set(loop._chores) <= set(range(ticks)), "each of them has its tick in every round"
         tick(loop, 3 * ticks)
         assert len(told.heard) == 3
 

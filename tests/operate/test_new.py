@@ -14,7 +14,7 @@ from hil.cli.app import build_app
 from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import plant_notes
-from hil.rig.scaffold import LAYOUTS
+from hil.rig.scaffold import LAYOUTS, AxisSketch, _move_s
 from hil.rig.schema import RigError
 from hil.studies.tune.search_space import space_of
 from hil.virtual.sim import simulate
@@ -53,6 +53,14 @@ def test_what_it_writes_passes_check_and_follows_its_task(layout: str, flags: li
         low, high = rig.axes[name].limits.position
         assert figures["max_error"] < 1e-3 * (high - low)
         assert figures["peak_force"] < 0.8 * rig.axes[name].limits.force
+
+
+@pytest.mark.parametrize(("mass", "force", "seconds"), [(5.0, 0.5, 4.2), (0.2, 0.02, 4.2), (5.0, 50.0, 1.2)])
+def test_the_first_move_takes_a_fifth_of_the_rated_force_or_half_the_speed(
+    mass: float, force: float, seconds: float
+) -> None:
+    """Over 0.06 of the 0.1 m of travel: 5.77 m d / T^2 is a fifth of the force, or 1.875 d / T a tenth of a metre."""
+    assert _move_s((AxisSketch("x", mass, 0.1, 1e-7, force, 0.0),)) == seconds
 
 
 def test_the_file_holds_what_was_said(tmp_path: Path) -> None:

@@ -142,6 +142,13 @@ def test_modes_and_codes_mean(mode: int, fault: int, enabled: bool, status: Driv
     assert (sample.axis, sample.position, sample.status) == (1, -125_000, status)
 
 
+@pytest.mark.parametrize("node", [1, 2])
+def test_a_drive_that_has_power_before_anything_was_said_is_enabled(node: int) -> None:
+    sample = ends()[0].decode(answer(node, 12, 0.0))
+    assert isinstance(sample, Sample)
+    assert sample.status == DriveStatus.ENABLED
+
+
 def test_what_is_no_sample_is_told_apart() -> None:
     host, _ = ends()
     good = answer(1, POSITION, 0.5)
