@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from drivers.toml_file import LARGEST, MOST_PROBLEMS
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.rig.file import build_rig, load_rig, rig_hash
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigConfig, RigError, TaskConfig
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
@@ -61,6 +61,11 @@ def test_every_scriptable_key_can_be_set(key: str) -> None:
 def test_modelling_error_takes_one_number_or_one_per_axis() -> None:
     assert load_rig(PAPER, ["plant.modelling_error=0.3"]).plant.modelling_error == 0.3
     assert load_rig(PAPER, ["plant.modelling_error=[0.3, 0.1]"]).plant.modelling_error == [0.3, 0.1]
+
+
+def test_a_whole_table_can_be_set() -> None:
+    table = TaskConfig(kind="point_to_point", axes=["y"], target=[0.01], move_s=0.2)
+    assert load_rig(PAPER, ['task={kind="point_to_point", axes=["y"], target=[0.01], move_s=0.2}']).task == table
 
 
 def test_gains_of_the_files_law_are_not_taken_for_another_law() -> None:
