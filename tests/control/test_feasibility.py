@@ -65,6 +65,23 @@ def test_a_unit_that_is_off_by_thousands_is_asked_back(change: str, word: str) -
     assert word in question
 
 
+@pytest.mark.parametrize(
+    ("at", "beyond"),
+    [
+        ({"limits.force": 1.0, "model.mass": 20.0}, {"model.mass": 20.0001}),
+        ({"limits.force": 1.0, "model.mass": 1e-5}, {"model.mass": 0.99999e-5}),
+        ({"limits.force": 1.0, "model.coulomb": 1.0}, {"model.coulomb": 1.0001}),
+        ({"limits.force": 1.0, "model.gravity": -1.0}, {"model.gravity": -1.0001}),
+        ({"limits.position": [-0.25, 0.25], "limits.speed": 500.0}, {"limits.speed": 500.1}),
+    ],
+    ids=["heaviest", "lightest", "friction", "weight", "speed"],
+)
+def test_what_is_just_possible_is_not_asked_back(at: dict[str, Any], beyond: dict[str, Any]) -> None:
+    for sets, asked in ((at, 0), (at | beyond, 1)):
+        rig = load_rig(RIGS / "microscope-ideal.toml", [f"axes.x.{key}={value}" for key, value in sets.items()])
+        assert len(unit_questions(rig)) == asked
+
+
 def test_a_loop_too_slow_for_its_task_is_refused() -> None:
     rig = load_rig(RIGS / "paper.toml", ["task.frequency_hz=60", "task.radius=1e-7"])
     assert {violation.quantity for violation in violations(rig, [0.0, 0.0])} == {"control periods per oscillation"}

@@ -78,6 +78,14 @@ def test_the_last_plant_of_every_copy_is_left_alone(law: str, rows: int, tmp_pat
     assert np.count_nonzero(pulsed) == 3 * 2
 
 
+def test_a_sampled_mass_behind_a_hold_answers_as_the_textbook_says() -> None:
+    """T^2 / (2 m) (z + 1) / (z - 1)^2."""
+    omega = 2.0 * np.pi * np.array([1.0, 40.0, 333.0])
+    z = np.exp(1j * omega * PERIOD)
+    expected = PERIOD**2 / (2.0 * 0.5) * (z + 1.0) / (z - 1.0) ** 2
+    np.testing.assert_allclose(AxisDynamics(0.5).response(omega, PERIOD), expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("axis", "expected_hz"),
     [

@@ -11,6 +11,7 @@ from hil.control.feasibility import horizon
 from hil.control.trajectories import make_trajectory, paths
 from hil.control.trajectories.base import Trajectory
 from hil.control.trajectories.paths import raster_points, spline, waypoints
+from hil.control.trajectories.segments import Segments
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 from hil.rig.task_file import MOST_ROWS, TaskFileError, read_task_file, sample_problems
@@ -118,6 +119,21 @@ def test_waypoints_are_reached_within_the_limits() -> None:
     for point in points:
         assert np.abs(sampled.position - point).sum(axis=1).min() < 1e-12
     assert (sampled.position[-1] == points[-1]).all()
+
+
+@pytest.mark.parametrize("blend", [0.0, 1e-3])
+def test_points_that_repeat_end_where_they_begin_whether_the_way_back_is_said_or_not(blend: float) -> None:
+    limits = (0.05, 0.5, 50.0)
+    a, b, c = [0.0, 0.01], [0.02, 0.01], [0.02, -0.01]
+
+    def around(*points: list[float]) -> Segments:
+        return waypoints(points, limits, lambda s: max(round(s * 1e3), 1) * 1_000_000, 10_000_000, blend, repeat=True)
+
+    for said, unsaid in (((a, b, a), (a, b)), ((a, b, c, a), (a, b, c)), ((a, a, b, a), (a, a, b))):
+        assert around(*said).segments == around(*unsaid).segments
+        last = around(*unsaid)
+        assert last.repeat_ns is not None
+        assert [last.at(axis, last.repeat_ns - 1)[0] for axis in (0, 1)] == pytest.approx(a, abs=1e-12)
 
 
 @pytest.mark.parametrize("tight", range(3), ids=["speed", "acceleration", "jerk"])

@@ -65,6 +65,14 @@ def test_one_instant_and_a_batch_agree_bit_for_bit(trajectory: Trajectory) -> No
             assert np.array_equal(getattr(single, name), getattr(batch, name)[row])
 
 
+@pytest.mark.parametrize("trajectory", trajectories()[: len(TASKS)], ids=NAMES[: len(TASKS)])
+def test_an_axis_that_a_task_does_not_name_stays_where_it_is(trajectory: Trajectory) -> None:
+    times = np.arange(0, 6_000 * MS, 7 * MS)
+    stays = [(0.01, 0.0, 0.0)] * len(times)
+    assert [trajectory.at(2, t_ns) for t_ns in times.tolist()] == stays
+    assert list(zip(*(column.tolist() for column in trajectory.sample_axis(2, times)), strict=True)) == stays
+
+
 @pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)
 def test_velocity_and_acceleration_are_the_derivatives_of_position(trajectory: Trajectory) -> None:
     n = trajectory._n
@@ -200,6 +208,8 @@ def test_injection_is_fastest_at_contact_and_rests_in_the_cell() -> None:
     [
         ("contact_speed", 1.0, "contact_speed = 1.0 m/s"),
         ("contact", [0.0, 0.0, 0.0, 0.0], "contact"),
+        ("contact", None, "must lie between start and end"),
+        ("end", [0.004, 0.002, -0.0038, 0.02], "must lie between start and end"),  # where contact is
         ("end", None, "must differ from start"),
     ],
 )

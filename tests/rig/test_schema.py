@@ -118,6 +118,10 @@ def test_an_override_of_one_axis_encoder_beside_it_leaves_the_axes_to_what_they_
             "axes.x.limits.force = 5e-324: Input should be greater than or equal to 0.000000000000001",
         ),
         ("axes.x.model.mass=1e300", "axes.x.model.mass = 1e+300: Input should be less than or equal to"),
+        *(
+            (f"axes.x.model.presliding={wrong}", f"presliding = {wrong}: allowed: [least, greatest], or an empty list")
+            for wrong in ("[2e-06]", "[2e-06, 1e-06]")
+        ),
         ("rate_hz=100", "drives.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next"),
     ],
 )
