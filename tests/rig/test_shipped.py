@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.rig.shipped import by_name, names, shipped
+from hil.rig.shipped import IncompleteError, by_name, names, shipped
 
 
 def test_a_name_is_the_shipped_file() -> None:
@@ -20,4 +20,12 @@ def test_a_path_or_an_unknown_name_stays_what_it_is(path: str) -> None:
 def test_a_file_here_goes_before_a_shipped_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "microscope").touch()
     monkeypatch.chdir(tmp_path)
+    assert by_name("rigs", Path("microscope")) == Path("microscope")
+
+
+def test_without_the_files_that_come_with_it_a_name_stays_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(kind: str) -> Path:
+        raise IncompleteError(kind)
+
+    monkeypatch.setattr("hil.rig.shipped.shipped", gone)
     assert by_name("rigs", Path("microscope")) == Path("microscope")

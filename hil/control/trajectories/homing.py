@@ -23,7 +23,7 @@ def plan_homing(rig: RigConfig) -> Plan:
     def begin(start: Values) -> Segments:
         ways = zip(start, home, speeds, strict=True)
         seconds = max(abs(there - here) * PEAK_TO_MEAN / speed for here, there, speed in ways)
-        periods = max(int(seconds * 1e9) // period_ns + 1, 1)
+        periods = int(seconds * 1e9) // period_ns + 1
         there = [move(periods * period_ns, start, home), rest(0, home)]
         return Segments(there, repeat=False, phase_names=("homing",))
 

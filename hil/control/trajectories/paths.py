@@ -218,7 +218,7 @@ def waypoints(
     return _body(parts, through[-1], repeat=repeat)
 
 
-def spiral_samples(radius: float, turns: float, seconds: float, *, back: bool = False) -> list[list[float]]:
+def spiral_samples(radius: float, turns: float, seconds: float, *, back: bool) -> list[list[float]]:
     """Rows of an Archimedean spiral from its centre outwards, radius and angle minimum jerk over `seconds`; then as
     long for the same way back.
     """
