@@ -62,7 +62,7 @@ ROOMS = {
     "stability": Room(
         ("hil/control",),
         ("tests/control/test_stability.py", "tests/control/test_measures.py", "tests/control/test_feasibility.py",
-         "tests/control/test_corner_dynamics.py", "tests/control/test_loop_corners.py",
+         "tests/control/test_corner_dynamics.py", "tests/control/test_loop_corners.py", "tests/rig/test_checks.py",
          "tests/control/test_start_ranges.py", "tests/control/test_learning_check.py",
          "tests/virtual/test_ideal_microscope.py"),
     ),

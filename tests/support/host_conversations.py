@@ -4,21 +4,25 @@ Of the same kind as conversation_reference.py, and kept in the same file. Drives
 silent and are reset as it happens; among their answers are frames that are damaged, repeated, for others or nothing.
 """
 
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, DeviceProtocol, DriveStatus, HostProtocol, Reject, Sample
 from drivers.protocols.canopen.cia301 import EDS
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
 from tests.support.fuzz_frames import Mutator
+from tests.support.paged_dbc import TEXT, bound
 from tests.support.paths import RIGS
 
 PIECES, TICKS = 8, 100
+SWITCH, BEAT = {"message": "Switch", "signal": "On"}, {"message": "Beat", "period_s": 0.005}
 
 NODES = (
     "bus.cia402.write_rated_torque=true",
@@ -28,10 +32,11 @@ NODES = (
 
 
 class Talk(NamedTuple):
-    """A rig and what is changed of it."""
+    """A rig and what is changed of it. binding: of paged_dbc.py's file, in place of the rig's layout."""
 
     rig: str
     overrides: tuple[str, ...] = ()
+    binding: dict[str, Any] | None = None
 
 
 TALKS = {
@@ -46,6 +51,18 @@ TALKS = {
     "odrive": Talk("odrive"),
     "vesc": Talk("vesc"),
     "moteus": Talk("moteus"),
+    "moteus, whole numbers": Talk("moteus", ("bus.moteus.position=float", "bus.moteus.torque=int16")),
+    "moteus, short ones": Talk("moteus", ("bus.moteus.position=int16", "bus.moteus.torque=int32")),
+    "pages": Talk("paper", (), bound()),
+    "pages, all asked for": Talk("paper", (), bound(remote=["Told0", "Told1"])),
+    "pages, asked for seldom": Talk(
+        "paper",
+        (),
+        bound(remote=["Told0", "Told1"], periodic=[{"message": "Told1", "period_s": 0.01}, BEAT], on_change=[]),
+    ),
+    "pages, a bit for each axis": Talk("paper", (), bound(enable=[SWITCH], start=[], stop=[])),
+    "pages, one switch for all": Talk("paper", (), bound(enable=[SWITCH | {"on": 5, "off": 3}], start=[], stop=[])),
+    "pages, one start for all": Talk("paper", (), bound(start=[SWITCH | {"value": 1}], stop=[SWITCH])),
 }
 
 
@@ -53,10 +70,19 @@ def talk(name: str) -> Iterator[list[str]]:
     """Piece by piece what was sent, what came in and what the host made of it."""
     asked = TALKS[name]
     rig = load_rig(RIGS / f"{asked.rig}.toml", list(asked.overrides))
-    rated = [axis.rated_force for axis in rig.axes.values()]
-    host = host_protocol(rig.bus, len(rated), rated, RIGS, rig.period_ns, rig.mountings)
-    device = device_protocol(rig.bus, len(rated), rated, RIGS, rig.mountings)
-    stage = _stage(rig, rated)
+    with tempfile.TemporaryDirectory() as made:
+        folder = RIGS
+        if asked.binding is not None:
+            folder = Path(made)
+            (folder / "pages.dbc").write_text(TEXT, encoding="ascii")
+            bus = BusConfig.model_validate({"protocol": "dbc:pages.dbc", "dbc": asked.binding})
+            rig = rig.model_copy(update={"bus": bus})
+        rated = [axis.rated_force for axis in rig.axes.values()]
+        host = host_protocol(rig.bus, len(rated), rated, folder, rig.period_ns, rig.mountings)
+        device = device_protocol(rig.bus, len(rated), rated, folder, rig.mountings)
+        stage = EmulatedStage(
+            rig.plant, rig.bus, rig.axis_names, rated, folder, drives=rig.drives, mountings=rig.mountings
+        )
     draw, mutator, heard = Random(name), Mutator(rig.bus.protocol, 1), list[Frame]()
     enable = 0
     head = _facts(host, device, rig.period_ns)
@@ -93,10 +119,6 @@ def _facts(host: HostProtocol, device: DeviceProtocol, period_ns: int) -> list[s
     lag, resolution = getattr(device, "enable_lag", 0), float(getattr(device, "force_resolution", 0.0))
     fd, modulus = bool(getattr(device, "fd", False)), int(getattr(device, "sequence_modulus", 0))
     return [*lines, f"{device.n_axes} {fd} {modulus} {lag} {resolution!r}"]
-
-
-def _stage(rig: RigConfig, rated: list[float]) -> EmulatedStage:
-    return EmulatedStage(rig.plant, rig.bus, rig.axis_names, rated, RIGS, drives=rig.drives, mountings=rig.mountings)
 
 
 def _answers(stage: EmulatedStage, sent: list[Frame], now_ns: int, mutator: Mutator) -> list[Frame]:

@@ -1,16 +1,16 @@
 """Reference runs: hashes of what the code does, kept in tests/reference/trace_hashes.json and replayed by CI.
 
-    python -m tests.support.reference [traces | campaigns | laws | plants | drives | conversations]
+    python -m tests.support.reference [PART]
 
-renews all of it, or that part.
+renews all of it, or that part: traces, campaigns, laws, plants, drives, conversations, trajectories, checks.
 
 For a new law renew `traces` (a minute) and `laws`, for a new trial `campaigns` (some minutes), for a new effect of the
 plant `plants`, and all after a change that is meant to change what runs do.
 
 `traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both ideal rigs with
 every law, and for the microscope as it is shipped.
-`laws`, `plants`, `drives`, `conversations`: files of their own (law_reference.py, plant_reference.py,
-drive_plan_reference.py, conversation_reference.py).
+`laws`, `plants`, `drives`, `conversations`, `trajectories`, `checks`: files of their own (law_reference.py,
+plant_reference.py, drive_plan_reference.py, conversation_reference.py, trajectory_reference.py, check_reference.py).
 `campaigns`: SHA-256 over what every cell of the fault campaign found, for the shipped rigs on their own layouts.
 """
 
@@ -91,13 +91,22 @@ HALVES: dict[str, Callable[[], dict[str, Any]]] = {
 
 def main() -> None:
     """Write a part anew, or all."""
-    from tests.support import conversation_reference, drive_plan_reference, law_reference, plant_reference
+    from tests.support import (
+        check_reference,
+        conversation_reference,
+        drive_plan_reference,
+        law_reference,
+        plant_reference,
+        trajectory_reference,
+    )
 
     others = {
         "laws": law_reference.renew,
         "plants": plant_reference.renew,
         "drives": drive_plan_reference.renew,
         "conversations": conversation_reference.renew,
+        "trajectories": trajectory_reference.renew,
+        "checks": check_reference.renew,
     }
     parser = argparse.ArgumentParser(prog="python -m tests.support.reference")
     parser.add_argument("part", nargs="?", choices=[*HALVES, *others], help="without it: all")

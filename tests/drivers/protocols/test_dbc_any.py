@@ -18,6 +18,7 @@ from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.bought_drives import shipped
+from tests.support.paged_dbc import LONG_BESIDE, TEXT, bound, pair
 from tests.support.random_dbc import NESTED_IN, Drawn, Message, dbc_files
 
 MS = 1_000_000
@@ -138,75 +139,6 @@ def test_of_many_broken_messages_that_nobody_binds_the_first_are_named(broken: i
 
 # pages of one identifier, as many motors have them: the first byte is the command ------------------------------------
 
-TEXT = """VERSION ""
-
-BU_: Host Drive
-
-BO_ 2147484000 Asked0: 8 Host
- SG_ Order M : 0|8@1+ (1,0) [0|0] "" Drive
- SG_ Current m161 : 32|16@1- (0.01,0) [0|0] "A" Drive
- SG_ Limit m162 : 8|8@1+ (1,0) [0|0] "" Drive
-
-BO_ 2147484001 Asked1: 8 Host
- SG_ Order M : 0|8@1+ (1,0) [0|0] "" Drive
- SG_ Current m161 : 32|16@1- (0.01,0) [0|0] "A" Drive
- SG_ Limit m162 : 8|8@1+ (1,0) [0|0] "" Drive
-
-BO_ 1536 Told: 8 Drive
- SG_ Kind M : 0|8@1+ (1,0) [0|0] "" Host
- SG_ State : 8|4@1+ (1,0) [0|0] "" Host
- SG_ Axis m1M : 15|4@0+ (1,0) [0|0] "" Host
- SG_ Position0 m0 : 32|32@1- (1,0) [0|0] "" Host
-
-BO_ 1537 Told1: 8 Drive
- SG_ Position : 7|32@0- (1,0) [0|0] "" Host
- SG_ State : 39|8@0+ (1,0) [0|0] "" Host
-
-BO_ 1538 Told0: 8 Drive
- SG_ Kind M : 0|8@1+ (1,0) [0|0] "" Host
- SG_ State : 8|8@1+ (1,0) [0|0] "" Host
- SG_ Position m3 : 32|32@1- (1,0) [0|0] "" Host
-
-BO_ 1539 Alive: 0 Host
-
-BO_ 1540 Beat: 2 Host
- SG_ Toggle : 0|8@1+ (1,0) [0|0] "" Drive
-
-BO_ 1541 Switch: 1 Host
- SG_ On : 0|8@1+ (1,0) [0|0] "" Drive
-
-SG_MUL_VAL_ 2147484000 Current Order 161-161;
-"""
-
-
-LONG_BESIDE = """
-BO_ 1542 Diagnostics: 48 Drive
- SG_ Code : 0|19@1+ (1,0) [0|0] "" Host
-
-"""
-
-
-def pair(message: str, signal: str, **more: Any) -> list[dict[str, Any]]:
-    return [{"message": f"{message}{axis}", "signal": signal, **more} for axis in (0, 1)]
-
-
-BINDING: dict[str, Any] = {
-    "position": pair("Told", "Position"),
-    "torque": pair("Asked", "Current", scale=0.05),
-    "status": pair("Told", "State", enabled=[5]),
-    "start": pair("Asked", "Order", value=0x88),
-    "stop": pair("Asked", "Order", value=0x81),
-    "constant": pair("Asked", "Limit", value=7),
-    "on_change": ["Asked0.Limit", "Asked1.Limit", "Alive"],
-    "periodic": [{"message": "Beat", "period_s": 0.005}],
-    "remote": ["Told0"],
-}
-
-
-def bound(**changes: Any) -> dict[str, Any]:
-    binding = {**BINDING, "constant": [*BINDING["constant"], {"message": "Beat", "signal": "Toggle", "value": 1}]}
-    return {**binding, **changes}
-
 
 def said(frames: list[Frame]) -> list[tuple[int, int]]:
     return [
@@ -237,9 +169,8 @@ def test_one_signal_enables_the_axes_bit_by_bit_or_all_of_them(each_its_bit: boo
     one = {"message": "Switch", "signal": "On", **({} if each_its_bit else {"on": 5, "off": 3})}
     host, device = ends(TEXT, bound(enable=[one], start=[], stop=[]))
     frames = host.encode(Command(0, [1.0, 1.0], enable, False))
-    assert [frame.data[0] for frame in frames if frame.can_id == 1541] == [
-        enable if each_its_bit else 5 if enable else 3
-    ]
+    switched = enable if each_its_bit else 5 if enable else 3
+    assert [frame.data[0] for frame in frames if frame.can_id == 1541] == [switched]
     (heard,) = [command for frame in frames if isinstance(command := device.decode_command(frame), Command)]
     assert heard.enable == (enable if each_its_bit else 0b11 * (enable > 0))
 
