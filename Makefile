@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -22,8 +22,11 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
-test: setup  ## unit, lockstep and live tests on this machine (about six minutes)
-	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
+test: setup  ## unit tests, and the whole loop in virtual time (about three minutes)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not live and not slow and not vcan and not controller"
+
+test-live: setup  ## the same as real processes on the local bus: started, killed, watched (about two minutes)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "live and not slow and not vcan and not controller"
 
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json

@@ -367,8 +367,9 @@ def test_bytes_of_any_kind_are_rows_or_an_error(tmp_path_factory: pytest.TempPat
         ([[0.0, 1e6], [1e6, -1e6]], [[0.0, 1e6], [1.0, -1.000001e6]]),
         ([[k, 0.0] for k in range(20_000)], [[k, 0.0] for k in range(20_001)]),
         ([[k, 0.0] for k in range(2)], [[0.0, 0.0]]),
+        ([[k, 0.0] for k in range(2)], [[0.0, 0.0], [1.0]]),
     ],
-    ids=["a microsecond", "a million", "most rows", "least rows"],
+    ids=["a microsecond", "a million", "most rows", "least rows", "as many values as columns"],
 )
 def test_samples_are_taken_up_to_their_bounds(taken: list[list[float]], refused: list[list[float]]) -> None:
     assert sample_problems(["x"], taken) == []

@@ -138,6 +138,7 @@ def test_presliding_kalman_on_drawn_stages(trial: Trial, mode_hz: float, peak: f
     assert found["RMS"].max() < rms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode_hz", "seed", "numbers"),
     [(0.0, 2026, (0, 3, 6, 10, 15)), (150.0, 7, (2, 11, 14, 15))],

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 import pytest
 
-from drivers.protocols.canopen.cia301 import Abort, DriveState, NmtCommand, NmtState, drive_state
+from drivers.protocols.canopen.cia301 import BASIC_TYPES, Abort, DriveState, NmtCommand, NmtState, drive_state
 
 ABORTS = {  # table 22
     "TOGGLE": 0x05030000,
@@ -30,6 +30,12 @@ ABORTS = {  # table 22
 }
 COMMANDS = {"START": 1, "STOP": 2, "PRE_OPERATIONAL": 128, "RESET_NODE": 129, "RESET_COMMUNICATION": 130}
 STATES = {"BOOT_UP": 0, "STOPPED": 4, "OPERATIONAL": 5, "PRE_OPERATIONAL": 127}
+
+
+def test_the_types_of_objects_are_those_of_the_standard() -> None:
+    """Table 44: numbers whose sizes are powers of two; what Python packs them as."""
+    integers = {0x02: "b", 0x03: "h", 0x04: "i", 0x15: "q", 0x05: "B", 0x06: "H", 0x07: "I", 0x1B: "Q"}
+    assert {0x01: "?", **integers, 0x08: "f", 0x11: "d"} == BASIC_TYPES
 
 
 @pytest.mark.parametrize(("kind", "numbers"), [(Abort, ABORTS), (NmtCommand, COMMANDS), (NmtState, STATES)])

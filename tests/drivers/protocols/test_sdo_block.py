@@ -59,6 +59,7 @@ def test_an_object_of_any_length_comes_whole(length: int) -> None:
     assert exchange.transfer.value == int.from_bytes(content, "little")
     assert exchange.transfer.code == 0
     assert [request[0] for request in exchange.requests[:3]] == [0x40, 0xA4, 0xA3]  # asked plainly first
+    assert exchange.requests[1] == SDO.pack(0xA4, 0x2000, 0, bytes((1, 0, 0, 0)))  # a segment a block, never plainly
     assert len(exchange.requests) == 3 + -(-length // 7)
     exchange.closes()
 
