@@ -186,6 +186,24 @@ def test_weights_become_those_of_the_process() -> None:
     assert w == pytest.approx(truth, abs=5e-3)
 
 
+@pytest.mark.parametrize("learn", [1.0, 0.0])
+def test_a_step_of_the_weights_filter_is_the_textbooks(learn: float) -> None:
+    """P - h h' / (r' P r + noise), and the walk of every weight that is less certain than it may be."""
+    rng, at = np.random.default_rng(3), np.triu_indices(7)
+    for _ in range(20):
+        root, r, more = rng.normal(size=(7, 7)), rng.normal(size=7), rng.uniform(0.1, 0.2, size=7)
+        p, noise = root @ root.T, 0.3
+        most = np.diag(p) * rng.choice([0.9, 1.1], size=7)
+        told = (tuple(values.tolist()) for values in (p[at], r))
+        spread, k = learnt(*told, noise, tuple(more.tolist()), tuple(most.tolist()), learn)
+        gain = learn * p @ r / (r @ p @ r + noise)
+        expected = p - np.outer(gain, p @ r) + learn * np.diag(np.where(np.diag(p) < most, more, 0.0))
+        assert spread == pytest.approx(expected[at])
+        assert k == pytest.approx(gain)
+    variances = tuple(float(v) for v in range(1, 8))
+    assert diagonal(variances) == tuple(np.diag(variances)[at].tolist())
+
+
 def test_what_is_learnt_of_a_place_counts_once_the_place_is_left() -> None:
     table = PositionTable(1e-3, 1.0)
     for k in range(11):

@@ -200,6 +200,12 @@ def test_the_bus_and_the_rig_file_tell_how_they_changed_and_when_they_are_well_a
     ]
 
 
+def test_other_flags_of_a_tick_say_nothing_of_the_rig_file() -> None:
+    records = quiet(9)
+    records["flags"] |= np.uint32(1) << np.arange(9, dtype=np.uint32) & ~np.uint32(RIG_OK)
+    assert [event for event in told(records) if event.kind is Kind.RIG_FILE] == []
+
+
 def test_of_each_second_s_alike_events_three_are_told_and_one_more_counts_the_rest() -> None:
     assert TOLD == 3
     records = quiet(3000, first=1000)

@@ -133,6 +133,32 @@ def test_a_change_of_state_or_of_what_there_is_to_say_is_told_with_it(made: Made
     assert [len(lines) for lines in told.heard] == [3, 2], "READY=1 is said once"
 
 
+class Written:
+    """Where the loop's notes go. ticks: in which it had them written."""
+
+    told: tuple[()] = ()
+
+    def __init__(self) -> None:
+        self.ticks: list[int] = []
+
+    def write(self, speaker: object, tick: int, now_ns: int) -> None:
+        self.ticks.append(tick)
+
+
+@pytest.mark.parametrize(("state", "rounds"), [(State.CONNECTED, 2), (State.ACTIVE, 0)])
+def test_what_there_is_to_say_is_written_down_while_nothing_moves(
+    made: Made, monkeypatch: pytest.MonkeyPatch, state: State, rounds: int
+) -> None:
+    loop, _, _ = made
+    written = Written()
+    loop.parts = loop.parts._replace(notes=written)  # type: ignore[arg-type]
+    tick(loop, 1)
+    monkeypatch.setattr(loop._cycle.supervisor.machine, "state", state)
+    for _ in range(2):
+        loop._tell_alive()
+    assert len(written.ticks) == rounds
+
+
 def test_signs_of_life_come_three_times_as_often_as_systemd_asks_for(made: Made) -> None:
     loop, _, _ = made
     for watchdog_s, ticks in ((0.0, 250), (3.0, 250), (0.3, 100), (0.003, 5)):

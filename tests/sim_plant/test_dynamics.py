@@ -218,6 +218,24 @@ def test_a_free_axis_rings_at_the_frequency_and_damping_its_mode_says() -> None:
         assert stage.positions[0] - stage.readings()[0] == pytest.approx(-still * (1 - swing), abs=1e-9)
 
 
+def test_what_pulls_on_a_motor_that_friction_holds_is_the_sum_of_all_that_hangs_on_it() -> None:
+    """And what friction can hold is the Coulomb force, its peak at rest, and how that varies with the place."""
+    cable = {"cable_stiffness": 20.0, "cable_hysteresis": 0.05, "cable_reach": 1e-4}
+    along = {"cogging": [{"amplitude": 0.2, "period": 0.01, "phase": 0.3}], "friction_variation": 0.1}
+    along |= {"friction_period": 0.02, "stribeck_scale": 0.4, "stribeck_velocity": 0.01, "torque_lag": 1e-3}
+    floor = {"vibration": [{"acceleration": 0.5, "frequency_hz": 30.0}]}
+    axis = stage_of(**X, **mode(200.0, 0.1), **cable, **along, **floor)._single.axes[0]
+    q, tool, speed, bent, lagged, t = 1.3e-3, 1.5e-3, -0.02, 0.4, 0.7, 0.011
+    at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0)
+    net, hold = axis._engine.load_on_motor(at, t, (0.11, 9.0))
+    ring = 2.0 * math.pi * 200.0
+    coupling = 0.3 * 0.93 * (ring * ring * (tool - q) + 0.2 * ring * speed)
+    pulls = coupling - 0.05 * bent - 20.0 * q + 0.2 * math.sin(2.0 * math.pi * q / 0.01 + 0.3)
+    shaken = 0.7 * 0.93 * 0.5 * math.sin(2.0 * math.pi * 30.0 * t)
+    assert net == pytest.approx(0.11 + lagged + pulls - shaken, rel=1e-9)
+    assert hold == pytest.approx(0.66 * 1.4 * (1.0 + 0.1 * math.sin(2.0 * math.pi * q / 0.02)), rel=1e-9)
+
+
 def test_a_mode_on_set_valued_friction_lets_the_tool_ring_while_the_motor_is_held() -> None:
     stage = stage_of(velocity=5e-3, **X, **mode(200.0))
     for _ in range(30):

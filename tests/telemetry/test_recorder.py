@@ -187,6 +187,16 @@ def test_what_went_in_and_out_has_the_wall_clock_time_of_its_last_tick_and_says_
     assert [(cycle.first, cycle.lost, len(cycle.index)) for cycle in found] == [(7, 2, 5), (15, 3, 2)]
 
 
+def test_no_message_holds_more_than_a_thousand_ticks_however_many_come_at_once(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", METADATA)
+    write_batch(recorder, _records([([], [], [], 0)] * 2300), first=7, lost=2)
+    recorder.close()
+    found = [pb.Cycle.FromString(item.data) for item in Recording(tmp_path / "run.mcap") if item.topic == "cycle"]
+    assert [(cycle.first, cycle.lost, len(cycle.index)) for cycle in found] == [
+        (7, 2, 1000), (1007, 0, 1000), (2007, 0, 300),
+    ]  # fmt: skip
+
+
 def test_a_recording_describes_its_own_messages_to_foreign_tools(tmp_path: Path) -> None:
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory

@@ -284,6 +284,21 @@ def test_a_frame_that_its_sender_repeats_comes_again_behind_an_error_frame_of_20
     assert sender.counters().errors == 1
 
 
+def test_a_frame_that_was_to_be_repeated_and_is_purged_leaves_nothing_behind() -> None:
+    """What comes next may be overtaken, and is struck by the script like any other frame."""
+    wire = Wire(1_000_000, faults=[WireFault(FaultKind.DUPLICATE, count=2)])
+    heard: list[int] = []
+    sender = wire.attach("sender", None, fifo=False)
+    wire.attach("listener", lambda frame: heard.append(frame.can_id))
+    sender.send(Frame(0x200, b""), 0)
+    wire.advance((bits(Frame(0x200, b"")) + 5) * BIT)
+    assert (heard, sender.purge()) == ([0x200], 1)
+    for can_id in (0x300, 0x100):
+        sender.send(Frame(can_id, b""), wire.now_ns)
+    wire.advance(2 * MS)
+    assert heard == [0x200, 0x100, 0x100, 0x300]
+
+
 @pytest.mark.parametrize(("before", "is_off"), [(247, False), (248, True)])
 def test_a_node_is_off_the_bus_above_255(before: int, is_off: bool) -> None:
     wire, sender, heard, _ = pair(WireFault(FaultKind.CORRUPT, count=1, bit=3))
