@@ -139,6 +139,11 @@ def test_a_dbc_file_gives_messages_and_signals_their_names_units_and_words(tmp_p
     assert read(Frame(0x200, b"\x02\x07")).startswith("Paged: DecodeError ")
 
 
+def test_a_dbc_file_without_a_binding_is_refused_as_a_layout_is(tmp_path: Path) -> None:
+    with pytest.raises(LayoutError, match=r"bus\.dbc"):
+        layout_reader(BusConfig(protocol="dbc:any.dbc"), ["x"], [5.0], tmp_path)
+
+
 def test_positions_are_told_where_torques_have_a_unit_that_only_the_drive_knows(tmp_path: Path) -> None:
     (tmp_path / "made.eds").write_text(eds_text(CST_DRIVE))
     bus = BusConfig.model_validate({"protocol": "cia402", "cia402": {"eds": ["made.eds"], "nodes": [1, 2]}})
