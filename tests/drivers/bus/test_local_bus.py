@@ -196,6 +196,16 @@ def test_a_bus_of_full_members_refuses_a_frame_like_a_full_transmit_queue(join: 
     assert sender.send(Frame(1, b""))
 
 
+def test_of_a_member_that_left_and_was_heard_out_nothing_is_kept_once_something_is_sent(join: OpenPort) -> None:
+    stays, leaves = join("device"), join()
+    for port in (stays, leaves):
+        take(port)
+    leaves.close()
+    assert len(stays._medium._by_fd) == 1
+    assert stays.send(Frame(1, b""))
+    assert (len(stays._medium._by_fd), stays.counters().no_ack) == (0, 1)
+
+
 def test_a_host_that_did_not_read_for_a_while_sees_a_flood_as_one(join: OpenPort) -> None:
     """Twice what a drain returns is kept for it: frames were discarded, it is told, not that just so many came."""
     sender, host = join("device"), join(receive_limit=16)
