@@ -27,7 +27,7 @@ ROOMS = {
     "cycle": Room(
         ("hil/cycle",),
         ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle",
-         "tests/telemetry/test_recorder.py", _PAGES, *_RUNS,
+         "tests/telemetry/test_recorder.py", "tests/live/test_notes.py", _PAGES, *_RUNS,
          *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
     "plug-ins": Room(

@@ -94,6 +94,16 @@ def test_a_cst_drive_without_sync_counter_and_dummies_gets_an_rpdo_of_its_own() 
     assert tpdo == 0xC0000181  # the bit for no remote frames stays, which many drives insist on
 
 
+def test_until_6076h_is_read_no_torque_is_sent_whatever_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "made.eds").write_text(eds_text(CST_DRIVE))
+    table = {"eds": ["made.eds"], "nodes": [1, 2]}
+    bus = BusConfig.model_validate({"protocol": "cia402", "cia402": table})
+    host = Cia402Host(bus, 2, [5.0, 5.0], tmp_path, MS)
+    for tick in range(50):
+        told = host.encode(Command(tick, [5.0, -5.0], 0b11, False))
+        assert [frame.data[-2:] for frame in told if frame.can_id in (0x201, 0x202)] == [bytes(2)] * 2
+
+
 def test_6076h_is_read_and_never_written_unless_the_rig_asks() -> None:
     assert "6076:0" not in written(plan(CST_DRIVE))
     stated = plan(CST_DRIVE, rated_torque=[0.5])
