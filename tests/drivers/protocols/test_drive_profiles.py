@@ -98,7 +98,7 @@ def test_until_6076h_is_read_no_torque_is_sent_whatever_is_asked_for(tmp_path: P
     (tmp_path / "made.eds").write_text(eds_text(CST_DRIVE))
     table = {"eds": ["made.eds"], "nodes": [1, 2]}
     bus = BusConfig.model_validate({"protocol": "cia402", "cia402": table})
-    host = Cia402Host(bus, 2, [5.0, 5.0], tmp_path, MS)
+    host = Cia402Host(bus, 2, [5.0, 5.0], MS, tmp_path)
     for tick in range(50):
         told = host.encode(Command(tick, [5.0, -5.0], 0b11, False))
         assert [frame.data[-2:] for frame in told if frame.can_id in (0x201, 0x202)] == [bytes(2)] * 2
