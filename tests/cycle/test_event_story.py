@@ -147,6 +147,15 @@ def test_a_fault_whose_evidence_found_no_room_is_told_without_numbers() -> None:
     assert (more.kind, more.times, more.name) == (Kind.FAULT_SEEN, 3, "more in one tick than a record keeps")
 
 
+def test_a_record_without_room_is_no_end_of_a_fault_that_was_seen_before() -> None:
+    records, number = quiet(3, first=20), int(Fault.FOLLOWING_ERROR)
+    records["faults_active"], records["n_evidence"] = 1 << number, [1, 0, 1]
+    records["evidence_of"][:, 0], records["evidence_total"] = number | 1 << 16, [1, 3, 4]
+    assert [(event.name, event.axis, event.tick) for event in told(records)] == [
+        ("following_error", "theta", 20), ("more in one tick than a record keeps", "", 21),
+    ]  # fmt: skip
+
+
 def test_commands_say_whether_they_were_obeyed_and_if_not_why() -> None:
     records = quiet(1, first=20)
     kinds = [CommandKind.HEARTBEAT, CommandKind.STOP, CommandKind.RESET, CommandKind.HEARTBEAT]

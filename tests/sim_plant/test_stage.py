@@ -235,6 +235,21 @@ def test_a_batch_is_bit_for_bit_its_members_one_by_one(
         assert batch.pierced[row].tolist() == stage.pierced.tolist()
 
 
+@pytest.mark.parametrize("more", [{}, {"presliding": 1e-5, "drift": 1e-7, "encoder_latency": 3e-4}])
+def test_each_encoder_alone_and_ahead_shows_what_all_of_them_show_then(more: dict[str, object]) -> None:
+    plant = PlantConfig(mass=[0.5, 0.3], coulomb=[0.2, 0.1], viscous=[1.0, 2.0], quadratic=[0.0, 0.0], **more)
+    truth = Truth.from_config(plant, 2, ["x", "y"])
+    together, alone, ahead = (Stage(truth, velocity=[0.01, -0.02]) for _ in range(3))
+    for _ in range(5):
+        peeked = [ahead.peek_reading(MS, [0.3, -0.4], index) for index in (0, 1)]
+        for stage in (together, alone, ahead):
+            stage.advance(MS, [0.3, -0.4])
+        assert together.readings() == [alone.reading(index) for index in (0, 1)] == peeked
+        assert peeked[0] != peeked[1]
+        for index in (0, 1):
+            ahead.reading(index)
+
+
 @settings(max_examples=50, deadline=None)
 @given(plants, st.floats(-2.0, 2.0))
 def test_looking_ahead_changes_nothing(plant: PlantConfig, force: float) -> None:
