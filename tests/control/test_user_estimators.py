@@ -4,6 +4,7 @@ import importlib.metadata
 import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ import pytest
 
 from drivers import call_limit, plugins
 from hil.control.estimator.gains import design_gains
-from hil.control.estimator.users import EstimatedAxes
-from hil.control.nominal_model import blank_inputs
+from hil.control.estimator.users import EstimatedAxes, EstimatedLaw
+from hil.control.nominal_model import blank_inputs, rig_model
 from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
@@ -350,3 +351,11 @@ def test_what_a_law_has_learnt_is_read_through_it(rig_file: Path) -> None:
     law = run_of(load_rig(rig_file, MADE), rig_file.parent, 1).cycle.law
     assert isinstance(law, EstimatedAxes)
     assert len(law.laws) == 2
+
+
+@pytest.mark.parametrize(("coupled", "preview"), [(False, 0), (True, 3)])
+def test_what_a_law_wants_to_see_it_sees_behind_it_too(coupled: bool, preview: int, rig_file: Path) -> None:
+    rig = load_rig(rig_file, MADE)
+    law = SimpleNamespace(coupled=coupled, preview=preview)
+    behind = EstimatedLaw(law, rig, rig_model(rig), range(2))  # type: ignore[arg-type]
+    assert (behind.coupled, behind.preview) == (coupled, preview)
