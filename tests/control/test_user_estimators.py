@@ -354,8 +354,11 @@ def test_what_a_law_has_learnt_is_read_through_it(rig_file: Path) -> None:
 
 
 @pytest.mark.parametrize(("coupled", "preview"), [(False, 0), (True, 3)])
-def test_what_a_law_wants_to_see_it_sees_behind_it_too(coupled: bool, preview: int, rig_file: Path) -> None:
-    rig = load_rig(rig_file, MADE)
-    law = SimpleNamespace(coupled=coupled, preview=preview)
+def test_a_law_behind_it_is_told_what_it_would_be_told_in_front(coupled: bool, preview: int, rig_file: Path) -> None:
+    rig, told = load_rig(rig_file, MADE), list[Any]()
+    law = SimpleNamespace(coupled=coupled, preview=preview, reset=lambda *begin: told.append(begin))
     behind = EstimatedLaw(law, rig, rig_model(rig), range(2))  # type: ignore[arg-type]
     assert (behind.coupled, behind.preview) == (coupled, preview)
+    position, force = np.array([1e-3, 2e-3]), np.array([0.5, -0.25])
+    behind.reset(position, force)
+    assert [[values.tolist() for values in begin] for begin in told] == [[position.tolist(), force.tolist()]]
