@@ -2,6 +2,7 @@
 gone is looked for, how long a stop may take, and whose time a record holds.
 """
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,10 +12,13 @@ from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
 from hil.cycle.state_machine import State
 from hil.cycle.tick import OperatorCommand
-from hil.live.loop import CHORE_INTERVAL_S, STOP_GRACE_S, ControlLoop
+from hil.live.loop import CHORE_INTERVAL_S, STOP_GRACE_S, ControlLoop, TimedCycle
 from hil.live.stop_page import INDEX
 from hil.live.timing_record import METRICS
+from hil.rig.file import load_rig
 from tests.live.test_loop import NO_ACK, UnpoweredDrives, loop_beside
+from tests.support.paths import RIGS
+from tests.support.records import bare_tick
 
 pytestmark = pytest.mark.replaces_methods
 PERIOD = 1_000_000
@@ -201,6 +205,14 @@ def test_a_stop_that_succeeds_is_no_overstay(made: Made) -> None:
     assert loop._cycle.state is State.SHUTDOWN
     assert not loop.overstayed
     assert loop.ticks == 8
+
+
+def test_a_tick_notes_when_each_of_its_stages_began() -> None:
+    instants = itertools.count(100)
+    cycle = TimedCycle(load_rig(RIGS / "paper.toml"), RIGS, lambda: next(instants))
+    for index in range(3):
+        cycle.step(bare_tick(index, index * PERIOD), [])
+        assert cycle.stamps == [100 + 4 * index + stage for stage in range(4)]
 
 
 def test_stages_follow_one_another_and_an_age_counts_only_where_every_axis_answered(made: Made) -> None:
