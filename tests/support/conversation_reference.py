@@ -360,7 +360,8 @@ def hashes() -> dict[str, dict[str, list[str]]]:
 
 def renew() -> None:
     """Write the file anew."""
-    document = {"renew": "python -m tests.support.reference conversations", **hashes()}
+    words = {name: digest(host_conversations.frames_in_words(name)) for name in host_conversations.TALKS}
+    document = {"renew": "python -m tests.support.reference conversations", **hashes(), "words": words}
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 

@@ -6,6 +6,7 @@ silent and are reset as it happens; among their answers are frames that are dama
 
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -15,7 +16,9 @@ from drivers.frame import Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, DeviceProtocol, DriveStatus, HostProtocol, Reject, Sample
 from drivers.protocols.canopen.cia301 import EDS
+from drivers.protocols.frame_text import layout_reader
 from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
 from tests.support.fuzz_frames import Mutator
 from tests.support.paged_dbc import TEXT, bound
@@ -66,18 +69,35 @@ TALKS = {
 }
 
 
-def talk(name: str) -> Iterator[list[str]]:
-    """Piece by piece what was sent, what came in and what the host made of it."""
+@contextmanager
+def _asked(name: str) -> Iterator[tuple[RigConfig, list[float], Path]]:
+    """The rig of a conversation, the rated forces of its axes, and the folder that its layout's files are in."""
     asked = TALKS[name]
     rig = load_rig(RIGS / f"{asked.rig}.toml", list(asked.overrides))
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    if asked.binding is None:
+        yield rig, rated, RIGS
+        return
     with tempfile.TemporaryDirectory() as made:
-        folder = RIGS
-        if asked.binding is not None:
-            folder = Path(made)
-            (folder / "pages.dbc").write_text(TEXT, encoding="ascii")
-            bus = BusConfig.model_validate({"protocol": "dbc:pages.dbc", "dbc": asked.binding})
-            rig = rig.model_copy(update={"bus": bus})
-        rated = [axis.rated_force for axis in rig.axes.values()]
+        folder = Path(made)
+        (folder / "pages.dbc").write_text(TEXT, encoding="ascii")
+        bus = BusConfig.model_validate({"protocol": "dbc:pages.dbc", "dbc": asked.binding})
+        yield rig.model_copy(update={"bus": bus}), rated, folder
+
+
+def frames_in_words(name: str) -> list[str]:
+    """What a reader of the bus is told of all that is said."""
+    seen: list[Frame] = []
+    for _ in talk(name, seen):
+        pass
+    with _asked(name) as (rig, rated, folder):
+        read = layout_reader(rig.bus, rig.axis_names, rated, folder, rig.mountings)
+        return [read(frame) for frame in seen]
+
+
+def talk(name: str, seen: list[Frame] | None = None) -> Iterator[list[str]]:
+    """Piece by piece what was sent, what came in and what the host made of it. seen: gets every frame."""
+    with _asked(name) as (rig, rated, folder):
         host = host_protocol(rig.bus, len(rated), rated, folder, rig.period_ns, rig.mountings)
         device = device_protocol(rig.bus, len(rated), rated, folder, rig.mountings)
         stage = EmulatedStage(
@@ -92,6 +112,8 @@ def talk(name: str) -> Iterator[list[str]]:
             now_ns = (tick + 1) * rig.period_ns
             noise = [mutator.frame(now_ns) for _ in range(draw.randrange(3))] if tick > 3 * TICKS else []
             lines += [f"{_hex(frame)} : {_told(host.decode(frame))}" for frame in [*heard, *noise]]
+            if seen is not None:
+                seen += [*heard, *noise]
             if draw.randrange(40) == 0 or tick == 2 * TICKS:
                 enable = draw.choice((0, (1 << len(rated)) - 1, (1 << len(rated)) - 1, 1))
             force = [
@@ -99,6 +121,8 @@ def talk(name: str) -> Iterator[list[str]]:
             ]
             sent = host.encode(Command(tick, force, enable, tick % 90 < 8))
             lines.append(f"{now_ns} {enable} {force} > {' '.join(map(_hex, sent))} {list(host.problems)}")
+            if seen is not None:
+                seen += sent
             lines += [f"{_hex(frame)} . {_obeyed(device.decode_command(frame))}" for frame in [*sent, *noise]]
             at, status = tick % len(rated), tick * 37 % 128
             sample = Sample(

@@ -3,16 +3,14 @@
     python -m tests.support.reference [PART]
 
 renews all of it, or that part: traces, campaigns, laws, plants, drives, conversations, trajectories, checks,
-stories.
+stories, refusals.
 
 For a new law renew `traces` (a minute) and `laws`, for a new trial `campaigns` (some minutes), for a new effect of the
 plant `plants`, and all after a change that is meant to change what runs do.
 
 `traces`: trace_sha256 of `hil sim` (every frame received and sent, with its virtual time) for both ideal rigs with
 every law, and for the microscope as it is shipped.
-`laws`, `plants`, `drives`, `conversations`, `trajectories`, `checks`, `stories`: files of their own (law_reference.py,
-plant_reference.py, drive_plan_reference.py, conversation_reference.py, trajectory_reference.py, check_reference.py,
-story_reference.py).
+The other parts have files and modules of their own beside this one.
 `campaigns`: SHA-256 over what every cell of the fault campaign found, for the shipped rigs on their own layouts.
 """
 
@@ -99,6 +97,7 @@ def main() -> None:
         drive_plan_reference,
         law_reference,
         plant_reference,
+        refusal_reference,
         story_reference,
         trajectory_reference,
     )
@@ -111,6 +110,7 @@ def main() -> None:
         "trajectories": trajectory_reference.renew,
         "checks": check_reference.renew,
         "stories": story_reference.renew,
+        "refusals": refusal_reference.renew,
     }
     parser = argparse.ArgumentParser(prog="python -m tests.support.reference")
     parser.add_argument("part", nargs="?", choices=[*HALVES, *others], help="without it: all")

@@ -8,9 +8,10 @@ import pytest
 
 from drivers.protocols.base import Reject
 from tests.support.conversation_reference import FILE, digest
-from tests.support.host_conversations import PIECES, TALKS, talk
+from tests.support.host_conversations import PIECES, TALKS, frames_in_words, talk
 
-KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["hosts"]
+DOCUMENT = json.loads(FILE.read_text(encoding="utf-8"))
+KNOWN, WORDS = DOCUMENT["hosts"], DOCUMENT["words"]
 
 
 def test_there_are_hashes_of_every_conversation() -> None:
@@ -27,3 +28,10 @@ def test_a_host_says_and_hears_what_it_always_did(name: str) -> None:
     assert [digest(lines) for lines in pieces] == KNOWN[name], (
         f"python -m tests.support.conversation_reference '{name}' PIECE"
     )
+
+
+@pytest.mark.parametrize("name", TALKS)
+def test_its_frames_are_told_to_people_in_the_words_they_always_were(name: str) -> None:
+    told = frames_in_words(name)
+    assert len(set(told)) > 150
+    assert digest(told) == WORDS[name], "python -m tests.support.reference conversations"
