@@ -112,6 +112,8 @@ def test_a_heartbeat_that_ends_brings_a_damped_stop_in_time_and_latches() -> Non
     assert run.cycle.state is State.ACTIVE, "no sooner than was agreed"
     run.go(1)
     assert run.cycle.fault is Fault.HEARTBEAT_LOST
+    (lost,) = [one for one in run.cycle.monitor.evidence if one.fault == Fault.HEARTBEAT_LOST]
+    assert lost.limit < lost.value < lost.limit + 2e-3
     assert run.cycle.state is State.STOPPING
     run.go(round(rig.safety.stop_s * 1e3) + 3)
     assert run.cycle.state is State.FAULT

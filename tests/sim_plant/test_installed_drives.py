@@ -137,6 +137,15 @@ def test_drives_have_the_numbers_stated_or_count_from_their_first(
         assert turns == pytest.approx([0.5, 0.25], rel=1e-12), "half a turn of 10 mm, a quarter of one of 20 mm"
 
 
+@pytest.mark.parametrize(("stated", "nodes"), [([], [1, 2]), ([7, 3], [7, 3])])
+def test_without_a_table_moteus_drives_are_those_of_the_rig(stated: list[int], nodes: list[int]) -> None:
+    bus = BusConfig.model_validate({"protocol": "moteus", "moteus": {"nodes": stated}})
+    made = installed_drives(bus, None, Path(), servos(), [lambda: 0.005, lambda: 0.0025], 0)
+    assert [drive.node_id for drive in made] == nodes
+    turns = [drive._turns() for drive in made]  # type: ignore[attr-defined]
+    assert turns == pytest.approx([0.5, 0.25], rel=1e-12), "100 000 counts of 0.1 um are a turn"
+
+
 def test_times_and_constants_of_the_table_are_the_drives() -> None:
     positions = [lambda: 0.0, lambda: 0.0]
     config = table("odrive", feedback_s=0.0025, heartbeat_s=0.1, enable_delay_s=0.003)
