@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hil.rig import learnt_file
-from hil.rig.file import learning_hash, load_rig
+from hil.rig.file import build_rig, learning_hash, load_rig
 from hil.rig.learnt_file import LearntFileError, read_learnt_file, write_learnt_file
 from hil.rig.schema import RigConfig, RigError
 from tests.support.paths import RIGS
@@ -76,3 +76,20 @@ def test_a_rig_takes_what_was_learnt_on_it_and_no_other_while_it_learns(path: Pa
         rig(learnt)
     with pytest.raises(RigError, match=r"law\.learnt = 'learnt\.json': learnt on another rig \(hash "):
         rig(learning, learnt, "task.radius=0.01")
+
+
+def test_what_a_rig_file_names_is_read_and_what_a_recording_holds_is_not_read_again(path: Path) -> None:
+    """A replay needs no file; who chooses one gets it."""
+    rig_file = path.parent / "rig.toml"
+    text = (RIGS / "paper.toml").read_text()
+    named = 'learnt = "learnt.json"\niterative_learning = true\nname = "presliding-kalman"'
+    rig_file.write_text(text.replace('name = "pd-feedforward"', named, 1))
+    plain = load_rig(RIGS / "paper.toml", ["law.name=presliding-kalman", "law.iterative_learning=true"])
+    write_learnt_file(path, "paper", learning_hash(plain), STATE)
+    rig = load_rig(rig_file)
+    assert rig.law.learnt_state == [STATE["x"], STATE["y"]]
+    document = rig.model_dump(mode="json")
+    write_learnt_file(path, "paper", learning_hash(plain), {"x": [2.0, 2.0], "y": [3.0, 3.0]})
+    assert build_rig(document, folder=path.parent).law.learnt_state == [STATE["x"], STATE["y"]]
+    again = build_rig(document, ["law.learnt=learnt.json"], folder=path.parent)
+    assert again.law.learnt_state == [[2.0, 2.0], [3.0, 3.0]]
