@@ -90,11 +90,14 @@ def test_learning_that_harms_is_undone_within_three_repeats() -> None:
     assert 0 < longest <= 3
 
 
-def without_learning(learnt: RepeatMemory, *sizes: float) -> list[bool]:
-    """Whether each repeat after the warm ones is run without learning, by the errors (um) seen in all of them."""
+def without_learning(learnt: RepeatMemory, *sizes: float, every: int = 1) -> list[bool]:
+    """Whether each repeat after the warm ones is run without learning, by the errors (um) seen in all of them. every:
+    in later ones, one sample of so many comes.
+    """
     found = []
     for tick in range(len(sizes) * COUNT):
-        learnt.note(tick, 0.1, sizes[tick // COUNT] * 1e-6, 1.0)
+        comes = tick < WARM_REPEATS * COUNT or tick % every == 0
+        learnt.note(tick, 0.1, sizes[tick // COUNT] * 1e-6, float(comes))
         learnt.force(tick)
         if tick % COUNT == COUNT - 1:
             found.append(learnt.frozen == 0.0)
@@ -108,6 +111,8 @@ def test_learning_pauses_after_two_repeats_in_a_row_that_were_worse_than_without
     assert not any(without_learning(memory(), *WARM, 1.0, 1.2, 1.0, 1.2, 1.0, 0.5))
     assert without_learning(memory(), *WARM, 1.0, 1.2, 1.2, 1.0, 1.0) == [False, False, False, True, False]
     assert not any(without_learning(memory(), *WARM, 1.0, 1.05, 1.05, 1.05, 1.05))
+    seen = without_learning(memory(), *WARM, 1.0, 1.2, 1.2, 1.0, 1.0, every=3)
+    assert seen == [False, False, False, True, False], "of the samples that came, on average"
 
 
 def test_after_three_repeats_that_were_worse_and_none_that_was_better_no_more_is_learnt() -> None:
