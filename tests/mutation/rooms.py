@@ -36,7 +36,7 @@ ROOMS = {
         ("tests/drivers/test_plugin_folder.py", "tests/drivers/test_package_digest.py",
          "tests/drivers/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
          "tests/control/test_laws_per_element.py",
-         "tests/virtual/test_installed_law.py", "tests/control/test_laws.py"),
+         "tests/virtual/test_installed_law.py", "tests/control/test_laws.py", "tests/virtual/test_user_layout.py"),
     ),
     "laws": Room(
         ("hil/control/laws", "hil/control/gain.py", "hil/control/number.py",
@@ -57,7 +57,7 @@ ROOMS = {
     "estimator": Room(
         ("hil/control/estimator",),
         ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py",
-         "tests/control/test_user_estimators.py", *_RUNS, *_LOCKSTEP),
+         "tests/control/test_user_estimators.py", "tests/virtual/test_user_layout.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
         ("hil/control",),
@@ -78,7 +78,7 @@ ROOMS = {
          "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/protocols/test_drive_plans.py",
          "tests/drivers/protocols",
          "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,
-         "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py"),
+         "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py", "tests/virtual/test_user_layout.py"),
     ),
     "wire": Room(("drivers/wire",), ("tests/drivers/wire", "tests/sim_plant/test_injector.py", *_RUNS)),
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),

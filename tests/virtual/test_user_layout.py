@@ -2,19 +2,22 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from drivers.call_limit import Watch
 from hil.cli.app import build_app
+from hil.control.stability import check_stability
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.fault_campaign.matrix import displaced, plan_chunks, run_chunk
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
-from tests.support.paths import RIGS
+from tests.support.paths import RIGS, ROOT
 from tests.support.wrong_layouts import MAKER, decode, drives, encode, write
 
 MADE = "bus.protocol=./maker.py:Maker"
@@ -37,6 +40,32 @@ def made(rig_file: Path, *more: str) -> RigConfig:
 def wrong(rig_file: Path, text: str) -> RigConfig:
     write(rig_file.parent, text)
     return load_rig(rig_file, ["bus.protocol=./wrong.py:Wrong", *QUICK])
+
+
+@pytest.mark.replaces_methods
+def test_a_call_of_what_a_user_brought_is_over_before_the_next_begins(
+    rig_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or else what ends calls that do not return would end the loop some seconds after the last one."""
+    for path in (ROOT / "examples" / "laws" / "lqr.py", ROOT / "examples" / "estimators" / "luenberger.py"):
+        shutil.copy(path, rig_file.parent)
+    begun: list[tuple[Watch, object]] = []  # and by what; which may call one object of the user's after the other
+    begin = Watch.begin
+
+    def watched(watch: Watch) -> None:
+        caller = sys._getframe(1).f_code
+        assert not watch.within or begun[-1] == (watch, caller), "the call before has not ended"
+        begun.append((watch, caller))
+        begin(watch)
+
+    monkeypatch.setattr(Watch, "begin", watched)
+    rig = load_rig(rig_file, [MADE, *QUICK[:3], "law.name=./lqr.py:Lqr", "estimator.name=./luenberger.py:Luenberger"])
+    report, _ = simulate(rig, rig_file.parent, 0.5)
+    assert report.state == "ACTIVE"
+    check_stability(rig)
+    assert len(begun) > 5000
+    assert not begun[-1][0].within
+    assert len({caller for _, caller in begun}) >= 6
 
 
 def test_a_rig_runs_over_a_users_layout(rig_file: Path) -> None:

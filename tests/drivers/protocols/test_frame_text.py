@@ -30,7 +30,11 @@ RATED = [5.0, 2.0]
         (0x085, "30 81 11 00 00 00 00 00", "node 5: emergency 8130h: heartbeat or life guarding"),
         (0x685, "00 00 00 00 00 00 00 00", "node 5: emergency 0000h: no error any more"),
         (0x605, "40 41 60 00 00 00 00 00", "to node 5: SDO read 6041h:00"),
-        (0x585, "4b 41 60 00 37 02 00 00", "node 5: SDO "),
+        (0x605, "2f 60 60 00 0a ff ff ff", "to node 5: SDO write 6060h:00 = 0xa"),
+        (0x605, "2b 40 60 00 0f 01 ff ff", "to node 5: SDO write 6040h:00 = 0x10f"),
+        (0x605, "22 40 60 00 0f 01 02 03", "to node 5: SDO write 6040h:00 = 0x302010f"),
+        (0x585, "4b 41 60 00 37 02 ff ff", "node 5: SDO 6041h:00 is 0x237"),
+        (0x585, "42 41 60 00 37 02 01 00", "node 5: SDO 6041h:00 is 0x10237"),
     ],
 )
 def test_canopens_own_frames_are_told_and_no_other_is(can_id: int, data: str, says: str) -> None:
