@@ -38,7 +38,6 @@ _UNIT = {  # steps of int8, int16, int32
     "time": (0.01, 0.001, 0.000001),
     "voltage": (0.5, 0.1, 0.001),
     "temperature": (1.0, 0.1, 0.001),
-    "current": (1.0, 0.1, 0.001),
 }
 _QUANTITY = {
     0x01: "position",

@@ -93,6 +93,7 @@ def test_a_stop_ends_the_push_and_the_next_activation_begins_it_anew() -> None:
     ("push", "says"),
     [
         ({"force": 1.0, "distance": 1e-3}, "does not move an axis with coulomb"),
+        ({"force": 1.146, "distance": 1e-3}, "does not move an axis with coulomb"),
         ({"force": 6.0, "distance": 1e-3}, "beyond axes.x.limits.force"),
         ({"force": 4.0, "distance": 1e-4}, "at least 8"),
         ({"force": 1.6, "distance": 1e-2}, "a quarter of axes.x.limits.following_error"),

@@ -17,7 +17,7 @@ from drivers.config import BusConfig
 from drivers.frame import BRS, ECHO, ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
-from drivers.protocols.moteus_registers import REPLY, STEPS, Type, Value, padded, parse, read, write
+from drivers.protocols.moteus_registers import REPLY, STEPS, Register, Type, Value, padded, parse, read, step_of, write
 
 MS = 1_000_000
 RATED = [2.0, 1.0]
@@ -92,6 +92,11 @@ def test_a_frame_means_to_the_makers_client_what_it_should() -> None:
 
 def modes(frames: list[Frame]) -> list[int | None]:
     return [client.parse_registers(frame.data).command.get(0) for frame in frames]
+
+
+@pytest.mark.parametrize("kind", Type)
+def test_what_counts_nothing_counts_in_ones(kind: Type) -> None:
+    assert step_of(Register.MODE, kind) == step_of(Register.FAULT, kind) == 1.0
 
 
 def test_a_start_stops_nothing_and_clears_nothing() -> None:
