@@ -67,6 +67,14 @@ def test_where_a_repeat_begins_the_memory_says_by_how_much_its_force_is_another_
     assert sum(step != 0.0 for step in steps) > 10
 
 
+def test_what_is_missing_is_the_mean_of_seven_samples_that_weighs_the_middle_most() -> None:
+    learnt = memory()
+    for tick in range(COUNT):
+        learnt.note(tick, 1.0 if tick == 12 else 0.0, 0.0, 1.0)
+        learnt.force(tick)
+    assert [value for value in learnt._missing if value != 0.0] == [k / 16.0 for k in (1, 2, 3, 4, 3, 2, 1)]
+
+
 def test_a_changed_stage_is_learnt_anew() -> None:
     learnt = memory()
     play(learnt, wave(1.0), 12)

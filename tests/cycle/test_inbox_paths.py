@@ -128,6 +128,7 @@ def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reje
 @example(16, 14, [([(0, 0)], 1, False), ([(0, 0)], 1, False), ([(0, 2)], 1, False), ([(0, 0), (0, 0)], 1, False)])
 @example(16, -1, [([(0, 0)], 1, False)] * 3)
 @example(0, 0, [([(0, 0), (0, 0)], 1, False)] * 3)
+@example(16, 5, [([(0, 0)], 0, False), ([(0, 0)], 1, True)])
 def test_the_fast_path_and_the_rules_judge_every_history_alike(
     modulus: int, before_wrap: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]
 ) -> None:
