@@ -22,7 +22,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
-test: setup  ## unit tests, and the whole loop in virtual time (about three minutes)
+test: setup  ## unit tests, and the whole loop in virtual time (about four minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not live and not slow and not vcan and not controller"
 
 test-live: setup  ## the same as real processes on the local bus: started, killed, watched (about two minutes)
