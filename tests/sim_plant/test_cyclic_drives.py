@@ -97,6 +97,9 @@ def test_an_estop_is_told_beside_an_expired_watchdog() -> None:
 def test_odrive_restarts_in_position_control() -> None:
     bench = OdriveBench()
     bench.torque_control()
+    bench.send(0x07, struct.pack("<I", CLOSED_LOOP))
+    bench.send(0x0E, struct.pack("<f", 1.0))
+    assert bench.servo.force != 0.0
     bench.send(0x16)
     bench.send(0x07, struct.pack("<I", CLOSED_LOOP))
     bench.send(0x0E, struct.pack("<f", 1.0))

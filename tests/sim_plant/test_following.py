@@ -48,6 +48,7 @@ def test_an_error_that_breaks_off_begins_anew() -> None:
     following = watched(x6065=10, x6066=3)
     for at in range(20):
         assert not following.look(100.0 if at % 4 == 3 else 120.0, 100.0, at * MS)
+    assert [following.look(120.0, 100.0, at * MS) for at in range(20, 24)][-1], "and is as long as ever"
 
 
 def test_without_a_time_it_is_told_at_once_and_without_a_window_never() -> None:
