@@ -217,7 +217,7 @@ def _list_green(workers: int) -> int:
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     unexplained = sorted(set(found) - set(Explained().green))
-    print(f"{len(set(found))} tests pass while the product does nothing, {len(unexplained)} of them unexplained")
+    print(f"ran: {len(set(found))} tests passed while the product did nothing, {len(unexplained)} of them unexplained")
     print(*unexplained, sep="\n")
     return 1 if unexplained else 0
 
