@@ -55,7 +55,7 @@ def _fault(draw: Random, axes: Sequence[str]) -> dict[str, Any]:
 
 
 def _scenario(draw: Random, axes: Sequence[str]) -> Scenario:
-    """One fault in the first half, mostly, and some that come after the operator has reset; what is invalid is not."""
+    """Up to three faults; what the language refuses is left out."""
     accepted = []
     for _ in range(draw.randrange(1, 4)):
         try:
