@@ -2,10 +2,10 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from drivers.config import REQUIRED, STRICT, key
-from drivers.plugins import Kind, known, unknown
+from drivers.base.keys import REQUIRED, Table, key
+from drivers.base.plugins import Kind, known, unknown
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
 Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
@@ -39,10 +39,9 @@ class PlantError(ArithmeticError):
     """Numbers in [plant] that are valid one by one but whose motion cannot be integrated."""
 
 
-class CellConfig(BaseModel):
+class CellConfig(Table):
     """[[plant.cells]]: a membrane in front of the pipette, F = stiffness * depth^3 until it is pierced."""
 
-    model_config = STRICT
     axis: str = key(REQUIRED, "axis whose tip touches the cell; at most one cell per axis")
     surface: float = key(REQUIRED, "axis position at which the tip touches", "m")
     direction: Literal[-1, 1] = key(-1, "sign of the motion into the cell", "1")
@@ -51,10 +50,9 @@ class CellConfig(BaseModel):
     drag: NonNegative = key(0.0, "viscous drag inside the cell, after piercing", "N s/m")
 
 
-class ModeConfig(BaseModel):
+class ModeConfig(Table):
     """[[plant.modes]]: the tool's mass on a spring; the encoder sees the motor (physics/dynamics.py)."""
 
-    model_config = STRICT
     axis: str | None = key(None, "axis that rings; without: every axis that has no entry of its own")
     frequency_hz: float = key(
         REQUIRED,
@@ -67,20 +65,46 @@ class ModeConfig(BaseModel):
     load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
 
 
-class CoggingConfig(BaseModel):
+class SwitchConfig(Table):
+    """[[plant.switches]]: the switches of one axis, as its drive reads them."""
+
+    axis: str = key(REQUIRED, "axis that they are on")
+    low: Position | None = key(None, "limit switch closed from here on towards negative positions", "m (rad)")
+    high: Position | None = key(None, "limit switch closed from here on towards positive positions", "m (rad)")
+    home: Position | None = key(None, "home switch closed from here on towards negative positions", "m (rad)")
+
+
+class EmulatedSensorConfig(Table):
+    """[[plant.sensors]]: what a sensor of [sensors] really measures, and how well."""
+
+    sensor: str = key(REQUIRED, "name of the sensor in [sensors]; at most one entry each")
+    measures: Literal["cell_force", "applied_force", "position"] = key(
+        REQUIRED,
+        "cell_force: of the cell on the tip, pressing counts as positive; applied_force: of the axis' drive; position: "
+        "of the axis' tip",
+    )
+    axis: str = key(REQUIRED, "axis that it belongs to")
+    gain: float = key(1.0, "reading per N (N m) or m (rad)", "1", ge=-1e9, le=1e9)
+    offset: float = key(0.0, "reading at zero, in the sensor's unit", "unit", ge=-1e9, le=1e9)
+    noise: float | None = key(
+        None, "true RMS noise of a reading, in the sensor's unit", "unit", derived="sensors.NAME.noise", ge=0, le=1e6
+    )
+    lag: Lag = key(0.0, "time constant of the sensor and its amplifier", "s")
+    delay: float = key(0.0, "from the sample to the first bit of its frame", "s", ge=0, le=0.01)
+
+
+class CoggingConfig(Table):
     """[[plant.cogging]]: one harmonic of the motor's force, amplitude sin(2 pi position / period + phase)."""
 
-    model_config = STRICT
     axis: str | None = key(None, "axis whose motor has it; without: every axis")
     amplitude: NonNegative = key(REQUIRED, "peak of the force", "N (N m)")
     period: Positive = key(REQUIRED, "travel after which it repeats", "m (rad)")
     phase: Angle = key(0.0, "phase at position 0", "rad")
 
 
-class VibrationConfig(BaseModel):
+class VibrationConfig(Table):
     """[[plant.vibration]]: one line of the floor's motion, acceleration sin(2 pi frequency t + phase)."""
 
-    model_config = STRICT
     axis: str | None = key(None, "axis it shakes; without: every axis")
     acceleration: NonNegative = key(REQUIRED, "peak acceleration of the floor along the axis", "m/s^2 (rad/s^2)")
     frequency_hz: float = key(REQUIRED, "frequency", "Hz", gt=0, le=5000)
@@ -88,6 +112,7 @@ class VibrationConfig(BaseModel):
 
 
 NodeNumber = Annotated[int, Field(ge=0, le=254)]
+HostNumber = Annotated[int, Field(ge=0, le=0x7FF)]
 ObjectPlace = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2})?$")]
 Turn = Annotated[float, Field(ge=-1e3, le=1e3)]
 Interval = Annotated[float, Field(ge=0, le=10)]  # s
@@ -96,29 +121,41 @@ _OF_KIND = {
     "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
     "moteus": {"nodes", "turn", "enable_delay_s"},
     "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
+    "damiao": {"nodes", "turn", "position_range", "torque_range", "told_to"},
+    "cubemars": {"nodes", "turn", "position_range", "torque_range", "told_to"},
+    "robstride": {"nodes", "turn", "position_range", "torque_range", "told_to"},
 }
 
 
-class EmulatedDriveConfig(BaseModel):
+class EmulatedDriveConfig(Table):
     """[plant.drive]: the emulated drives as their maker documents them, not as the rig's binding has them.
 
     Lists are in the order of [axes].
     """
 
-    model_config = STRICT
-    kind: Literal["cia402", "moteus", "odrive", "vesc"] = key(REQUIRED, "what they are")
+    kind: Literal["cia402", "moteus", "odrive", "vesc", "damiao", "cubemars", "robstride"] = key(
+        REQUIRED, "what they are"
+    )
     nodes: list[NodeNumber] = key(
-        [], "moteus, odrive, vesc: their numbers", "1", derived="0, 1, ...; moteus: 1, 2, ..."
+        [], "all but cia402: their numbers", "1", derived="1, 2, ...; odrive, vesc: 0, 1, ..."
     )
     turn: list[Turn] = key(
         [],
-        "moteus, odrive, vesc: travel of the axis per turn of its motor; negative: mounted the other way round",
+        "all but cia402: travel of the axis per turn of the drive's shaft; negative: mounted the other way round",
         "m (rad)",
     )
     feedback_s: float = key(0.001, "odrive, vesc: period in which they send their position", "s", ge=1e-4, le=1)
     heartbeat_s: float = key(0.02, "odrive, vesc: period in which they send their state", "s", ge=1e-3, le=1)
     torque_constant: Positive = key(0.05, "vesc: torque of the motor per ampere", "N m/A")
     pole_pairs: int = key(7, "vesc: electrical per mechanical revolutions", "1", ge=1, le=100)
+    position_range: Positive = key(12.5, "damiao, cubemars, robstride: greatest position that they tell", "rad")
+    torque_range: Positive = key(10.0, "damiao, cubemars, robstride: greatest torque that they take", "N m")
+    told_to: list[HostNumber] = key(
+        [],
+        "damiao, cubemars: identifier in which each answers; robstride: number of the host",
+        "1",
+        derived="damiao: its number + 0x10; cubemars: its number; robstride: 0xFD",
+    )
     enable_delay_s: Interval = key(0.0, "cia402, moteus, odrive: from the command to torque", "s")
     missing: list[ObjectPlace] = key([], 'cia402: objects of the EDS that the drive has not, as "1029h:01"')
     aborts: list[ObjectPlace] = key([], "cia402: objects whose every access it aborts")
@@ -145,14 +182,13 @@ class EmulatedDriveConfig(BaseModel):
         return self
 
 
-class PlantConfig(BaseModel):
+class PlantConfig(Table):
     """[plant]: what the emulated stage is really like; only emulation and simulation read it.
 
     One number for all axes, or a list in the order of [axes]. What a rig file does not state is as its nominal model
     says.
     """
 
-    model_config = STRICT
     mass: list[Positive] = key([], "moving mass", "kg (kg m^2)", derived="axes.NAME.model.mass")
     coulomb: list[NonNegative] = key([], "Coulomb friction", "N (N m)", derived="axes.NAME.model.coulomb")
     viscous: list[float] = key(
@@ -215,6 +251,12 @@ class PlantConfig(BaseModel):
     friction_period: Positive | list[Positive] = key(0.01, "period of that along the travel", "m (rad)")
     friction_phase: Angle | list[Angle] = key(0.0, "phase of that at position 0", "rad")
     cogging: list[CoggingConfig] = key([], "harmonics of the motors' forces, at most three per axis")
+    switches: list[SwitchConfig] = key([], "[[plant.switches]]: limit and home switches, one entry an axis")
+    sensors: list[EmulatedSensorConfig] = key(
+        [],
+        "what the sensors of [sensors] measure; without an entry: nothing but noise",
+        exclude_if=lambda value: not value,
+    )
     cable_stiffness: NonNegative | list[NonNegative] = key(
         0.0, "of the moving cables, about position 0", "N/m (N m/rad)"
     )
@@ -243,7 +285,7 @@ class PlantConfig(BaseModel):
 
     @model_validator(mode="after")
     def _counted_per_axis(self) -> "PlantConfig":
-        for name, most in (("cells", 1), ("modes", 1), ("cogging", 3), ("vibration", 4)):
+        for name, most in (("cells", 1), ("modes", 1), ("switches", 1), ("cogging", 3), ("vibration", 4)):
             axes = [entry.axis for entry in getattr(self, name)]
             often = sorted({axis or "(every)" for axis in axes if axes.count(axis) > most})
             if often:

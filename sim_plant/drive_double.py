@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drivers.bus.any_bus import AnyPort
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.services import service_text
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.frame_text import service_text
 from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.motion_drive import EMULATED, NEGATIVE_LIMIT, POSITIVE_LIMIT, MotionDrive
 from sim_plant.drives.motor import Motor
+from sim_plant.drives.object_dictionary import described, key_of
 from sim_plant.drives.quirks import stated_quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.process import StopSignals
@@ -28,12 +29,13 @@ _WAIT_S = 0.002  # how late a heartbeat or an expiry may be
 
 
 class DoubleSettings(NamedTuple):
-    """Of every drive. rated_torque: N m. counts: of its encoder, per turn. inertia: kg m^2. friction: N m s/rad.
+    """Of every drive. rated_torque: N m; None: as its file's 6076h says, else 1. counts: of its encoder, per turn.
+    inertia: kg m^2. friction: N m s/rad.
 
     watchdog_s: without a new target for this long it goes to FAULT; 0: it has none. boot_s: until its boot-up message.
     """
 
-    rated_torque: float
+    rated_torque: float | None
     counts: int
     inertia: float
     friction: float
@@ -46,9 +48,16 @@ def make_drive(eds: Path, node: int, settings: DoubleSettings, now_ns: int) -> M
     """One drive by its EDS. Raises ValueError for one that cannot be read."""
     resolution = 2.0 * pi / settings.counts
     watchdog_ns = round(settings.watchdog_s * 1e9) or NEVER_NS
-    servo = ServoDrive(0, settings.rated_torque, resolution, watchdog_ns, False, 0)
+    rated = settings.rated_torque or stated_torque(eds, node) or 1.0
+    servo = ServoDrive(0, rated, resolution, watchdog_ns, False, 0)
     motor = Motor(settings.inertia, settings.friction, resolution, now_ns)
     return MotionDrive(node, servo, motor, eds=eds, quirks=stated_quirks(settings.quirks))
+
+
+def stated_torque(eds: Path, node: int) -> float:
+    """Rated torque that a file gives a drive by 6076h, N m; 0 where it gives none. Raises ValueError."""
+    entry = described(eds, node).entries.get(key_of(cia301.TORQUE_RATED))
+    return entry.default * 1e-3 if entry is not None and not isinstance(entry.default, bytes) else 0.0
 
 
 def stated_inputs(word: str) -> int | None:

@@ -17,10 +17,11 @@ from drivers.frame import SEGMENT, Frame, on_segment, segment_of
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
-from drivers.segments import segments_of
+from drivers.protocols.segments import segments_of
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
-from sim_plant.drives.servo import NEVER_NS, ServoDrive
+from sim_plant.drives.servo import NEVER_NS, ServoDrive, Switches
+from sim_plant.nodes.sensor import SensorNode
 from sim_plant.physics.stage import Truth, per_axis_array
 from sim_plant.user_stage import stage_of
 
@@ -32,13 +33,13 @@ _LONGEST_NS = 100_000_000  # of one integration: what `position` has to make up 
 
 
 class AllBut:
-    """An acceptance filter that lets all identifiers through but those in `ids` at the time."""
+    """An acceptance filter that lets all identifiers through but those in `ids` at the time, of which `shared` pass."""
 
-    def __init__(self, ids: Container[int]) -> None:
-        self._ids = ids
+    def __init__(self, ids: Container[int], shared: Container[int]) -> None:
+        self._ids, self._shared = ids, shared
 
     def __contains__(self, can_id: object) -> bool:
-        return can_id not in self._ids
+        return can_id not in self._ids or can_id in self._shared
 
 
 class EmulatedStage:
@@ -46,7 +47,7 @@ class EmulatedStage:
 
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value. drives: their
-    watchdog and brakes. mountings: of the drives on their axes; none: all straight.
+    watchdog and brakes. mountings: of the drives on their axes; none: all straight. sensors: nodes beside the drives.
 
     now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
     that carried no command, by reason. sampled: truth (positions in m, velocities in m/s) at the latest sampling,
@@ -66,6 +67,7 @@ class EmulatedStage:
         *,
         drives: DrivesConfig | None = None,
         mountings: Sequence[Mounting] = (),
+        sensors: Sequence[SensorNode] = (),
     ) -> None:
         n_axes = len(axis_names)
         mountings = installed_mountings(plant.drive, n_axes) or mountings
@@ -90,6 +92,10 @@ class EmulatedStage:
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
         self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
+        for entry in plant.switches:
+            self.drives[self.axis_names.index(entry.axis)].switches = Switches(
+                **entry.model_dump(exclude={"axis"}, exclude_none=True)
+            )
         positions = [partial(self._position_at_drive, axis) for axis in range(n_axes)]
         self._nodes = installed_drives(bus, plant.drive, base_dir, self.drives, positions, start_ns) if nodes else []
         self.fd = bool(getattr(self._protocol, "fd", False)) or True in [node.fd for node in self._nodes]
@@ -98,8 +104,10 @@ class EmulatedStage:
         self._push = [0.0] * n_axes
         self._force = [0.0] * n_axes
         self.sampled = self._stage.positions, self._stage.velocities
-        self._senders: dict[int, str] = {}
-        self.acceptance = AllBut(self._senders)
+        self.sensors = list(sensors)
+        self._senders: dict[int, str] = {sensor.can_id: sensor.name for sensor in sensors}
+        shared = frozenset(node.node_id for node in self._nodes if getattr(node, "answers_as_asked", False))
+        self.acceptance = AllBut(self._senders, shared)
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._planned = 0
         self._clamp: list[float] = []
@@ -143,19 +151,33 @@ class EmulatedStage:
         return forces
 
     @property
+    def tips(self) -> tuple[list[float], list[float], list[float]]:
+        """Positions (m) and velocities (m/s) of the tips when physics was last run, and 1.0 where a cell is pierced."""
+        pierced: list[float] = self._stage.pierced.tolist()
+        return self._stage.positions, self._stage.velocities, pierced
+
+    @property
+    def truth(self) -> Truth:
+        """What the stage is like."""
+        return self._stage.truth
+
+    @property
     def nodes(self) -> Sequence[DriveNode]:
         """The drives that are nodes of their own, in axis order; empty where they are as the layout says."""
         return self._nodes
 
     @property
     def speaks_unasked(self) -> bool:
-        """Whether `advance` may return frames: drives that are nodes of their own."""
-        return bool(self._nodes)
+        """Whether `advance` may return frames: drives that are nodes of their own, and sensors."""
+        return bool(self._nodes) or bool(self.sensors)
 
     @property
     def speaks_ns(self) -> int:
-        """When a drive that sends in its own time has something to say; NEVER_NS where there is none."""
-        return min((node.next_ns for node in self._nodes), default=NEVER_NS)
+        """When a node that sends in its own time has something to say; NEVER_NS where there is none."""
+        due_ns = min((node.next_ns for node in self._nodes), default=NEVER_NS)
+        if self.sensors:
+            due_ns = min(due_ns, min(sensor.next_ns for sensor in self.sensors))
+        return due_ns
 
     @property
     def deadline_ns(self) -> int:
@@ -225,7 +247,7 @@ class EmulatedStage:
             if now_ns - self._physics_ns >= _LONGEST_NS:
                 self._run_physics()
         if not self._nodes:
-            return []
+            return self._from_sensors() if self.sensors else []
         sampling = [node.servo.axis for node in self._nodes if node.next_ns <= self.now_ns]
         if sampling:
             self._run_physics()
@@ -233,7 +255,7 @@ class EmulatedStage:
         frames = [f for node in self._nodes for f in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
         if sampling:
             self._update()  # a drive may have entered operation
-        return frames
+        return [*frames, *self._from_sensors()] if self.sensors else frames
 
     def _run_physics(self) -> None:
         """Integrate up to now, before anything that acts on the stage changes."""
@@ -277,8 +299,26 @@ class EmulatedStage:
 
         A frame stamped before `now_ns` (late delivery) counts as received now: the past cannot be changed.
         """
-        if frame.can_id in self._senders:
+        if frame.can_id not in self.acceptance:
             return []  # a drive's own answer, heard by the others
+        answers = self._from_drives(frame)
+        return [*answers, *self._sense(frame)] if self.sensors else answers
+
+    def _sense(self, frame: Frame) -> list[Frame]:
+        """The readings of the sensors that sample at this frame, as far as they are due."""
+        heard = [] if segment_of(frame) else [sensor for sensor in self.sensors if sensor.hears(frame)]
+        if not heard:
+            return []
+        due = self.advance(frame.timestamp_ns)
+        self._run_physics()
+        for sensor in heard:
+            sensor.sample(self)
+        return [*due, *self._from_sensors()]
+
+    def _from_sensors(self) -> list[Frame]:
+        return [frame for sensor in self.sensors for frame in sensor.due(self.now_ns)]
+
+    def _from_drives(self, frame: Frame) -> list[Frame]:
         if self._decode is None:
             return self._to_nodes(frame)
         command = self._decode(frame)
@@ -299,7 +339,7 @@ class EmulatedStage:
         return self._segments[segment] if segment < len(self._segments) else range(0)
 
     def sender_of(self, answer: Frame) -> str:
-        """Name of the axis whose drive sent this answer."""
+        """Name of the axis whose drive, or of the sensor that, sent this answer."""
         return self._senders[answer.can_id]
 
     def _fail(self, axes: range, now_ns: int) -> None:

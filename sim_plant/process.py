@@ -19,10 +19,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from drivers.base.runtime import stop_signals, write_private
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from drivers.protocols.base import DriveStatus
-from drivers.runtime import stop_signals, write_private
 from sim_plant.emulator import EmulatedStage
 
 PRIORITY = 20  # SCHED_FIFO, below every control process: a drive is never late because a desktop redraws

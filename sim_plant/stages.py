@@ -23,7 +23,7 @@ they hold for a rotary axis too (rad for m). Where the values come from:
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drivers import plugins
+from drivers.base import plugins
 from sim_plant.config import REAL_STAGES, STAGES, ModeConfig, PlantConfig, VibrationConfig
 
 VC_C = VibrationConfig(acceleration=2.8e-3, frequency_hz=25.0)  # sqrt(2) 2 pi 25 Hz 12.5 um/s

@@ -1,14 +1,14 @@
 """A stage that users bring in place of our physics: how its axes move under forces. Interpreted in every build."""
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers import plugins
-from drivers.call_limit import FAILED, watch
+from drivers.base import plugins
+from drivers.base.guard import BadAnswerError, Guard
 from sim_plant.config import STAGE_KIND, PlantConfig, PlantError
 from sim_plant.physics.stage import Stage, Truth
 
@@ -101,30 +101,18 @@ class UserStage(Stage):
 
     def __init__(self, plant: PlantConfig, truth: Truth, position: ArrayLike) -> None:
         self.truth = truth
-        self._name = plant.stage
         made = plugins.find(STAGE_KIND, plant.stage, plant.source)
-        self._file = plugins.code_file(made)
+        self._guard = Guard(STAGE_KIND, plant.stage, made, PlantError)
         self._places = list(np.ndindex(truth.shape[:-1]))
         self._held = np.zeros(truth.shape)
         start = np.array(np.broadcast_to(np.asarray(position, dtype=np.float64), truth.shape))
-        try:
-            self._plants = [made(_part(truth, place), **plant.parameters) for place in self._places]
-        except Exception as error:
-            raise ValueError(
-                f"plant.stage = {plant.stage!r}: it cannot be made: {plugins.where(error, self._file)}"
-            ) from error
+        making = Guard(STAGE_KIND, plant.stage, made)
+        self._plants = [
+            making.call("it cannot be made", made, _part(truth, place), **plant.parameters) for place in self._places
+        ]
         for each, place in zip(self._plants, self._places, strict=True):
-            self._call(each.begin, start[place])
+            self._guard.call("", each.begin, start[place])
         self._look()
-
-    def _call(self, method: Callable[..., Any], *arguments: Any) -> None:
-        watch.begin()
-        try:
-            method(*arguments)
-        except FAILED as error:
-            raise PlantError(f"plant.stage = {self._name!r}: {plugins.where(error, self._file)}") from error
-        finally:
-            watch.within = False
 
     def _look(self) -> None:
         """Take over where every plant says that it is."""
@@ -133,10 +121,8 @@ class UserStage(Stage):
             for name, target in (("position", self._q), ("velocity", self._v)):
                 value = np.asarray(getattr(each, name, None), dtype=np.float64)
                 if value.shape != target[place].shape or not np.isfinite(value).all():
-                    raise PlantError(
-                        f"plant.stage = {self._name!r}: {self._file}: its {name} is {value.tolist()}, expected "
-                        f"{target.shape[-1]} finite numbers"
-                    )
+                    bad = f"its {name} is {value.tolist()}, expected {target.shape[-1]} finite numbers"
+                    raise PlantError(self._guard.told("", BadAnswerError(bad)))
                 target[place] = value
 
     def clamp(self, force: ArrayLike) -> None:
@@ -155,7 +141,7 @@ class UserStage(Stage):
             return
         forces = np.broadcast_to(np.asarray(force, dtype=np.float64), self.truth.shape)
         for each, place in zip(self._plants, self._places, strict=True):
-            self._call(each.advance, duration_ns * 1e-9, forces[place].copy(), self._held[place].copy())
+            self._guard.call("", each.advance, duration_ns * 1e-9, forces[place].copy(), self._held[place].copy())
         self._look()
 
     @property

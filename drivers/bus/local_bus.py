@@ -16,6 +16,7 @@ import can
 from can.bus import BusABC, CanProtocol
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
+from drivers.base.runtime import RuntimeDirectoryError
 from drivers.bus.local_channel import channels
 from drivers.bus.local_medium import LocalMedium
 from drivers.bus.recvmmsg import SO_TIMESTAMPNS
@@ -33,7 +34,6 @@ from drivers.frame import (
     from_bytes,
     to_bytes,
 )
-from drivers.runtime import RuntimeDirectoryError
 
 RECEIVE_QUEUE = 512  # frames; tools read in bursts
 _CONTROL_SPACE = socket.CMSG_SPACE(struct.calcsize("@ll"))

@@ -8,7 +8,6 @@ so far, which every member maps into its memory.
 import contextlib
 import errno
 import fcntl
-import mmap
 import os
 import re
 import socket
@@ -16,8 +15,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from drivers.base.runtime import make_private, open_private, runtime_dir
+from drivers.base.shared_map import map_shared
 from drivers.config import CHANNEL_NAME, CHANNEL_RULE
-from drivers.runtime import make_private, open_private, runtime_dir
 
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; a process that holds the lock for longer has been stopped
 COUNT_BYTES = 8
@@ -90,4 +90,4 @@ def address(path: Path) -> Iterator[str]:
 def shared_count(lock: int) -> memoryview:
     """The number in the channel's lock file, shared with every other member; lives as long as it is referred to."""
     os.ftruncate(lock, COUNT_BYTES)
-    return memoryview(mmap.mmap(lock, COUNT_BYTES)).cast("Q")
+    return memoryview(map_shared(lock, COUNT_BYTES)).cast("Q")

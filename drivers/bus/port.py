@@ -22,6 +22,7 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import Final, Literal, Protocol
 
+from drivers.base.runtime import RuntimeDirectoryError
 from drivers.bus.counters import BusState, PortCounters
 from drivers.bus.error_frames import decode_error
 from drivers.bus.local_medium import LocalMedium
@@ -30,7 +31,6 @@ from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
 from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, to_bytes
-from drivers.runtime import RuntimeDirectoryError
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
 

@@ -75,7 +75,8 @@ class Analysis:
 
 def frame_bits(message: Message) -> tuple[int, int]:
     """Longest transmission, (bits at the nominal rate, bits at the data rate), with the intermission."""
-    return worst_case_bits(message.length, fd=message.fd, extended=bool(message.can_id & EXTENDED))
+    bits = worst_case_bits(message.length, fd=message.fd, extended=bool(message.can_id & EXTENDED))
+    return bits if message.brs else (sum(bits), 0)
 
 
 def frame_ns(message: Message, bitrate: int, data_bitrate: int) -> int:
@@ -163,7 +164,7 @@ def _check(messages: Sequence[Message]) -> None:
             raise ValueError(f"message {message.name}: the name is used twice")
         names.add(message.name)
         other = identifiers.setdefault(arbitration_key(message.can_id), message.name)
-        if other != message.name:
+        if other not in (message.name, message.after):  # an answer in its command's identifier never meets it
             raise ValueError(f"messages {other} and {message.name} have one identifier, {message.can_id:#x}")
         if message.period_ns < 1 or message.deadline_ns < 1 or message.jitter_ns < 0:
             raise ValueError(f"message {message.name}: period and deadline must be positive, jitter not negative")

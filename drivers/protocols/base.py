@@ -22,9 +22,15 @@ class DriveStatus(IntFlag):
     HOMED = 1 << 4  # its position is absolute
     BRAKE = 1 << 5  # holding brake engaged
     ENCODER_FAULT = 1 << 6  # its position cannot be trusted
+    LIMIT_LOW = 1 << 7  # limit switch at the axis' least position: closed
+    LIMIT_HIGH = 1 << 8  # at its greatest position
+    HOME = 1 << 9  # home switch: closed
 
 
 MOST_SENT: Final = 16  # frames to the drives in a tick, of any layout: a record keeps every one (hil/cycle/record.py)
+EVERY_STATUS: Final = int(~DriveStatus(0))  # all bits; anything beyond is no status
+INPUTS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH | DriveStatus.HOME  # digital inputs, of the axis' mechanics
+OF_DRIVES: Final = EVERY_STATUS & ~int(INPUTS)  # what a drive says of itself
 UNHEALTHY = DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT  # with any of these no rig gets READY
 
 
@@ -80,8 +86,9 @@ class Command(NamedTuple):
 class Message(NamedTuple):
     """One periodic message for the schedulability analysis.
 
-    name: as shown to people. can_id: identifier (with EXTENDED where it is). length: payload bytes. fd: CAN FD with
-    bit-rate switch. period_ns; deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest
+    name: as shown to people. can_id: identifier (with EXTENDED where it is). length: payload bytes. fd: CAN FD, with
+    bit-rate switch where `brs` says so. period_ns;
+    deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest
     queueing after the tick's start). sender: node name ("host", "x", ...). after: name of the message whose reception
     triggers this one (feedback after the command), or None.
     """
@@ -95,6 +102,7 @@ class Message(NamedTuple):
     jitter_ns: int
     sender: str
     after: str | None = None
+    brs: bool = True
 
 
 class HostProtocol(Protocol):
@@ -104,6 +112,7 @@ class HostProtocol(Protocol):
     n_axes: int
     sequence_modulus: int  # 0: the layout carries no sequence number
     checksum: bool  # its frames carry one besides CAN's own
+    tells: int  # DriveStatus bits that its answers can carry: what a rig may ask of it (hil/rig/layout.py)
     states: bool  # drives say whether they are enabled or in fault
     causes: bool  # every answer says what is wrong with its drive, not only that something is
     fd: bool
@@ -112,6 +121,9 @@ class HostProtocol(Protocol):
     # ns per axis from the tick's start until a drive that samples in its own time applies its torque; empty where what
     # triggers sampling applies the torque too.
     acts_ns: Sequence[int]
+    # ns after which the drives' own time stamps repeat, per axis; 0: stamps are of the host's clock. A stamp is rounded
+    # to a thousandth of the wrap at most.
+    stamp_wraps_ns: Sequence[int]
     state_ns: int  # period in which drives tell their state; 0: with every position
 
     @property
@@ -141,6 +153,41 @@ class DeviceProtocol(Protocol):
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """The feedback frame of one axis."""
+
+
+class Layout(Protocol):
+    """Both sides of a frame layout, as the rest of the product meets them."""
+
+    def host(self) -> HostProtocol:
+        """A new host's side."""
+
+    def drives(self) -> DeviceProtocol:
+        """A new drives' side."""
+
+
+class OwnIds(NamedTuple):
+    """Identifiers in which the host alone speaks: those whose bits of `mask` are one of `masked`."""
+
+    mask: int
+    masked: frozenset[int]
+
+    def __contains__(self, can_id: object) -> bool:
+        return isinstance(can_id, int) and can_id & self.mask in self.masked
+
+
+def own_ids(layout: HostProtocol, period_ns: int = 1_000_000) -> list[OwnIds]:
+    """Those of a layout, by segment: of its commands, SYNC and NMT. Not those of SDO requests, in which other tools may
+    ask a drive, too. A layout whose commands have values in the identifier says with `own_mask` which bits are fixed.
+    """
+    unmounted = getattr(layout, "layout", layout)
+    found = []
+    for part in getattr(unmounted, "segments", (unmounted,)):
+        messages = part.messages(period_ns)
+        mask = getattr(part, "own_mask", -1)
+        own = {message.can_id & mask for message in messages if message.sender == "host" and message.name != "service"}
+        others = {message.can_id & mask for message in messages if message.sender != "host"}
+        found.append(OwnIds(mask, frozenset(own | set(getattr(part, "network_ids", ()))) - others))
+    return found
 
 
 def echo_ids(layout: HostProtocol) -> Sequence[int | None]:

@@ -16,9 +16,9 @@ from cantools.database import UnsupportedDatabaseFormatError  # type: ignore[att
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
+from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.toml_file import short
 from drivers.protocols.base import LayoutError
-from drivers.text_file import UnsuitableFileError, read_bounded
-from drivers.toml_file import short
 
 LARGEST = 2**18  # bytes of a DBC file that is parsed; cantools takes a second for them
 LARGEST_FILE = 2**23  # of one whose bound messages alone are
@@ -47,6 +47,10 @@ class Codec(NamedTuple):
     length: int
     unpack: Callable[[bytes], tuple[Any, ...]]
     pack: Callable[..., bytes]
+
+
+_BRS = "CANFD_BRS"
+_NO = ("0", "No", "no", "")  # a definition without a default leaves it open
 
 
 def load_dbc(path: Path) -> Database:
@@ -98,6 +102,18 @@ def is_fd(message: Message) -> bool:
 def fd_by_length(message: Message) -> bool:
     """Whether its length alone says that it is."""
     return is_fd(message) and not message.is_fd
+
+
+def switches_rate(message: Message) -> bool:
+    """Whether the data of an FD message is sent at the higher rate: the file says so, or says nothing of it."""
+    if message.dbc is None:
+        return True
+    stated = message.dbc.attributes.get(_BRS)
+    if stated is not None:
+        return str(stated.value) not in _NO
+    definition = message.dbc.attribute_definitions.get(_BRS)
+    default = None if definition is None else definition.default_value
+    return default is None or str(default) not in _NO
 
 
 def _states_format(message: Message) -> bool:

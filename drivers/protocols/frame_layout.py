@@ -6,7 +6,7 @@ from typing import Any
 
 from drivers.config import Wiring
 from drivers.frame import Frame
-from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, Message, Reject, Sample
+from drivers.protocols.base import OF_DRIVES, Command, Message, Reject, Sample
 
 
 class FrameLayout(ABC):
@@ -32,12 +32,12 @@ class FrameLayout(ABC):
         self.wiring = wiring
 
     @abstractmethod
-    def host(self) -> HostProtocol:
-        """A new host's side, as `HostSide` describes it."""
+    def host(self) -> "HostSide":
+        """A new host's side."""
 
     @abstractmethod
-    def drives(self) -> DeviceProtocol:
-        """A new drives' side, as `DriveSide` describes it."""
+    def drives(self) -> "DriveSide":
+        """A new drives' side."""
 
 
 class HostSide(ABC):
@@ -52,6 +52,7 @@ class HostSide(ABC):
     positions: by axis, the least and greatest count that an answer can carry; empty: those of 32 bits.
     echo_id: identifier of the own frame at whose end the drives sample; None where samples carry stamps of their own.
     acts_ns: of drives that sample in their own time, ns per axis from the tick's start until a torque acts; else empty.
+    tells: DriveStatus bits that its answers can carry; limit switches and home switch are not among them by default.
     state_ns: period in which drives tell their state; 0: with every position.
     problems: why drives were refused, for people.
     """
@@ -60,6 +61,7 @@ class HostSide(ABC):
     checksum: bool = False
     states: bool = False
     causes: bool = False
+    tells: int = OF_DRIVES
     fd: bool = False
     positions: Sequence[tuple[float, float]] = ()
     echo_id: int | None = None

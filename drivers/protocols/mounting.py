@@ -10,7 +10,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from drivers.frame import Frame
-from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, Message, Reject, Sample, echo_ids
+from drivers.protocols.base import (
+    Command,
+    DeviceProtocol,
+    DriveStatus,
+    HostProtocol,
+    Message,
+    Reject,
+    Sample,
+    echo_ids,
+)
+
+_LOW, _HIGH = int(DriveStatus.LIMIT_LOW), int(DriveStatus.LIMIT_HIGH)
 
 
 class Mounting(NamedTuple):
@@ -40,6 +51,15 @@ class Mounting(NamedTuple):
         """The same for both ends of a range, in the order of the drive's."""
         return self.direction * ends[0] + self.offset, self.direction * ends[1] + self.offset
 
+    def status(self, status: int) -> int:
+        """DriveStatus at the axis where it is that at the drive, and the other way round: a drive that is mounted
+        backwards has its limit switches at the other ends.
+        """
+        if self.direction > 0 or not status & (_LOW | _HIGH):
+            return status
+        low, high = status & _LOW, status & _HIGH
+        return status & ~(_LOW | _HIGH) | (_HIGH if low else 0) | (_LOW if high else 0)
+
     def count_at_drive(self, count: int) -> int:
         """The drive's position where the axis' is `count`."""
         return self.direction * (count - self.offset)
@@ -62,6 +82,7 @@ class MountedHost:
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
+        self.tells, self.stamp_wraps_ns = layout.tells, layout.stamp_wraps_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
         self.echo_ids: Sequence[int | None] = echo_ids(layout)
         self.positions: Sequence[tuple[float, float]] = [
@@ -80,7 +101,9 @@ class MountedHost:
         if isinstance(outcome, Reject):
             return outcome
         for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
-            sample.position = self._mountings[sample.axis].count_at_axis(sample.position)
+            mounting = self._mountings[sample.axis]
+            sample.position = mounting.count_at_axis(sample.position)
+            sample.status = mounting.status(sample.status)
         return outcome
 
     def encode(self, command: Command) -> list[Frame]:
@@ -115,7 +138,6 @@ class MountedDevice:
 
     def encode_feedback(self, sample: Sample) -> Frame:
         """As the layout's, of the drive's position."""
-        position = self._mountings[sample.axis].count_at_drive(sample.position)
-        return self._layout.encode_feedback(
-            Sample(sample.axis, position, sample.status, sample.sequence, sample.stamp_ns)
-        )
+        mounting = self._mountings[sample.axis]
+        position, status = mounting.count_at_drive(sample.position), mounting.status(sample.status)
+        return self._layout.encode_feedback(Sample(sample.axis, position, status, sample.sequence, sample.stamp_ns))

@@ -6,6 +6,8 @@ answer less the time it took on the wire, which its bits tell exactly. Drives th
 their own instant, which their steady period tells from the delays on the bus.
 """
 
+from collections.abc import Sequence
+
 from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 
@@ -86,3 +88,14 @@ class SamplingClock:
             usual = instant
         self._usual_ns = usual + DELAY_LEAK_NS
         return usual if instant > usual + DELAY_SPREAD_NS else instant
+
+
+def leads_ns(frames: Sequence[Frame], bitrate: int, data_bitrate: int) -> list[int]:
+    """By how much each of these frames, sent back to back, is out before the last one is, ns."""
+    leads = [0] * len(frames)
+    behind_ns = 0.0
+    for index in range(len(frames) - 1, -1, -1):
+        leads[index] = round(behind_ns)
+        nominal, coded = frame_bits(frames[index])
+        behind_ns += (nominal + INTERMISSION) * 1e9 / bitrate + coded * 1e9 / data_bitrate
+    return leads

@@ -5,13 +5,15 @@ to all drives is told on each segment to those that are there. `Frame.flags` say
 of an axis that comes on another segment than its own is nobody's there.
 """
 
+import functools
 from collections.abc import Callable, Sequence
+from operator import and_
 from typing import TypeVar
 
 from drivers.config import BusConfig
 from drivers.frame import Frame, on_segment, segment_of
 from drivers.protocols.base import Command, DeviceProtocol, HostProtocol, LayoutError, Message, Reject, Sample
-from drivers.segments import Segment, segments_of
+from drivers.protocols.segments import Segment, segments_of
 
 Side = TypeVar("Side")
 
@@ -42,6 +44,8 @@ class SegmentedHost:
         self.checksum = all(layout.checksum for layout in self.segments)
         self.states = all(layout.states for layout in self.segments)
         self.causes = all(layout.causes for layout in self.segments)
+        self.tells = functools.reduce(and_, (layout.tells for layout in self.segments))
+        self.stamp_wraps_ns: Sequence[int] = [wrap for layout in self.segments for wrap in layout.stamp_wraps_ns]
         self.n_axes = sum(layout.n_axes for layout in self.segments)
         self.fd = any(layout.fd for layout in self.segments)
         self.positions: Sequence[tuple[float, float]] = [ends for layout in self.segments for ends in layout.positions]

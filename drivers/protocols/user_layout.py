@@ -1,18 +1,16 @@
 """Frame layouts that users bring: both sides are tried against each other before either is used."""
 
 from drivers.config import Wiring
-from drivers.protocols.frame_layout import FrameLayout
 from drivers.protocols.layout_trial import try_sides
 from drivers.protocols.user_sides import Maker, UserDrives, UserHost
 
 _TRIED: set[object] = set()  # the rigs whose sides have understood each other in this process
 
 
-class UserLayout(FrameLayout):
+class UserLayout:
     """The layout of users that [bus] names. Raises LayoutError, also where its sides do not understand each other."""
 
     def __init__(self, wiring: Wiring) -> None:
-        super().__init__(wiring)
         self._maker = Maker(wiring)
         rig = (wiring.bus.model_dump_json(), wiring.n_axes, tuple(wiring.rated_force), wiring.period_ns)
         if rig not in _TRIED:

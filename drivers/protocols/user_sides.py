@@ -7,25 +7,22 @@ decode is a frame with an invalid value. `problems` says which line of which fil
 ends the run of the emulated drives.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from drivers import plugins
-from drivers.call_limit import FAILED, watch
+from drivers.base import plugins
+from drivers.base.call_limit import FAILED, watch
+from drivers.base.guard import BadAnswerError, Guard
 from drivers.config import LAYOUT_KIND, Wiring
 from drivers.frame import ECHO, FD, FD_LENGTHS, Frame
-from drivers.protocols.base import Command, LayoutError, Message, Reject, Sample
+from drivers.protocols.base import EVERY_STATUS, Command, LayoutError, Message, Reject, Sample
+from drivers.protocols.common import INT32
 from drivers.protocols.frame_layout import DriveSide, HostSide
 from drivers.protocols.sampling_clock import SamplingClock
-from drivers.protocols.stage_common import INT32, STATUS_MASK
 
 FARTHEST = 2**53  # counts that a float still tells apart
 _COUNTS = ("sequence_modulus", "state_ns")
 _SWITCHES = ("checksum", "states", "causes", "fd")
-
-
-class BadAnswerError(Exception):
-    """A method of a user's layout returned what it must not; the text says what is wrong with it."""
 
 
 class Maker:
@@ -39,24 +36,8 @@ class Maker:
         except ValueError as error:
             raise LayoutError(str(error)) from None
         self.name = name
-        self.file = plugins.code_file(self._made)
-
-    def told(self, what: str, error: BaseException | str) -> str:
-        """What went wrong in which of its methods, with file and line."""
-        if isinstance(error, BadAnswerError):
-            error = f"{self.file}: {error}"
-        text = error if isinstance(error, str) else plugins.where(error, self.file)
-        return f"bus.protocol = {self.name!r}: {what}: {text}"
-
-    def call(self, what: str, method: Callable[..., Any], *arguments: Any, **parameters: Any) -> Any:
-        """What a method returns. Raises LayoutError naming it, whatever the method raises."""
-        watch.begin()
-        try:
-            return method(*arguments, **parameters)
-        except FAILED as error:
-            raise LayoutError(self.told(what, error)) from error
-        finally:
-            watch.within = False
+        self._guard = Guard(LAYOUT_KIND, name, self._made, LayoutError)
+        self.told, self.call = self._guard.told, self._guard.call
 
     def sides(self) -> tuple["UserHost", "UserDrives"]:
         """Both sides of a new object of the class."""
@@ -87,6 +68,8 @@ class UserHost:
         self._failure = self._garbled = ""
         self.sequence_modulus, self.state_ns = (self._count(name) for name in _COUNTS)
         self.checksum, self.states, self.causes, self.fd = (self._switch(name) for name in _SWITCHES)
+        self.tells = int(self._of_side("tells")) & EVERY_STATUS
+        self.stamp_wraps_ns: Sequence[int] = ()
         self.positions: Sequence[tuple[float, float]] = self._positions()
         self.acts_ns: Sequence[int] = self._acts_ns()
         self.echo_id: int | None = self._of_side("echo_id")
@@ -160,7 +143,7 @@ class UserHost:
             self._garbled = self._maker.told(f"host().decode of {shown(frame)}", error)
             return Reject.INVALID_VALUE
         finally:
-            watch.within = False
+            watch.end()
 
     def _checked(self, sample: Any, frame: Frame) -> Sample:
         if not isinstance(sample, Sample):
@@ -170,7 +153,7 @@ class UserHost:
         least, greatest = self.positions[sample.axis]
         if not _is_whole(sample.position, least, greatest):
             raise BadAnswerError(f"position {sample.position!r} is no whole number of {least:.0f} to {greatest:.0f}")
-        if not _is_whole(sample.status, 0, STATUS_MASK):
+        if not _is_whole(sample.status, 0, EVERY_STATUS):
             raise BadAnswerError(f"status {sample.status!r} has bits that DriveStatus does not know")
         if not _is_whole(sample.sequence, 0 if self.sequence_modulus else -1, max(self.sequence_modulus - 1, -1)):
             raise BadAnswerError(f"sequence {sample.sequence!r}; sequence_modulus is {self.sequence_modulus}")
@@ -192,7 +175,7 @@ class UserHost:
             self._failure = self._maker.told("host().encode", error)
             return []
         finally:
-            watch.within = False
+            watch.end()
 
     def messages(self, period_ns: int) -> list[Message]:
         """See HostProtocol. Raises LayoutError."""

@@ -12,9 +12,9 @@ from functools import partial
 from math import inf
 from pathlib import Path
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, DriveState, Emergency, NmtState
 from drivers.protocols.base import DriveStatus
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency, NmtState
 from sim_plant.drives import stopping
 from sim_plant.drives.canopen_node import COMMUNICATION, GENERIC, CanopenNode
 from sim_plant.drives.object_dictionary import SdoAbort, key_of
@@ -75,7 +75,7 @@ class Cia402Drive(CanopenNode):
         self._enabling_ns = NEVER_NS  # when the power stage will be on
         self._ramp = TorqueRamp()  # what is demanded of the servo, N
         self._stop: Stop | None = None  # under way
-        self._own = eds == cia301.EDS
+        self._own = self.dictionary.own
         self._describe()
         self._install()
         self._bind_dictionary()
@@ -90,7 +90,7 @@ class Cia402Drive(CanopenNode):
     def _install(self) -> None:
         """A bought drive has been told its motor's rated torque by whoever installed it."""
         if not self._own and _TORQUE_RATED in self.dictionary.entries:
-            self.dictionary.values[_TORQUE_RATED] = round(self.servo.rated_force * 1000)
+            self.dictionary.set(_TORQUE_RATED, round(self.servo.rated_force * 1000))
 
     def switch_off(self) -> None:
         """Out of operation without a fault, as when the input that enables the power stage opens for a moment."""
@@ -129,7 +129,7 @@ class Cia402Drive(CanopenNode):
         self.servo.deadline_ns = NEVER_NS
         self._fresh_target = False
         self._enabling_ns = NEVER_NS
-        self.dictionary.values[_TORQUE] = 0
+        self.dictionary.set(_TORQUE, 0)
 
     def _on_master_lost(self) -> None:
         """By 6007h. The project's own drive goes to FAULT, whose reason its host can read."""
@@ -162,8 +162,9 @@ class Cia402Drive(CanopenNode):
 
     def _bind_dictionary(self) -> None:
         dictionary = self.dictionary
+        if self._own:  # an object of its maker's
+            dictionary.getters[key_of(0x2010)] = lambda: min(self.servo.watchdog_ns // 1000, 0xFFFFFFFF)
         dictionary.getters |= {
-            key_of(0x2010): lambda: min(self.servo.watchdog_ns // 1000, 0xFFFFFFFF),
             key_of(cia301.POSITION): self._count,
             key_of(cia301.STATUSWORD): self._statusword,
             key_of(cia301.MODE_DISPLAY): lambda: dictionary.number(_MODE),
@@ -251,8 +252,8 @@ class Cia402Drive(CanopenNode):
         """Fault reaction by 605Eh, then FAULT."""
         register = GENERIC | (COMMUNICATION if code >> 8 in _COMMUNICATION_ERRORS else 0)
         self._enabling_ns = NEVER_NS
-        self.dictionary.values[_ERROR_REGISTER] = register
-        self.dictionary.values[_ERROR_CODE] = int(code)
+        self.dictionary.set(_ERROR_REGISTER, register)
+        self.dictionary.set(_ERROR_CODE, int(code))
         self._emergency.raise_error(code, register)
         if self._failed():
             return
@@ -354,14 +355,14 @@ class Cia402Drive(CanopenNode):
         if self._defects():
             return
         self.state = DriveState.SWITCH_ON_DISABLED
-        self.dictionary.values[_ERROR_REGISTER] = 0
-        self.dictionary.values[_ERROR_CODE] = 0
+        self.dictionary.set(_ERROR_REGISTER, 0)
+        self.dictionary.set(_ERROR_CODE, 0)
         self._emergency.raise_error(Emergency.NONE, 0)
 
     def _take_mode(self, value: int) -> None:
         if value not in (0, cia301.TORQUE_MODE):
             raise SdoAbort(Abort.VALUE_RANGE)
-        self.dictionary.values[_MODE] = value
+        self.dictionary.set(_MODE, value)
         if value != cia301.TORQUE_MODE:
             self._command_servo(0.0)
 

@@ -1,16 +1,16 @@
 """An emulated CANopen node (CiA 301), whatever it does: network management, services, PDOs, SYNC, by any EDS.
 
-What the node has and takes is what its EDS says, as the canopen package reads it: not the reader by which the master
-plans. A kind of device fills in the hooks at the end. No I/O and no clock: time comes in with frames and `advance`.
+What the node has and takes is what its EDS says, every object as the file types it. A kind of device fills in the
+hooks at the end. No I/O and no clock: time comes in with frames and `advance`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, Emergency, NmtCommand, NmtState, is_restricted
 from drivers.frame import FD, Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import Abort, Emergency, NmtCommand, NmtState
 from sim_plant.drives.emergency import EmergencyProducer
 from sim_plant.drives.object_dictionary import ObjectDictionary, SdoAbort, key_of
 from sim_plant.drives.pdo import MOST_PDOS, Pdo
@@ -23,10 +23,13 @@ GENERIC, COMMUNICATION = 0x01, 0x10  # bits of the error register, 1001h
 _SYNC_OVERFLOW = key_of(0x1019)
 _CYCLE_PERIOD = key_of(0x1006)
 _SYNC_COB = key_of(0x1005)
+_EMERGENCY_COB = key_of(0x1014)
 _ERROR_BEHAVIOUR = key_of(0x1029, 1)
 _CONSUMER_HEARTBEAT = key_of(0x1016, 1)
 _PRODUCER_HEARTBEAT = key_of(0x1017)
 _TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2  # 1029h; 1: no change
+_MOST_DELAYED = 4096  # answers that wait
+_HEARTBEAT_WAIT_NS = 100_000_000  # at most, for a SYNC whose period is said to be longer
 _CONTINUOUS = {key_of(cia301.POSITION), key_of(cia301.TORQUE_ACTUAL), key_of(0x606C)}  # change all the time
 
 
@@ -61,7 +64,8 @@ class CanopenNode:
             _CONSUMER_HEARTBEAT: self._take_consumer,
             _SYNC_COB: self._take_sync,
             _SYNC_OVERFLOW: self._take_overflow,
-            key_of(0x1003): lambda value: self._emergency.forget_history(),
+            _EMERGENCY_COB: self._take_emergency,
+            key_of(0x1003): self._take_history,
         }
         changed = self._find_handlers
         self._handlers: dict[int, Callable[[bytes], None]] = {}
@@ -69,7 +73,7 @@ class CanopenNode:
         self._tpdos: list[Pdo] = []
         self._rpdos = [Pdo(dictionary, at, at + 0x200, changed) for at in self._pdo_records(0x1400)]
         self._tpdos = [Pdo(dictionary, at, at + 0x200, changed) for at in self._pdo_records(0x1800)]
-        self._told: dict[Pdo, tuple[int, ...]] = {}  # what event-driven TPDOs said last
+        self._told: dict[Pdo, tuple[int | float | bytes, ...]] = {}  # what event-driven TPDOs said last
 
     def _pdo_records(self, first: int) -> list[int]:
         entries = self.dictionary.entries
@@ -110,7 +114,7 @@ class CanopenNode:
                     self._send_pdo(pdo)
 
     def _send_pdo(self, pdo: Pdo) -> None:
-        self._send(pdo.can_id, pdo.layout.pack(*map(self.dictionary.get, pdo.keys)))
+        self._send(pdo.can_id, pdo.pack())
 
     def _send(self, can_id: int, data: bytes) -> None:
         self._out.append(Frame(can_id, data))
@@ -125,6 +129,8 @@ class CanopenNode:
             self._master_deadline_ns = NEVER_NS
             self._on_master_lost()
             self._leave_operational()
+        if self.now_ns >= self._sdo.deadline_ns:
+            self._answer(self._sdo.give_up())
         while self._delayed and self._delayed[0][0] <= self.now_ns:
             self._out.append(self._delayed.pop(0)[1])
         self._live()
@@ -181,7 +187,8 @@ class CanopenNode:
     def _is_cyclic(self) -> bool:
         """Whether SYNCs come in time. Then a heartbeat waits for the next and goes behind its TPDOs, as the priorities
         of a real controller's mailboxes would have it; here frames leave in the order in which they are queued."""
-        return self.now_ns - self.sampled_ns < 2000 * self.dictionary.number(_CYCLE_PERIOD)
+        patience_ns = min(2000 * self.dictionary.number(_CYCLE_PERIOD), _HEARTBEAT_WAIT_NS)
+        return self.now_ns - self.sampled_ns < patience_ns
 
     def _send_heartbeat(self) -> None:
         self._send(cia301.HEARTBEAT_ID + self.node_id, bytes((self.nmt,)))
@@ -206,20 +213,23 @@ class CanopenNode:
             handlers[pdo.can_id] = partial(self._on_rpdo, pdo)  # -1, of an invalid one, is no frame's
         master = number(_CONSUMER_HEARTBEAT) >> 16 & 0x7F
         handlers[cia301.HEARTBEAT_ID + master] = self._on_master_heartbeat
-        handlers[cia301.SDO_REQUEST_ID + node] = self._on_sdo
         handlers[number(_SYNC_COB, cia301.SYNC_ID) & cia301.STANDARD_IDS] = self._on_sync
+        handlers[cia301.SDO_REQUEST_ID + node] = self._on_sdo
         handlers[cia301.NMT_ID] = self._on_nmt
         self._handlers = handlers
 
     def _on_sdo(self, data: bytes) -> None:
         if len(data) != 8 or self.nmt is NmtState.STOPPED:
             return
-        for answer in self._sdo.on_request(data):
-            frame = Frame(cia301.SDO_RESPONSE_ID + self.node_id, answer)
-            if self._quirks.answer_delay_ns:
-                self._delayed.append((self.now_ns + self._quirks.answer_delay_ns, frame))
-            else:
-                self._out.append(frame)
+        self._answer(self._sdo.on_request(data, self.now_ns))
+
+    def _answer(self, answers: Sequence[bytes]) -> None:
+        """SDO answers, at once or later; a client that does not wait for them gets no more than there is room for."""
+        frames = [Frame(cia301.SDO_RESPONSE_ID + self.node_id, answer) for answer in answers]
+        if not self._quirks.answer_delay_ns:
+            self._out += frames
+        elif len(self._delayed) < _MOST_DELAYED:
+            self._delayed += [(self.now_ns + self._quirks.answer_delay_ns, frame) for frame in frames]
 
     def _on_rpdo(self, pdo: Pdo, data: bytes) -> None:
         if self.nmt is not NmtState.OPERATIONAL:
@@ -232,7 +242,7 @@ class CanopenNode:
             self._use_rpdo(pdo, data)
 
     def _use_rpdo(self, pdo: Pdo, data: bytes) -> None:
-        for key, value in zip(pdo.keys, pdo.layout.unpack_from(data), strict=True):
+        for key, value in zip(pdo.keys, pdo.unpack(data), strict=True):
             if key >= 0:
                 try:
                     self.dictionary.store(key, value)
@@ -263,10 +273,21 @@ class CanopenNode:
             self._send_heartbeat()
 
     def _take_sync(self, value: int) -> None:
-        if value & ~cia301.STANDARD_IDS:  # it produces none, and none of 29 bits
+        if value & ~cia301.STANDARD_IDS or is_restricted(value):  # it produces none, and none of 29 bits
             raise SdoAbort(Abort.VALUE_RANGE)
         self.dictionary.values[_SYNC_COB] = value
         self._find_handlers()
+
+    def _take_emergency(self, value: int) -> None:
+        """CiA 301, 7.5.2.17: an identifier of 11 bits that is nobody else's, or none."""
+        if not value & cia301.PDO_INVALID and (value & ~cia301.STANDARD_IDS or is_restricted(value)):
+            raise SdoAbort(Abort.VALUE_RANGE)
+
+    def _take_history(self, value: int) -> None:
+        """1003h:00 takes zero alone (CiA 301, 7.5.2.4)."""
+        if value:
+            raise SdoAbort(Abort.VALUE_RANGE)
+        self._emergency.forget_history()
 
     def _take_overflow(self, value: int) -> None:
         if self.dictionary.number(_CYCLE_PERIOD):

@@ -1,11 +1,12 @@
 """Emergency messages of a CANopen node (CiA 301, 7.2.7): history in 1003h, inhibit time of 1015h."""
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import PDO_INVALID, STANDARD_IDS, Emergency
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import PDO_INVALID, STANDARD_IDS, Emergency
 from sim_plant.drives.object_dictionary import ObjectDictionary, key_of
 
 _HISTORY = 4  # entries of 1003h
+_MOST_WAITING = 32  # in the inhibit time
 _INHIBIT_UNIT_NS = 100_000  # of 1015h
 _COUNT, _COB_ID, _INHIBIT = key_of(0x1003), key_of(0x1014), key_of(0x1015)
 
@@ -27,7 +28,8 @@ class EmergencyProducer:
         """An error has come, or all are gone (Emergency.NONE)."""
         if code is not Emergency.NONE:
             self._remember(int(code))
-        self._waiting.append(cia301.EMCY.pack(code, register, bytes(5)))
+        if len(self._waiting) < _MOST_WAITING:
+            self._waiting.append(cia301.EMCY.pack(code, register, bytes(5)))
 
     def due(self, now_ns: int) -> list[Frame]:
         """What may be sent now."""
@@ -54,6 +56,4 @@ class EmergencyProducer:
         self._store(0, min(self._dictionary.number(_COUNT) + 1, _HISTORY))
 
     def _store(self, subindex: int, value: int) -> None:
-        key = key_of(0x1003, subindex)
-        if key in self._dictionary.values:
-            self._dictionary.values[key] = value
+        self._dictionary.set(key_of(0x1003, subindex), value)

@@ -13,7 +13,9 @@ from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.servo import ServoDrive
 
 Position = Callable[[], float]
-SPOKEN = {"cia402": "cia402", "moteus": "moteus"}  # the layout of drives that speak none that a DBC file describes
+MIT = ("damiao", "cubemars", "robstride")
+# the layout of drives that speak none that a DBC file describes
+SPOKEN = {"cia402": "cia402", "moteus": "moteus"} | dict.fromkeys((*MIT, "mit"), "mit")
 
 
 class DriveNode(Protocol):
@@ -67,6 +69,8 @@ def installed_drives(
         return _cia402(bus, config, base_dir, servos, positions, start_ns)
     if kind == "moteus":
         return _moteus(bus, config, servos, positions, start_ns)
+    if SPOKEN.get(kind) == "mit":
+        return _mit(bus, config, servos, positions, start_ns)
     assert config is not None
     nodes = config.nodes or list(range(len(servos)))
     return [
@@ -102,7 +106,7 @@ def _moteus(
     positions: Sequence[Position],
     start_ns: int,
 ) -> Sequence[DriveNode]:
-    from drivers.protocols.moteus import COUNTS_PER_TURN, moteus_nodes
+    from drivers.families.moteus.layout import COUNTS_PER_TURN, moteus_nodes
     from sim_plant.drives.moteus import Moteus
 
     if config is None:  # as the rig has them
@@ -118,6 +122,36 @@ def _moteus(
     ]
 
 
+def _mit(
+    bus: BusConfig,
+    config: EmulatedDriveConfig | None,
+    servos: Sequence[ServoDrive],
+    positions: Sequence[Position],
+    start_ns: int,
+) -> Sequence[DriveNode]:
+    from drivers.families.mit.layout import CODES, mit_drives
+    from sim_plant.drives.mit import CubeMars, Damiao, Ranges, RobStride
+
+    count = len(servos)
+    if config is None:  # as the rig has them
+        stated = mit_drives(bus, count)
+        kind: str = stated.kind
+        nodes, position, torque = stated.nodes, stated.position, stated.torque
+        hosts = [stated.host] * count if kind == "robstride" else stated.answers
+        turn = [servo.resolution * CODES * math.pi / most for servo, most in zip(servos, position, strict=True)]
+    else:
+        kind, nodes = config.kind, config.nodes or list(range(1, count + 1))
+        position, torque = [config.position_range] * count, [config.torque_range] * count
+        hosts = config.told_to or [{"robstride": 0xFD, "damiao": 0x10 + node}.get(kind, node) for node in nodes]
+        turn = [abs(travel) for travel in config.turn]
+    made = {"damiao": Damiao, "cubemars": CubeMars, "robstride": RobStride}[kind]
+    ranges = map(Ranges, position, torque, hosts)
+    return [
+        made(node, servo, partial(_turns, servo, at, travel), start_ns, reach)
+        for node, servo, at, travel, reach in zip(nodes, servos, positions, turn, ranges, strict=True)
+    ]
+
+
 def _cia402(
     bus: BusConfig,
     config: EmulatedDriveConfig | None,
@@ -126,13 +160,14 @@ def _cia402(
     positions: Sequence[Position],
     start_ns: int,
 ) -> Sequence[DriveNode]:
-    from drivers.protocols.canopen.cia301 import EDS
-    from drivers.protocols.canopen.host import node_ids
+    from drivers.families.cia402.cia301 import EDS
+    from drivers.families.cia402.config import cia402_keys
+    from drivers.families.cia402.host import node_ids
     from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
     from sim_plant.drives.quirks import stated_quirks
 
-    quirks = stated_quirks(config)
-    files = [base_dir / name for name in bus.cia402.eds] if bus.cia402 else [EDS]
+    quirks, stated = stated_quirks(config), cia402_keys(bus).cia402
+    files = [base_dir / name for name in stated.eds] if stated else [EDS]
     files = files * len(servos) if len(files) == 1 else files
     nodes = node_ids(bus, len(servos))
     return [

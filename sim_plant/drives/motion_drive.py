@@ -8,8 +8,8 @@ modes of position and speed it comes to rest with the decelerations of stopping.
 from math import inf
 from pathlib import Path
 
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, DriveState, Emergency
 from sim_plant.drives import stopping
 from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.following import Demand, FollowingError

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from struct import Struct
 
+from drivers.eds.data_types import DATA_TYPES, DataType, Kind
+from drivers.families.cia402.cia301 import PDO_INVALID, STANDARD_IDS, Abort, is_restricted
 from drivers.frame import EXTENDED_MASK
-from drivers.protocols.canopen.cia301 import BASIC_TYPES, PDO_INVALID, STANDARD_IDS, Abort
 from sim_plant.drives.object_dictionary import LAST_DUMMY, ObjectDictionary, SdoAbort, key_of
 
 COB_ID, TRANSMISSION_TYPE = 1, 2
@@ -14,8 +15,7 @@ MOST_PDOS = 8  # of a kind, that a drive is looked through for
 EVENT_DRIVEN = (254, 255)  # transmission types of what is sent, or acted upon, at once
 _LAST_SYNCHRONOUS = 240
 _EXTENDED_ID = 1 << 29
-# Identifiers that no PDO may have (CiA 301, 7.3.5): NMT, reserved, SDO, heartbeats.
-_RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
+_CODES = {1: "bB", 2: "hH", 4: "iI", 8: "qQ"}  # struct codes of whole numbers, with a sign and without
 
 
 class Pdo:
@@ -61,37 +61,49 @@ class Pdo:
         self.event_driven = value in EVENT_DRIVEN and not self._receives
 
     def _use_mapping(self, count: int) -> None:
-        layout, keys = "<", []
-        for subindex in range(1, count + 1):
-            key, code = self._mapped(self._dictionary.number(key_of(self._mapping, subindex)))
-            layout += code
-            keys.append(key)
-        if Struct(layout).size > MAX_BYTES:
+        mapped = [self._mapped(self._dictionary.number(key_of(self._mapping, at))) for at in range(1, count + 1)]
+        layout = Struct("<" + "".join(_code(data_type) for _, data_type in mapped))
+        if layout.size > MAX_BYTES:
             raise SdoAbort(Abort.PDO_LENGTH)
-        self.layout, self.keys = Struct(layout), tuple(keys)
+        self.layout, self.keys = layout, tuple(key for key, _ in mapped)
+        self._odd = {at: kind for at, (_, kind) in enumerate(mapped) if _code(kind)[-1] == "s"}  # 24 to 56 bits
 
-    def _mapped(self, value: int) -> tuple[int, str]:
-        """Dictionary key and struct code of a mapping entry."""
+    def pack(self) -> bytes:
+        """The mapped objects as they are now."""
+        values = [self._dictionary.get(key) for key in self.keys]
+        for at, data_type in self._odd.items():
+            values[at] = data_type.pack(values[at])
+        return self.layout.pack(*values)
+
+    def unpack(self, data: bytes) -> list[int | float]:
+        """Values of received bytes, which are at least as many as the layout's."""
+        values = list(self.layout.unpack_from(data))
+        for at, data_type in self._odd.items():
+            values[at] = data_type.unpack(values[at])
+        return values
+
+    def _mapped(self, value: int) -> tuple[int, DataType]:
+        """Dictionary key and type of a mapping entry."""
         index, subindex, bits = value >> 16, value >> 8 & 0xFF, value & 0xFF
         if index <= LAST_DUMMY:
             if index not in self._dictionary.dummies or not self._receives:
                 raise SdoAbort(Abort.NOT_MAPPABLE)
-            key, code = -1, BASIC_TYPES[index]
+            key, data_type = -1, DATA_TYPES[index]
         else:
             entry = self._dictionary.entry(index, subindex)
             allowed = entry.writable if self._receives else entry.readable
-            if not (entry.mappable and allowed) or entry.layout is None:
+            if not (entry.mappable and allowed and entry.size):
                 raise SdoAbort(Abort.NOT_MAPPABLE)
-            key, code = key_of(index, subindex), entry.layout.format[1:]
-        if Struct("<" + code).size * 8 != bits:
+            key, data_type = key_of(index, subindex), entry.type
+        if data_type.size * 8 != bits:
             raise SdoAbort(Abort.NOT_MAPPABLE)
-        return key, code
+        return key, data_type
 
     def _set_can_id(self, value: int) -> None:
         """CiA 301, 7.5.2.35: no identifier of others, none of 29 bits, and none but the present one while valid."""
         can_id = value & STANDARD_IDS
         valid = not value & PDO_INVALID
-        if value & _EXTENDED_ID or (valid and any(low <= can_id <= high for low, high in _RESTRICTED)):
+        if value & _EXTENDED_ID or (valid and is_restricted(can_id)):
             raise SdoAbort(Abort.VALUE_RANGE)
         if valid and self.can_id >= 0 and can_id != self.can_id:
             raise SdoAbort(Abort.DEVICE_STATE)
@@ -116,3 +128,11 @@ class Pdo:
             raise SdoAbort(Abort.DEVICE_STATE)
         if value:
             self._mapped(value)
+
+
+def _code(data_type: DataType) -> str:
+    """Struct code of a number; its bytes where struct has none of that width."""
+    if data_type.kind is Kind.REAL:
+        return "f" if data_type.bits == 32 else "d"
+    codes = _CODES.get(data_type.size)
+    return codes[not data_type.signed] if codes else f"{data_type.size}s"

@@ -2,7 +2,7 @@
 
 from enum import Enum, auto
 
-from drivers.protocols.canopen.cia301 import DriveState
+from drivers.families.cia402.cia301 import DriveState
 
 
 class PowerCommand(Enum):

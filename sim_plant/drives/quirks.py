@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from drivers.config import ObjectValue
+from drivers.families.cia402.config import ObjectValue
 from sim_plant.config import EmulatedDriveConfig
 
 _GENERAL_ERROR = 0x08000000  # SDO abort code

@@ -7,8 +7,9 @@ the client says that it has one; some clients check it wherever the server says 
 
 from binascii import crc_hqx
 
-from drivers.protocols.canopen.cia301 import SDO, Abort
-from sim_plant.drives.object_dictionary import MAX_STRING, SdoAbort
+from drivers.eds.data_types import LARGEST_DATA
+from drivers.families.cia402.cia301 import SDO, Abort
+from sim_plant.drives.object_dictionary import SdoAbort
 
 SEGMENTS = 127  # of one block, at most
 _BYTES = 7  # of one segment
@@ -29,14 +30,18 @@ class BlockDownload:
     def __init__(self, command: int, index: int, subindex: int, size: int) -> None:
         """An initiating request. Raises SdoAbort."""
         self._announced = size if command & _SIZE else None
-        if (self._announced or 0) > MAX_STRING:
+        if (self._announced or 0) > LARGEST_DATA:
             raise SdoAbort(Abort.OUT_OF_MEMORY)
         self._with_crc = bool(command & _CRC)
         self._sequence = 0
         self._ended = False
-        self.data = b""
+        self.data = bytearray()
         self.done = False
         self.first = SDO.pack(_INITIATE_UPLOAD | command & _CRC, index, subindex, bytes((SEGMENTS, 0, 0, 0)))
+
+    def takes(self, request: bytes) -> bool:
+        """Whether a request can be what comes next: the segment behind the last one, or the end."""
+        return self._ended or request[0] & 0x7F == self._sequence + 1
 
     def on_request(self, request: bytes) -> list[bytes]:
         """What is answered to a segment, or to the end. Raises SdoAbort."""
@@ -48,7 +53,7 @@ class BlockDownload:
             self._sequence = sequence
             self.data += request[1:]
             self._ended = bool(last)
-        if len(self.data) > MAX_STRING + _BYTES:
+        if len(self.data) > LARGEST_DATA + _BYTES:
             raise SdoAbort(Abort.OUT_OF_MEMORY)
         if not last and sequence < SEGMENTS:
             return []
@@ -59,7 +64,7 @@ class BlockDownload:
         if request[0] & 0xE3 != _END:
             raise SdoAbort(Abort.COMMAND)
         unused = request[0] >> 2 & 7
-        self.data = self.data[: len(self.data) - unused]
+        del self.data[len(self.data) - unused :]
         if self._announced not in (None, len(self.data)):
             raise SdoAbort(Abort.LENGTH)
         if self._with_crc and int.from_bytes(request[1:3], "little") != crc_hqx(self.data, 0):

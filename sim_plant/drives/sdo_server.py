@@ -1,16 +1,24 @@
 """SDO server of CiA 301, 7.2.4: expedited, segmented and block transfers both ways, with abort codes."""
 
-from drivers.protocols.canopen.cia301 import SDO, Abort
-from sim_plant.drives.object_dictionary import MAX_STRING, ObjectDictionary, SdoAbort
+from drivers.eds.data_types import LARGEST_DATA
+from drivers.families.cia402.cia301 import SDO, Abort
+from sim_plant.drives.object_dictionary import ObjectDictionary, SdoAbort
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 from sim_plant.drives.sdo_block import BlockDownload, BlockUpload
+from sim_plant.drives.servo import NEVER_NS
 
 _EMPTY = bytes(4)
 _ABORT = 0x80
+_PATIENCE_NS = 1_000_000_000  # with the client of a block transfer
 
 
 class SdoServer:
-    """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer."""
+    """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer.
+
+    deadline_ns: when a block transfer is given up because its client fell silent. In a block the server answers no
+    single segment: a client that begins something else there is recognised where its request cannot be the next
+    segment and names an object, else after that time.
+    """
 
     def __init__(self, dictionary: ObjectDictionary, quirks: Quirks = NO_QUIRKS) -> None:
         self._dictionary = dictionary
@@ -25,17 +33,39 @@ class SdoServer:
         self._announced: int | None = None
         self._upload: bytes | None = None
         self._block: BlockDownload | BlockUpload | None = None
+        self.deadline_ns = NEVER_NS
+        self._sent = 0
         self._toggle = 0
 
-    def on_request(self, request: bytes) -> list[bytes]:
+    def on_request(self, request: bytes, now_ns: int = 0) -> list[bytes]:
         """The 8-byte answers to an 8-byte request. Never raises."""
         try:
-            if self._block is not None and request[0] != _ABORT:
-                return self._continue_block(request)
-            return self._start_or_continue(request)
+            if self._block is not None and request[0] != _ABORT and not self._begins_anew(request):
+                answers = self._continue_block(request)
+            else:
+                answers = self._start_or_continue(request)
         except SdoAbort as refusal:
-            self.reset()
-            return [SDO.pack(_ABORT, self._index, self._subindex, int(refusal.code).to_bytes(4, "little"))]
+            answers = [self._refusal(refusal.code)]
+        self.deadline_ns = now_ns + _PATIENCE_NS if self._block is not None else NEVER_NS
+        return answers
+
+    def give_up(self) -> list[bytes]:
+        """The client of a block transfer fell silent."""
+        return [self._refusal(Abort.TIMEOUT)]
+
+    def _refusal(self, code: int) -> bytes:
+        self.reset()
+        return SDO.pack(_ABORT, self._index, self._subindex, int(code).to_bytes(4, "little"))
+
+    def _begins_anew(self, request: bytes) -> bool:
+        """In the midst of a block download: a request that begins a transfer of an object, not the next segment."""
+        block = self._block
+        if not isinstance(block, BlockDownload) or block.takes(request):
+            return False
+        command, index, subindex, data = SDO.unpack(request)
+        reads = command == 0x40 and data == _EMPTY
+        initiates = reads or command >> 5 == 1 or command & ~0x04 == 0xA0 or command & ~0x06 == 0xC0
+        return initiates and self._dictionary.has(index, subindex)
 
     def _start_or_continue(self, request: bytes) -> list[bytes]:
         command, index, subindex, data = SDO.unpack(request)
@@ -64,7 +94,7 @@ class SdoServer:
         answers = block.on_request(request)
         if block.done:
             if isinstance(block, BlockDownload):
-                self._dictionary.write(self._index, self._subindex, block.data)
+                self._dictionary.write(self._index, self._subindex, bytes(block.data))
             self.reset()
         return answers
 
@@ -93,13 +123,13 @@ class SdoServer:
         entry = self._dictionary.entry(index, subindex)
         sized = command & 0x01
         if command & 0x02:  # expedited
-            unused = command >> 2 & 3 if sized else 4 - min(entry.layout.size, 4) if entry.layout else 0
+            unused = command >> 2 & 3 if sized else 4 - (min(entry.size, 4) or 4)
             self._dictionary.write(index, subindex, data[: 4 - unused])
         else:
             if not entry.writable:
                 raise SdoAbort(Abort.READ_ONLY)
             self._announced = int.from_bytes(data, "little") if sized else None
-            if (self._announced or 0) > MAX_STRING:
+            if (self._announced or 0) > LARGEST_DATA:
                 raise SdoAbort(Abort.OUT_OF_MEMORY)
             self._download = bytearray()
         return SDO.pack(0x60, index, subindex, _EMPTY)
@@ -109,7 +139,7 @@ class SdoServer:
             raise SdoAbort(Abort.COMMAND)
         self._check_toggle(command)
         self._download += data[: 7 - (command >> 1 & 7)]
-        if len(self._download) > MAX_STRING:
+        if len(self._download) > LARGEST_DATA:
             raise SdoAbort(Abort.OUT_OF_MEMORY)
         if command & 0x01:  # last segment
             if self._announced not in (None, len(self._download)):
@@ -133,8 +163,9 @@ class SdoServer:
         if self._upload is None:
             raise SdoAbort(Abort.COMMAND)
         self._check_toggle(command)
-        segment, self._upload = self._upload[:7], self._upload[7:]
-        last = 0x01 if not self._upload else 0
+        segment = self._upload[self._sent : self._sent + 7]
+        self._sent += 7
+        last = 0x01 if self._sent >= len(self._upload) else 0
         head = command & 0x10 | (7 - len(segment)) << 1 | last
         if last:
             self.reset()

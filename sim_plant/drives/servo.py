@@ -10,6 +10,7 @@ Rules:
 - Expiry also forgets the last sequence number, because the host that comes back may be another process.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ _FAULT = int(DriveStatus.FAULT)
 _WATCHDOG = int(DriveStatus.WATCHDOG)
 _HOMED = int(DriveStatus.HOMED)
 _BRAKE = int(DriveStatus.BRAKE)
+_LIMIT_LOW, _LIMIT_HIGH = int(DriveStatus.LIMIT_LOW), int(DriveStatus.LIMIT_HIGH)
+_HOME = int(DriveStatus.HOME)
 _LATCHES = _FAULT | _WATCHDOG
 
 
@@ -33,6 +36,25 @@ class Trip(NamedTuple):
     force: float
 
 
+class Switches(NamedTuple):
+    """Digital inputs of an axis, m (rad): closed at `low` and below, at `high` and above, at `home` and below."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    home: float = -math.inf
+
+    def closed(self, position: float) -> int:
+        """DriveStatus bits."""
+        return (
+            (_LIMIT_LOW if position <= self.low else 0)
+            | (_LIMIT_HIGH if position >= self.high else 0)
+            | (_HOME if position <= self.home else 0)
+        )
+
+
+NO_SWITCHES = Switches()
+
+
 class ServoDrive:
     """One axis' drive. Times are integer ns on the emulator's clock.
 
@@ -41,9 +63,9 @@ class ServoDrive:
 
     force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
     last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
-    gain: torque constant over its nominal value. extra_status: bits shown on top of `status`. taps: what a sample goes
-    through before it is sent. broken: a fault that no reset clears. stuck: every command enables it, whatever its bit
-    says. These five are for fault injection.
+    gain: torque constant over its nominal value. switches: its digital inputs. extra_status: bits shown on top of
+    `status`. taps: what a sample goes through before it is sent. broken: a fault that no reset clears. stuck: every
+    command enables it, whatever its bit says. gain and the last four are for fault injection.
     """
 
     __slots__ = (
@@ -63,6 +85,7 @@ class ServoDrive:
         "stale",
         "status",
         "stuck",
+        "switches",
         "taps",
         "trips",
         "watchdog_ns",
@@ -82,6 +105,7 @@ class ServoDrive:
         self.extra_status = 0
         self.broken = False
         self.stuck = False
+        self.switches = NO_SWITCHES
         self.taps: list[Callable[[Sample], Sample]] = []
         self.status = _HOMED | (_BRAKE if has_brake else 0)
         self.deadline_ns = NEVER_NS
@@ -124,6 +148,8 @@ class ServoDrive:
     def sample(self, position: float, now_ns: int) -> Sample:
         """The encoder's count at now_ns, answering the last fresh command. position: truth, m."""
         status = self.status | self.extra_status
+        if self.switches is not NO_SWITCHES:
+            status |= self.switches.closed(position)
         sample = Sample(self.axis, round(position / self.resolution), status, self._sequence, now_ns)
         for tap in self.taps:
             sample = tap(sample)

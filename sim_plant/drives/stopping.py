@@ -11,7 +11,7 @@ from enum import Enum, auto
 from math import copysign, inf
 from typing import NamedTuple
 
-from drivers.protocols.canopen.cia301 import DriveState
+from drivers.families.cia402.cia301 import DriveState
 from sim_plant.drives.object_dictionary import ObjectDictionary, key_of
 
 
@@ -66,7 +66,7 @@ _TORQUE_SLOPE = key_of(0x6087)
 def option(dictionary: ObjectDictionary, key: int) -> Option:
     """What an option code asks for at present."""
     value = dictionary.values.get(key)
-    return ABSENT[key] if value is None else OPTIONS[key].get(int(value), ABSENT[key])
+    return OPTIONS[key].get(value, ABSENT[key]) if isinstance(value, int) else ABSENT[key]
 
 
 def deceleration(dictionary: ObjectDictionary, ramp: Ramp) -> float:

@@ -17,6 +17,14 @@ class Disturbance:
         self._torque = Stream(seed, axis, TORQUE)
         self._steps = Stream(seed, axis, WALK)
 
+    def parameters(self) -> list[Number]:
+        """Density and walk, as given."""
+        return [self._density, self._walk]
+
+    def keys(self) -> tuple[int, int]:
+        """Of one axis: the keys of its streams of noise and walk."""
+        return self._torque.key, self._steps.key
+
     def draw(self, walked: Number, count: int, h: float) -> tuple[Number, Number]:
         """Force during piece `count`, which is h seconds long, and how far the walk is then (N)."""
         span: Number = root(h)

@@ -45,7 +45,6 @@ MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, posi
 LINE_STEP: Final = 0.4  # rad of a sinusoid
 SLOPE_STEP: Final = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
 
-
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
 
 
@@ -125,6 +124,14 @@ class Dynamics:
         self._rate: Number = rate
         self._speed_rate: Number = per_speed + 2.0 * abs(s.quadratic) * self.inverse_mass * (1.0 / SLOPE_STEP)
         self._stuck_rate: Number = 4.0 * self.stiffness * self.inverse_mass
+
+    def parameters(self) -> list[Number]:
+        """Of one axis: all of its numbers, in the order of `axis` in sim_plant/native/dynamics.h."""
+        values = [v for value in self.structure for v in (value if isinstance(value, tuple) else (value,))]
+        of_motor = [self.inverse_mass, self.inverse_load, self.stiffness, self.peak, self.inverse_limit]
+        of_ring = [self._ring_rate, self._ring_time, self._ring_scale]
+        of_effort = [self._amplitudes, self._rate, self._speed_rate, self._stuck_rate]
+        return [*values, *of_motor, self.inverse_lag, self._slowness, *of_ring, *of_effort]
 
     def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
         """Steps that h seconds should be divided into, not rounded. forces: as in `step`."""

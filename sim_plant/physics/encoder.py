@@ -38,6 +38,16 @@ class Encoder:
         """Whether it shows the position as it is."""
         return not (self._is_noisy or self._is_periodic or self.is_late)
 
+    def parameters(self) -> list[Number]:
+        """Noise (m), amplitude (m) and wavenumber (turns/m) of the periodic error, latency (s)."""
+        return [self._noise, self._error, self._wavenumber, self._latency]
+
+    @property
+    def key(self) -> int:
+        """Of one axis: the key of its stream of noise."""
+        key: int = self._stream.key
+        return key
+
     def show(self, past: Sequence[Point], now: Point) -> Number:
         """The next sample, m. past: earlier points, oldest first."""
         shown = _delayed(past, now, self._latency) if self.is_late else now[1]

@@ -15,7 +15,7 @@ from sim_plant.physics.number import Number
 Key = Any  # int, or an array of uint64
 Bits = Any  # an array of uint64; numpy says of its products that they are signed
 
-TORQUE, WALK, ENCODER = range(1, 4)  # effects
+TORQUE, WALK, ENCODER, READING = range(1, 5)  # effects
 BLOCK: Final = 64
 
 _MASK = 2**64 - 1
@@ -52,9 +52,14 @@ class Stream:
         self._is_single = isinstance(seed, int)
         self._key = _key_of(_bits(seed), _bits(axis), effect)
         # One axis draws a block of numbers at a time, which is many times as fast; not all axes in the same tick.
-        self._offset = int(self._key[0]) % BLOCK
+        self._offset = self.key % BLOCK
         self._begin = -BLOCK
         self._block: list[float] = []
+
+    @property
+    def key(self) -> int:
+        """Of one axis: what its numbers are a function of, beside their count."""
+        return int(self._key[0])
 
     def at(self, count: int) -> Number:
         """The count-th number, 0 <= count: mean 0, variance 1."""

@@ -17,8 +17,13 @@ def disturbance_of(density: float, walk: float, seed: Key, axis: Key) -> Disturb
     return Disturbance(density, walk, seed, axis)
 
 
+def piece_times(begin: float, h: float, number: int) -> list[float]:
+    """When pieces of h seconds from `begin` on begin, s."""
+    return [begin + index * h for index in range(number)]
+
+
 class RealAxis:
-    """One axis that deviates. motion: its state. past: where its pieces began, oldest first."""
+    """One axis that deviates. motion: its state. past: where its pieces began, oldest first. The others: as given."""
 
     def __init__(
         self, engine: Dynamics | Axis, motion: Motion, constant: float, disturbance: Disturbance | None
@@ -26,9 +31,9 @@ class RealAxis:
         """constant: N, gravity and bias."""
         self.motion = motion
         self.past: tuple[Point, ...] = ()
-        self._engine = engine
-        self._constant = constant
-        self._disturbance = disturbance
+        self.engine = engine
+        self.constant = constant
+        self.disturbance = disturbance
 
     @property
     def state(self) -> tuple[Motion, tuple[Point, ...]]:
@@ -60,13 +65,13 @@ class RealAxis:
     def advance(self, times: Sequence[float], h: float, command: float, count: int) -> None:
         """Advance by pieces of h seconds that begin at these times (s); `count`: pieces before."""
         for index, time in enumerate(times):
-            external, motion = self._constant, self.motion
+            external, motion = self.constant, self.motion
             self.past = (*self.past[1 - KEPT :], (time, motion.position, motion.velocity))
-            disturbance = self._disturbance
+            disturbance = self.disturbance
             if disturbance is not None:
                 force, walked = disturbance.draw(motion.walked, count + index, h)
                 external, motion = external + force, with_walk(motion, walked)
-            engine = self._engine
+            engine = self.engine
             if isinstance(engine, Dynamics):
                 self.motion = advance_single(engine, motion, time, (external, command), h)
             else:

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from sim_plant.physics.encoder import Encoder
+from sim_plant.physics.native_axis import NativeAxes, NativeAxis
 from sim_plant.physics.noise import Key
-from sim_plant.physics.real_axis import RealAxis
+from sim_plant.physics.real_axis import RealAxis, piece_times
 from sim_plant.physics.single_axis import SingleAxis
 
 IDEAL_PIECE_NS: Final = 1_000_000  # of constant force, at most, for an ideal axis
@@ -20,14 +21,17 @@ def encoder_of(values: tuple[float, float, float, float], key: tuple[Key, Key], 
 
 
 class SingleStage:
-    """axes and encoders: in axis order. drifts: m/s each, of the tool against its encoder; none: empty."""
+    """axes and encoders: in axis order. drifts: m/s each, of the tool against its encoder; none: empty. native: those
+    of the axes that the native kernel computes.
+    """
 
     def __init__(
         self,
-        axes: list[SingleAxis | RealAxis],
+        axes: list[SingleAxis | RealAxis | NativeAxis],
         encoders: list[Encoder],
         constants: list[float],
         drifts: list[float],
+        native: NativeAxes | None,
     ) -> None:
         """constants: N, gravity and bias of each axis."""
         self.axes = axes
@@ -36,6 +40,7 @@ class SingleStage:
         self._shows_truth = self.is_ideal and all(encoder.is_ideal for encoder in encoders)
         self._constants = constants
         self._drifts = drifts
+        self._native = native
 
     def positions(self, elapsed: float) -> list[float]:
         """Of the tools, m, after that many seconds of drift."""
@@ -57,7 +62,10 @@ class SingleStage:
 
     def reading(self, index: int, now: float) -> float:
         """What one encoder shows at that time (s), m; each call is a sample of its own."""
-        axis, encoder = self.axes[index], self.encoders[index]
+        axis, native = self.axes[index], self._native
+        if native is not None and isinstance(axis, NativeAxis):
+            return axis.reading(native.show, native.address, now)
+        encoder = self.encoders[index]
         if isinstance(axis, RealAxis):
             motion, past = axis.motion, axis.past
             shown: float = encoder.show(past, (now, motion.position, motion.velocity))
@@ -75,17 +83,18 @@ class SingleStage:
                 if isinstance(axis, SingleAxis):
                     axis.advance(pieces, h, commands[index] + self._constants[index])
             return count
-        times, short = real_pieces(duration_ns, elapsed_ns)
+        number, native = real_pieces(duration_ns), self._native
+        begin, short = elapsed_ns * 1e-9, duration_ns * 1e-9 / number
+        if native is not None:
+            native.advance(begin, short, number, commands, count)
         for index, axis in enumerate(self.axes):
             if isinstance(axis, RealAxis):
-                axis.advance(times, short, commands[index], count)
-            else:
+                axis.advance(piece_times(begin, short, number), short, commands[index], count)
+            elif isinstance(axis, SingleAxis):
                 axis.advance(pieces, h, commands[index] + self._constants[index])
-        return count + len(times)
+        return count + number
 
 
-def real_pieces(duration_ns: int, elapsed_ns: int) -> tuple[list[float], float]:
-    """Times (s) at which an axis that deviates begins its pieces, and their length (s)."""
-    number = -(-duration_ns // REAL_PIECE_NS)
-    begin, h = elapsed_ns * 1e-9, duration_ns * 1e-9 / number
-    return [begin + index * h for index in range(number)], h
+def real_pieces(duration_ns: int) -> int:
+    """How many equal pieces of so long a time an axis that deviates is advanced by."""
+    return -(-duration_ns // REAL_PIECE_NS)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim_plant.native import library
 from sim_plant.physics.axis import Axis, AxisValues, State
 from sim_plant.physics.disturbance import Disturbance
 from sim_plant.physics.dynamic_batch import take as take_structure
@@ -21,6 +22,7 @@ from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import Encoder, Point
 from sim_plant.physics.events import dynamics_of
 from sim_plant.physics.ideal_batch import advance_ideal, take, take_many
+from sim_plant.physics.native_axis import NativeAxes, NativeAxis, takes
 from sim_plant.physics.real_axes import (
     NOISY,
     RealPart,
@@ -30,7 +32,7 @@ from sim_plant.physics.real_axes import (
     kinds_of,
     structure_of,
 )
-from sim_plant.physics.real_axis import RealAxis, disturbance_of
+from sim_plant.physics.real_axis import RealAxis, disturbance_of, piece_times
 from sim_plant.physics.single_axis import SingleAxis, axis_of
 from sim_plant.physics.single_stage import IDEAL_PIECE_NS, SingleStage, encoder_of, real_pieces
 from sim_plant.physics.structure import Motion, Structure
@@ -39,6 +41,7 @@ from sim_plant.physics.truth import Truth, per_axis_array
 __all__ = ["Stage", "Truth", "per_axis_array"]
 
 Array = NDArray[np.float64]
+AnyAxis = SingleAxis | RealAxis | NativeAxis
 
 CHUNK = 8192
 
@@ -55,6 +58,18 @@ def _grouped(kinds: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
         members = np.flatnonzero(kinds == kind)
         groups += [(kind, members[start : start + CHUNK]) for start in range(0, members.size, CHUNK)]
     return groups
+
+
+def _take_over(axes: list[AnyAxis], encoders: list[Encoder]) -> NativeAxes | None:
+    """Puts axes of the native kernel in the place of those it can compute; None where it is not there, or for none."""
+    kernel = library.kernel()
+    found = [(i, axis, encoders[i]) for i, axis in enumerate(axes) if isinstance(axis, RealAxis) and takes(axis)]
+    if kernel is None or not found:
+        return None
+    native = NativeAxes(kernel.advance, kernel.show, found)
+    for index, axis in native.axes:
+        axes[index] = axis
+    return native
 
 
 class Stage:
@@ -102,12 +117,11 @@ class Stage:
             rows = list(zip(*(array.tolist() for array in flat), strict=True))
             keys = list(zip(*(stream.tolist() for stream in streams), strict=True))
             reads = [encoder.read for encoder in self._single.encoders] if self._single else [0] * len(rows)
-            self._single = SingleStage(
-                [make.one(i, kind, motion) for i, kind in enumerate(kinds.tolist())],
-                [encoder_of(row, key, read) for row, key, read in zip(rows, keys, reads, strict=True)],
-                constant.tolist(),
-                [] if self._drift is None else truth.drift.tolist(),
-            )
+            axes: list[AnyAxis] = [make.one(i, kind, motion) for i, kind in enumerate(kinds.tolist())]
+            encoded = [encoder_of(row, key, read) for row, key, read in zip(rows, keys, reads, strict=True)]
+            drifts = [] if self._drift is None else truth.drift.tolist()
+            native = _take_over(axes, encoded)
+            self._single = SingleStage(axes, encoded, constant.tolist(), drifts, native)
         else:
             read = self._encoder.read if self._encoder else 0
             self._encoder = Encoder((flat[0], flat[1], flat[2], flat[3]), streams)
@@ -135,7 +149,7 @@ class Stage:
         if not self._single:
             return self._motion
         each = [
-            axis.motion if isinstance(axis, RealAxis) else _rigid_motion(axis, force)
+            _rigid_motion(axis, force) if isinstance(axis, SingleAxis) else axis.motion
             for axis, force in zip(self._single.axes, self._last_force, strict=True)
         ]
         return Motion(*(np.array(values) for values in zip(*each, strict=True)))
@@ -260,7 +274,9 @@ class Stage:
 
     def _advance_parts(self, duration_ns: int, command: Array) -> None:
         """Those axes of a batch that deviate."""
-        times, h = real_pieces(duration_ns, self._elapsed_ns)
+        number = real_pieces(duration_ns)
+        h = duration_ns * 1e-9 / number
+        times = piece_times(self._elapsed_ns * 1e-9, h, number)
         flat = [array.reshape(-1) for array in self._motion]
         for part in self._real_parts:
             motion = Motion(*(array[part.index] for array in flat))

@@ -12,6 +12,7 @@ from drivers.wire.faults import FOREVER_NS, Random
 from drivers.wire.segments import WireSegments
 from drivers.wire.wire import Wire
 from sim_plant.emulator import EmulatedStage
+from sim_plant.nodes import sensor
 from sim_plant.scenario.language import (
     KINDS,
     PLANT_PREFIX,
@@ -89,12 +90,18 @@ class Injector:
 
     def _begin(self, fault: FaultConfig, until_ns: int) -> None:
         self.began.append((self._stage.now_ns, fault))
+        if fault.kind in _OF_SENSORS:
+            nodes = [node for node in self._stage.sensors if fault.sensor in (None, node.name)]
+            undo = sensor.tapped(nodes, _OF_SENSORS[fault.kind](fault.amount))
+            if until_ns < FOREVER_NS:
+                self._stage.at(until_ns, undo)
+            return
         names = self._stage.axis_names
         axes = range(len(names)) if fault.axis is None else (names.index(fault.axis),)
         for axis in axes:
-            undo = _BEGIN[fault.kind](self._stage, axis, fault)
-            if undo is not None and until_ns < FOREVER_NS:
-                self._stage.at(until_ns, undo)
+            undone = _BEGIN[fault.kind](self._stage, axis, fault)
+            if undone is not None and until_ns < FOREVER_NS:
+                self._stage.at(until_ns, undone)
 
 
 @dataclass
@@ -176,6 +183,10 @@ def _show(stage: EmulatedStage, axis: int, bit: DriveStatus) -> Undo:
 
 def _encoder_fault(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     return _show(stage, axis, DriveStatus.ENCODER_FAULT)
+
+
+def _limit_switch(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
+    return _show(stage, axis, DriveStatus.LIMIT_LOW if fault.amount < 0 else DriveStatus.LIMIT_HIGH)
 
 
 def _drive_fault(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo | None:
@@ -288,6 +299,7 @@ _BEGIN: dict[str, Callable[[EmulatedStage, int, FaultConfig], Undo | None]] = {
     "encoder_noise": _noise,
     "encoder_extreme": _extreme,
     "encoder_fault": _encoder_fault,
+    "limit_switch": _limit_switch,
     "drive_fault": _drive_fault,
     "drive_watchdog": _drive_watchdog,
     "wrong_sequence": _wrong_sequence,
@@ -300,5 +312,12 @@ _BEGIN: dict[str, Callable[[EmulatedStage, int, FaultConfig], Undo | None]] = {
     "torque_constant": _torque_constant,
     "axis_jam": _jam,
     "push": _push,
+}
+_OF_SENSORS: dict[str, Callable[[float], Callable[[sensor.SensorNode], sensor.Tap]]] = {
+    "sensor_silent": lambda _: sensor.silent,
+    "sensor_stuck": lambda _: sensor.stuck,
+    "sensor_value": sensor.showing,
+    "sensor_invalid": lambda _: sensor.invalid,
+    "sensor_sequence": lambda value: sensor.renumbered(round(value)),
 }
 _BEGIN |= {kind: _change_plant for kind in KINDS if kind.startswith(PLANT_PREFIX)}

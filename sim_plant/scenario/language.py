@@ -2,7 +2,7 @@
 
     [[fault]]
     kind = "encoder_jump"     # what; see KINDS
-    axis = "x"                # whose; without it: every axis
+    axis = "x"                # whose; without it: every axis; of the kinds sensor_...: sensor = "force", or every one
     at_phase = "dwell"        # when: at_s, at_tick, at_state or at_phase (the latter two with after_s, occurrence)
     duration_ticks = 3        # how long: duration_s or duration_ticks; without: until the end of the run
     value = 5e-6              # how much, in the unit KINDS gives
@@ -16,12 +16,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from drivers.toml_file import TomlError, first_problems, read_toml, short, shown
+from drivers.base.keys import Table
+from drivers.base.toml_file import TomlError, first_problems, read_toml, short, shown
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
 
 WIRE_PREFIX = "wire_"
+SENSOR_PREFIX = "sensor_"
 _WIRE_KEYS = ("node", "receiver", "can_id", "count", "delay_s", "bit", "period_s", "length")
 _LONGEST = 400  # characters of one problem's text
 _TRIGGERS = ("at_s", "at_tick", "at_state", "at_phase")
@@ -45,6 +47,7 @@ KINDS: dict[str, Kind] = {
     "encoder_noise": Kind("uniform noise within +-value on every count", "m or rad", None, 0.0, 1e3),
     "encoder_extreme": Kind("the most negative count there is: what a NaN becomes in an integer"),
     "encoder_fault": Kind("the drive says that its encoder cannot be trusted"),
+    "limit_switch": Kind("a limit switch closes: value -1 the low one, 1 the high one", "side", 1.0, -1.0, 1.0),
     "drive_fault": Kind("the drive finds a fault and latches it; for the duration it comes back after every reset"),
     "drive_watchdog": Kind("the drive's watchdog trips"),
     "wrong_sequence": Kind("answers carry a sequence number off by value", "counts", 1.0, -65535, 65535),
@@ -57,6 +60,13 @@ KINDS: dict[str, Kind] = {
     "torque_constant": Kind("force is value times what was asked for", "ratio", None, -2.0, 10.0),
     "axis_jam": Kind("value of additional dry friction", "N or N m", 1e4, 0.0, 1e9),
     "push": Kind("an external force", "N or N m", None, -1e6, 1e6),
+}
+KINDS |= {
+    SENSOR_PREFIX + "silent": Kind("the sensor sends nothing"),
+    SENSOR_PREFIX + "stuck": Kind("the reading stays where it is"),
+    SENSOR_PREFIX + "value": Kind("the reading is value", "the sensor's unit", None, -1e9, 1e9),
+    SENSOR_PREFIX + "invalid": Kind("the sensor says that its reading is not valid"),
+    SENSOR_PREFIX + "sequence": Kind("the sensor's sequence numbers are off by value", "samples", 7.0, -255, 255),
 }
 PLANT_PREFIX = "plant_"
 _TO = "from then on is value"
@@ -99,12 +109,12 @@ Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 
 
-class FaultConfig(BaseModel):
+class FaultConfig(Table):
     """One [[fault]]."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: str
     axis: str | None = None
+    sensor: str | None = None
     at_s: Seconds | None = None
     at_tick: Count | None = None
     at_state: str | None = None
@@ -155,7 +165,16 @@ def _problems(fault: FaultConfig) -> list[str]:
         problems.append("has both duration_s and duration_ticks; at most one is allowed")
     if given and given[0] in ("at_s", "at_tick") and (fault.after_s or fault.occurrence != 1):
         problems.append(f"after_s and occurrence belong to at_state and at_phase, not to {given[0]}")
-    return problems + _value_problems(fault) + _wire_problems(fault)
+    return problems + _value_problems(fault) + _owner_problems(fault) + _wire_problems(fault)
+
+
+def _owner_problems(fault: FaultConfig) -> list[str]:
+    of_sensor = fault.kind.startswith(SENSOR_PREFIX)
+    if of_sensor and fault.axis is not None:
+        return [f"axis = '{fault.axis}': kind '{fault.kind}' takes `sensor` instead"]
+    if fault.sensor is not None and not of_sensor:
+        return [f"sensor = '{fault.sensor}': of the {SENSOR_PREFIX}... kinds alone, not of '{fault.kind}'"]
+    return []
 
 
 def _value_problems(fault: FaultConfig) -> list[str]:
@@ -193,16 +212,21 @@ def wire_fault(fault: FaultConfig, from_ns: int, until_ns: int) -> WireFault:
     return WireFault(kind, from_ns, until_ns, probability=fault.probability, **arguments)
 
 
-class Scenario(BaseModel):
+class Scenario(Table):
     """A whole scenario file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     description: str = ""
-    fault: Annotated[list[FaultConfig], Field(max_length=MOST_FAULTS)] = []
+    fault: Annotated[list[FaultConfig], Field(max_length=MOST_FAULTS)] = []  # noqa: RUF012  # pydantic copies it
 
-    def check(self, axis_names: Sequence[str], states: Sequence[str] = (), phases: Sequence[str] = ()) -> None:
+    def check(
+        self,
+        axis_names: Sequence[str],
+        states: Sequence[str] = (),
+        phases: Sequence[str] = (),
+        sensors: Sequence[str] = (),
+    ) -> None:
         """Raise ScenarioError for a name that the rig does not have; states or phases empty: not checked."""
-        nodes = [*axis_names, "host", "drives"]
+        nodes = [*axis_names, *sensors, "host", "drives"]
         problems = []
         for number, fault in enumerate(self.fault):
             known = (
@@ -217,6 +241,10 @@ class Scenario(BaseModel):
                 for key, name, names in known
                 if name is not None and names and name not in names
             ]
+            if fault.kind.startswith(SENSOR_PREFIX) and (not sensors or fault.sensor not in (None, *sensors)):
+                there = ", ".join(sensors) or "none: the rig has no [sensors]"
+                named = "" if fault.sensor is None else f"sensor = '{fault.sensor}': not known; "
+                problems.append(f"fault {number + 1}: {named}kind = '{fault.kind}' needs a sensor; there are: {there}")
         if problems:
             raise ScenarioError(first_problems(problems, str))
 

@@ -1,0 +1,325 @@
+"""CANopen drives in cyclic synchronous torque mode (CiA 301, CiA 402). Contract: cia402.eds.
+
+Theory of operation. Every tick the host sends one RPDO that all nodes share, with four target torques (6071h) of which
+each node takes its own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and
+answer with position and statusword. Behind them goes at most one service frame, so that it delays no SYNC; master.py
+decides which. node.py follows one drive: it configures the drive over SDO, starts it and watches its states.
+
+Rules. Controlwords: two RPDOs carry them. A frame that disables any drive acts at once (RPDO 2), all others at the next
+SYNC (RPDO 3), so that an enabled drive has its torque from the first moment: until then a weight would fall. Where a
+drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
+disable; the drive is then enabled, without torque, until the host has seen it and repeats the command (4 ticks).
+
+Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
+32767 thousandths that 6071h can express. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.
+
+Sampling time: CANopen carries none; sampling_clock.py takes it from the echo of SYNC, or estimates it from the first
+TPDO behind SYNC.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from struct import Struct
+from typing import Any
+
+from drivers.config import BusConfig, Wiring
+from drivers.eds.reader import Eds, EdsError, read_eds
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import DriveState
+from drivers.families.cia402.config import Cia402Config, cia402_keys
+from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
+from drivers.families.cia402.node import NodeMaster
+from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
+from drivers.frame import ECHO, FD, Frame
+from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
+from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
+from drivers.protocols.sampling_clock import SamplingClock
+from drivers.protocols.segments import of_axes
+
+# Where a rig has no [bus.cia402]; how it ends is part of its contract.
+OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True, stop_options="keep")
+_SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
+_OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
+
+
+def node_ids(bus: BusConfig, n_axes: int) -> list[int]:
+    """Node numbers of the axes. Raises LayoutError where the rig's are not one per axis, each different, up to 126."""
+    keys = cia402_keys(bus)
+    stated = keys.cia402.nodes if keys.cia402 else []
+    nodes = stated or [keys.node_id + axis for axis in range(n_axes)]
+    if len(nodes) != n_axes or len(set(nodes)) != n_axes or max(nodes) >= MASTER_ID:
+        raise LayoutError(f"bus.cia402.nodes = {nodes}: {n_axes} different numbers from 1 to 126 are needed")
+    return nodes
+
+
+def cut(bus: BusConfig, n_axes: int) -> Callable[[range], dict[str, Any]]:
+    """What another segment has otherwise: the nodes on it, and what [bus.cia402] has one of per axis."""
+    nodes, cia402 = node_ids(bus, n_axes), cia402_keys(bus).cia402
+    if cia402 is None:  # the project's own drive, which is not told its number there
+        return lambda axes: {"node_id": nodes[axes[0]]}
+    return lambda axes: {
+        "cia402": cia402.model_copy(
+            update={
+                "nodes": of_axes(axes, nodes),
+                "eds": of_axes(axes, cia402.eds) if len(cia402.eds) == n_axes else cia402.eds,
+                "rated_torque": of_axes(axes, cia402.rated_torque),
+            }
+        )
+    }
+
+
+def plan_rig(bus: BusConfig, rated_force: Sequence[float], base_dir: Path, period_ns: int) -> list[DrivePlan]:
+    """How the drives of a rig are configured, by its EDS files, in axis order. Raises LayoutError where one cannot be
+    used, naming the objects that decide it.
+    """
+    settings = cia402_keys(bus).cia402 or OWN_DRIVE
+    nodes = node_ids(bus, len(rated_force))
+    for key, values in (("eds", settings.eds), ("rated_torque", settings.rated_torque)):
+        allowed = (1, len(nodes)) if key == "eds" else (0, len(nodes))
+        if len(values) not in allowed:
+            raise LayoutError(f"bus.cia402.{key} has {len(values)} entries for {len(nodes)} axes")
+    files = settings.eds * len(nodes) if len(settings.eds) == 1 else settings.eds
+    drives = [_read(base_dir / file, node) for file, node in zip(files, nodes, strict=True)]
+    master_ms = max(DRIVE_HEARTBEAT_MS, 5 * HEARTBEAT_TICKS * period_ns // 1_000_000)
+    axes = [
+        Axis(number, len(nodes), node, nodes[0], force, period_ns, master_ms)
+        for number, (node, force) in enumerate(zip(nodes, rated_force, strict=True))
+    ]
+    plans = plan_drives(drives, axes, settings)
+    problems = [
+        f"bus.cia402: axis {axis} ({plan.name}): {reason.object} {reason.text}"
+        for axis, plan in enumerate(plans)
+        for reason in plan.reasons
+    ]
+    for axis, drive in enumerate(drives):
+        plans[axis].warnings += drive.bitrate_notes(bus.bitrate)
+        if drive.rules_out(bus.bitrate):
+            problems.append(f"bus.cia402: axis {axis} ({drive.name}): its EDS rules out {bus.bitrate} bit/s")
+    if problems:
+        raise LayoutError("; ".join(problems))
+    return plans
+
+
+def _read(path: Path, node: int) -> Eds:
+    try:
+        return read_eds(path, node)
+    except EdsError as error:
+        raise LayoutError(f"bus.cia402.eds: {error}") from None
+    except OSError as error:
+        raise LayoutError(f"bus.cia402.eds: {path}: {error.strerror or error}") from None
+
+
+class Cia402Host:
+    """HostProtocol of cia402. Starts by resetting communication on the whole bus; the nodes' states are in `nodes`."""
+
+    name = "cia402"
+    sequence_modulus = 0
+    checksum = False
+    states = True
+    causes = False  # a statusword says FAULT; why, an emergency message does
+    tells = OF_DRIVES
+    fd = False
+    echo_id: int | None = cia301.SYNC_ID
+    acts_ns: Sequence[int] = ()
+    stamp_wraps_ns: Sequence[int] = ()
+    network_ids = (cia301.NMT_ID,)
+    state_ns = 0
+
+    def __init__(self, wiring: Wiring) -> None:
+        bus, n_axes, rated_force, period_ns, base_dir = wiring
+        if not 1 <= n_axes <= MAX_AXES:
+            raise LayoutError(f"{n_axes} axes: a shared RPDO carries 1 to {MAX_AXES}")
+        if len(rated_force) != n_axes or not all(0 < force < 1e5 for force in rated_force):
+            raise LayoutError(f"rated forces {list(rated_force)}: one per axis, above 0 and below 1e5, is needed")
+        self.n_axes = n_axes
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes  # 6064h
+        self._bus = bus
+        self._rated = list(rated_force)
+        self.plans = plan_rig(bus, rated_force, base_dir, period_ns)
+        self.warnings = [
+            f"bus.cia402: axis {axis} ({plan.name}): {text}"
+            for axis, plan in enumerate(self.plans)
+            for text in plan.warnings
+        ]
+        autostart = (cia402_keys(bus).cia402 or OWN_DRIVE).start == "autostart"
+        nodes = node_ids(bus, n_axes)
+        self.nodes = [
+            NodeMaster(node, plan.steps, autostart=autostart) for node, plan in zip(nodes, self.plans, strict=True)
+        ]
+        self._shared = self.plans[0].shared
+        first = nodes[0]
+        word_ids = (cia301.RPDO2_ID + first, cia301.RPDO3_ID + first) if self._shared else None
+        self.master = Master(self.nodes, word_ids, reset=not autostart)
+        self._gains = [1e6 / plan.unit if plan.unit else 0.0 for plan in self.plans]  # 0: 6076h is not read yet
+        self._limits = [plan.limit for plan in self.plans]
+        self._tick = 0
+        counts = range(1, cia301.SYNC_COUNTER_MAX + 1)
+        self._syncs = [Frame(cia301.SYNC_ID, bytes((count,)) if self.plans[0].counter else b"") for count in counts]
+        self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
+        self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
+        self._tpdo = Struct("<iH")
+        self._significant = _SIGNIFICANT if cia402_keys(bus).cia402 else _SIGNIFICANT | _OURS
+        self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
+        self._statuses: dict[int, tuple[DriveState, int] | None] = {}
+        self._axis = {cia301.TPDO1_ID + node: axis for axis, node in enumerate(nodes)}
+        self._services = self._find_services()
+        self._own = {cia301.NMT_ID, cia301.SYNC_ID, *self._rpdo_ids, *(word_ids or ())}
+        self._own |= {cia301.SDO_REQUEST_ID + node for node in nodes}
+        self._own.add(cia301.HEARTBEAT_ID + MASTER_ID)
+
+    def _find_services(self) -> dict[int, tuple[int, NodeMaster]]:
+        """Identifiers of what nodes send besides TPDOs: length and sender."""
+        found = {}
+        for node, plan in zip(self.nodes, self.plans, strict=True):
+            found[cia301.HEARTBEAT_ID + node.node_id] = 1, node
+            found[cia301.SDO_RESPONSE_ID + node.node_id] = 8, node
+            if plan.emcy_id:
+                found[plan.emcy_id] = 8, node
+        return found
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """Sample of a TPDO; its stamp is an estimate (sampling_clock.py), its sequence -1."""
+        can_id, data, flags, stamp_ns = frame
+        axis = self._axis.get(can_id)
+        if axis is None:
+            if flags & ECHO:
+                self._clock.triggered(stamp_ns)
+                return Reject.OWN_ECHO
+            return self._decode_service(can_id, data, flags)
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != self._tpdo.size:
+            return Reject.WRONG_LENGTH
+        position, word = self._tpdo.unpack(data)
+        try:
+            known = self._statuses[word & self._significant]
+        except KeyError:
+            known = self._statuses[word & self._significant] = _interpret(word & self._significant)
+        if known is None:
+            return Reject.INVALID_VALUE
+        state, status = known
+        node = self.nodes[axis]
+        if state is not node.state:
+            self.master.stir()
+        node.on_state(state)
+        return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
+
+    def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
+        service = self._services.get(can_id)
+        if service is None:
+            return Reject.OWN_ECHO if can_id in self._own else reject_id(can_id, self._axis, -1)
+        length, node = service
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != length:
+            return Reject.WRONG_LENGTH
+        self.master.stir()
+        kind = can_id - node.node_id
+        if kind == cia301.SDO_RESPONSE_ID:
+            if node.on_sdo(data):  # else it answers another client: service traffic like ours
+                self._note_unit(self.nodes.index(node))
+        elif kind == cia301.HEARTBEAT_ID:
+            node.on_heartbeat(data[0] & 0x7F)
+        else:
+            node.on_emergency(data)
+        return Reject.SERVICE
+
+    def _note_unit(self, axis: int) -> None:
+        """The unit of 6071h, where it has just been read from the drive."""
+        node = self.nodes[axis]
+        unit = node.values.pop((cia301.TORQUE_RATED, 0), None)
+        if unit is None:
+            return
+        limit = round(self._rated[axis] * 1e6 / unit) if unit else 0
+        if not 0 < limit <= self.plans[axis].most:
+            node.refuse(f"6076h:00 = {unit} mN m, with which 6071h cannot say the rated force {self._rated[axis]:g}")
+        else:
+            self._gains[axis], self._limits[axis] = 1e6 / unit, limit
+
+    def encode(self, command: Command) -> list[Frame]:
+        """RPDOs, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
+        _, force, enable, reset = command
+        check_force(force, self._rated)
+        self._tick += 1
+        self._clock.trigger()
+        raw = []
+        for axis, gain in enumerate(self._gains):
+            value = round(force[axis] * gain) if enable >> axis & 1 else 0
+            limit = self._limits[axis]
+            raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
+        service = self.master.service(self._tick, enable, reset)
+        if self._shared:
+            cyclic = [Frame(self._rpdo_ids[0], self._rpdo.pack(*raw))]
+        else:
+            words = self.master.words(self._tick, enable)
+            cyclic = [
+                Frame(can_id, self._rpdo.pack(word, torque))
+                for can_id, word, torque in zip(self._rpdo_ids, words, raw, strict=True)
+            ]
+        cyclic.append(self._syncs[self._tick % cia301.SYNC_COUNTER_MAX])
+        return cyclic if service is None else [*cyclic, service]
+
+    @property
+    def problems(self) -> list[str]:
+        """Why nodes were refused, and what their emergency messages say, for people."""
+        return [text for node in self.nodes for text in (node.problem, node.emergency) if text]
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """The cyclic frames and the service traffic."""
+        return cia402_messages([node.node_id for node in self.nodes], self.plans, period_ns)
+
+
+def _interpret(word: int) -> tuple[DriveState, int] | None:
+    """Drive state and DriveStatus bits of a statusword; None where it is none of CiA 402's."""
+    state = cia301.drive_state(word)
+    if state is None:
+        return None
+    status = 0
+    if state is DriveState.OPERATION_ENABLED:
+        status |= DriveStatus.ENABLED
+    if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        status |= DriveStatus.FAULT
+    status |= DriveStatus.TORQUE_LIMITED if word & cia301.LIMIT_ACTIVE else 0
+    status |= DriveStatus.HOMED if word & cia301.HOMED else 0
+    status |= DriveStatus.BRAKE if word & cia301.BRAKE else 0
+    return state, int(status)
+
+
+def cia402_messages(nodes: Sequence[int], plans: Sequence[DrivePlan], period_ns: int) -> list[Message]:
+    """Traffic of CiA 402 drives for the schedulability analysis, as it results from their plans."""
+
+    def cyclic(name: str, can_id: int, length: int, sender: str = "host", after: str | None = None) -> Message:
+        return Message(name, can_id, length, False, period_ns, period_ns, 0, sender, after)
+
+    if plans[0].shared:
+        commands = [cyclic("torques", cia301.RPDO1_ID + nodes[0], 2 * len(nodes))]
+    else:
+        commands = [cyclic(f"command {axis}", cia301.RPDO1_ID + node, 4) for axis, node in enumerate(nodes)]
+    return [
+        *commands,
+        cyclic("sync", cia301.SYNC_ID, int(plans[0].counter)),
+        *(cyclic(f"feedback {a}", cia301.TPDO1_ID + node, 6, f"axis {a}", "sync") for a, node in enumerate(nodes)),
+        *service_messages(nodes, [plan.emcy_id for plan in plans], period_ns),
+    ]
+
+
+def service_messages(nodes: Sequence[int], emcy_ids: Sequence[int], period_ns: int) -> list[Message]:
+    """What the master may send at most (an SDO request, or in its place a controlword or heartbeat) and its answer; the
+    drives' heartbeats, and emergencies at the rate of heartbeats."""
+    last = max(nodes)
+    service_ns = SERVICE_TICKS * period_ns
+    slow = DRIVE_HEARTBEAT_MS * 1_000_000
+    sender = f"axis {nodes.index(last)}"
+    return [
+        Message("service", cia301.SDO_REQUEST_ID + last, 8, False, service_ns, service_ns, 0, "host"),
+        Message("answer", cia301.SDO_RESPONSE_ID + last, 8, False, service_ns, slow, 0, sender, "service"),
+        *(
+            Message(f"emergency {a}", can_id, 8, False, slow, slow, 0, f"axis {a}")
+            for a, can_id in enumerate(emcy_ids)
+            if can_id
+        ),
+        *(
+            Message(f"heartbeat {a}", cia301.HEARTBEAT_ID + node, 1, False, slow, slow, 0, f"axis {a}")
+            for a, node in enumerate(nodes)
+        ),
+    ]

@@ -1,0 +1,211 @@
+"""The CANopen master's side of one drive: finds it, configures it over SDO, starts it, follows its states.
+
+Rules. Steps are made in order, one SDO transfer at a time; one that is required and fails refuses the drive, with a
+reason for people, and after a while it is tried again from the start. A boot-up message starts over at any time, so a
+drive may boot late, or twice. A drive that was lost (neither heartbeat nor TPDO) is configured anew.
+
+Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clock.
+"""
+
+from collections.abc import Sequence
+from enum import Enum, auto
+from typing import NamedTuple
+
+from drivers.eds.reader import object_name
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
+from drivers.families.cia402.emergency import emergency_words
+from drivers.families.cia402.sdo import Progress, Step, Transfer, describe_abort
+from drivers.frame import Frame
+from drivers.protocols.base import DriveStatus
+
+SDO_TIMEOUT_TICKS = 100
+RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
+LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
+
+_WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
+
+
+class Phase(Enum):
+    """Where the master is with a node."""
+
+    CONFIGURE = auto()
+    START = auto()
+    RUNNING = auto()
+    REFUSED = auto()
+
+
+class Answer(NamedTuple):
+    """What the drive answered to a step, for people."""
+
+    step: Step
+    text: str
+
+
+class NodeMaster:
+    """One drive as the master sees it.
+
+    phase: progress. state: of its power state machine, None before the first TPDO. alarms: DriveStatus bits its
+    emergency messages stand for. emergency: the last of them that is not over, for people. problem: why it was refused,
+    or that it is silent, for people. answers: to the steps since it was last begun with. values: what was read from it,
+    by index and sub-index.
+    """
+
+    def __init__(self, node_id: int, steps: Sequence[Step], *, autostart: bool = False) -> None:
+        """autostart: it goes to operational by itself and is not started by NMT."""
+        self.node_id = node_id
+        self._steps = tuple(steps)
+        self._autostart = autostart
+        self.problem = ""
+        self.emergency = ""
+        self.answers: list[Answer] = []
+        self._silent = False  # the problem is that it does not answer
+        self.values: dict[tuple[int, int], int] = {}
+        self._tick = 0
+        self._heard_tick = 0
+        self._closing = b""  # of a transfer that is over
+        self.restart()
+
+    def restart(self) -> None:
+        """The node is to be configured from the start: it booted, or was lost."""
+        self.phase = Phase.CONFIGURE
+        self.state: DriveState | None = None
+        self.alarms = 0
+        self.emergency, self._closing = "", b""
+        self.answers.clear()
+        self._step = 0
+        self._transfer = Transfer(self._steps[0])
+        self._asked_tick = -1  # of the request not answered yet
+        self._since_tick = self._tick  # of the current phase
+
+    # what it says -----------------------------------------------------------------------------------------------------
+
+    def on_heartbeat(self, state: int) -> None:
+        """A heartbeat, or the boot-up message."""
+        self._heard_tick = self._tick
+        if state == NmtState.BOOT_UP:
+            self.restart()
+        elif self.phase is Phase.RUNNING and state != NmtState.OPERATIONAL:
+            self._enter(Phase.START)
+
+    def on_state(self, state: DriveState) -> None:
+        """The state in a TPDO."""
+        self._heard_tick = self._tick
+        if self.state is DriveState.FAULT and state is not DriveState.FAULT:
+            self.alarms, self.emergency = 0, ""
+        self.state = state
+        if self.phase is Phase.START:
+            self._enter(Phase.RUNNING)
+
+    def on_emergency(self, data: bytes) -> None:
+        """An emergency message of 8 bytes: the reason of a fault that the statusword does not tell."""
+        code = data[0] | data[1] << 8
+        self.emergency = "" if code == Emergency.NONE else f"node {self.node_id}: {emergency_words(data)}"
+        if code == Emergency.NONE:
+            self.alarms = 0
+        elif code in (Emergency.HEARTBEAT, Emergency.RPDO_TIMEOUT):
+            self.alarms |= _WATCHDOG
+        elif code & 0xFF00 == Emergency.SENSOR:
+            self.alarms |= _ENCODER_FAULT
+
+    def on_sdo(self, data: bytes) -> bool:
+        """An SDO answer of 8 bytes; False where it is not one to the request that is open."""
+        if self._asked_tick < 0 or self.phase is not Phase.CONFIGURE:
+            return False
+        transfer = self._transfer
+        progress = transfer.answer(data)
+        if progress is Progress.FOREIGN:
+            return False
+        self._asked_tick = -1
+        self._closing = transfer.closing
+        if self._silent:
+            self._silent, self.problem = False, ""
+        step = transfer.step
+        if progress is Progress.ABORTED:
+            aborted = f"aborted with {describe_abort(transfer.code)}"
+            self._note(aborted)
+            if step.required:
+                self.refuse(f"{object_name(step.object_index, step.subindex)} {aborted}")
+            else:
+                self._next()
+        elif progress is Progress.DONE and not step.size:
+            self._check(step, transfer.value)
+        elif progress is Progress.DONE:
+            self._note("done")
+            self._next()
+        return True
+
+    def _check(self, step: Step, value: int) -> None:
+        self.values[step.object_index, step.subindex] = value
+        if value & step.mask == step.value:
+            self._note(f"is {value:#x}")
+            self._next()
+        else:
+            self._note(f"is {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
+            self.refuse(f"{step.object_index:04X}h = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
+
+    def _note(self, text: str) -> None:
+        """The answer to the step under way; one that is asked again has its last."""
+        step = self._transfer.step
+        if self.answers and self.answers[-1].step is step:
+            self.answers.pop()
+        self.answers.append(Answer(step, text))
+
+    def _next(self) -> None:
+        self._step += 1
+        if self._step == len(self._steps):
+            self.problem = ""
+            self._enter(Phase.START)
+        else:
+            self._transfer = Transfer(self._steps[self._step])
+
+    def refuse(self, reason: str) -> None:
+        """It cannot be used as it is; it is asked again after a while, or once it boots."""
+        self.problem = f"node {self.node_id}: {reason}"
+        self._enter(Phase.REFUSED)
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._asked_tick = -1
+        self._since_tick = self._tick
+
+    # what it is told --------------------------------------------------------------------------------------------------
+
+    def service(self, tick: int) -> Frame | None:
+        """The frame that the node is due in this tick, if any."""
+        self._tick = tick
+        if self._closing:
+            closing, self._closing = self._closing, b""
+            return self._frame(closing)
+        if self.phase is Phase.RUNNING:
+            if tick - self._heard_tick > LOST_TICKS:
+                self.restart()
+            return None
+        if self.phase is Phase.REFUSED:
+            if tick - self._since_tick > RETRY_TICKS:
+                self.restart()
+            return None
+        if self._asked_tick >= 0:
+            return self._await(tick)
+        self._asked_tick = tick
+        if self.phase is Phase.START:
+            return None if self._autostart else Frame(cia301.NMT_ID, bytes((NmtCommand.START, self.node_id)))
+        return self._frame(self._transfer.request())
+
+    def _await(self, tick: int) -> Frame | None:
+        if tick - self._asked_tick <= SDO_TIMEOUT_TICKS:
+            return None
+        self._asked_tick = -1
+        if self.phase is Phase.START:
+            self.restart()  # it was started and sends no TPDO: perhaps it lost its configuration
+            return None
+        step = self._transfer.step
+        self._note("no answer")
+        if not self.problem:
+            self._silent = True
+            self.problem = f"node {self.node_id}: no answer to {object_name(step.object_index, step.subindex)}"
+        overdue, self._transfer = self._transfer, Transfer(step)
+        return self._frame(overdue.abort(Abort.TIMEOUT))
+
+    def _frame(self, data: bytes) -> Frame:
+        return Frame(cia301.SDO_REQUEST_ID + self.node_id, data)

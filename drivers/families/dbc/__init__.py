@@ -1,0 +1,1 @@
+"""Drives that a DBC file describes."""

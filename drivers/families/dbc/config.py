@@ -1,0 +1,120 @@
+"""[bus.dbc]: how the signals of a DBC file carry the rig."""
+
+from typing import Any, Literal
+
+from drivers.base.keys import REQUIRED, Table, key
+
+
+class SignalBinding(Table):
+    """One value in a DBC file, by message and signal name."""
+
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key(REQUIRED, "name of the signal in that message")
+    scale: float = key(1.0, "encoder counts (position) or N (torque) per physical unit of the DBC file", "1", gt=0)
+
+
+class PositionBinding(SignalBinding):
+    """An encoder position, which may tell a part of a turn alone."""
+
+    wrap: float = key(
+        0.0,
+        "counts of one turn, after which it begins anew; turns are then counted here; 0: it does not",
+        "1",
+        ge=0,
+    )
+
+
+class SwitchBinding(SignalBinding):
+    """A signal that switches something; by default one bit (or a bit per axis)."""
+
+    on: int = key(1, "raw value that means yes: 8 for an axis state of closed loop", "1", ge=0, lt=2**64)
+    off: int = key(0, "raw value that means no", "1", ge=0, lt=2**64)
+
+
+class StatusBinding(SignalBinding):
+    """A signal that tells the state of a drive; without lists of values its bits are drivers.protocols' DriveStatus."""
+
+    enabled: list[int] = key([], "raw values with which the drive applies its torque", "1")
+    fault: list[int] = key([], "raw values with which it is in fault", "1")
+
+
+class ConstantBinding(SignalBinding):
+    """A signal of a command message that always has the same raw value."""
+
+    value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
+
+
+class FrameBinding(Table):
+    """A frame that says something by itself: a message without signals, or with one value in it."""
+
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key("", "name of a signal in it; without: the message alone says it")
+    value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
+
+
+class PeriodBinding(Table):
+    """How often a message is sent."""
+
+    message: str = key(REQUIRED, "name of the message in the DBC file, or MESSAGE.SIGNAL of a multiplexed one")
+    period_s: float = key(
+        REQUIRED, "period in which it is sent, and at once when a value in it changes", "s", gt=0, le=1
+    )
+
+
+Signals = list[SignalBinding]
+
+
+class DbcBinding(Table):
+    """[bus.dbc]: how an arbitrary DBC file carries the rig. Lists are in the order of [axes]."""
+
+    position: list[PositionBinding] = key(REQUIRED, "encoder position of each axis")
+    status: list[StatusBinding] = key([], "state of each axis' drive; may be in another message than its position")
+    error: Signals = key([], "error code of each axis' drive, beside its status: anything but 0 is a fault")
+    torque: Signals = key(REQUIRED, "force (torque) demanded of each axis")
+    enable: list[SwitchBinding] = key(
+        [], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis"
+    )
+    reset: list[SwitchBinding] = key(
+        [], "clears a latched drive fault; one for all axes, or one per axis; `on` = `off`: the message alone does it"
+    )
+    constant: list[ConstantBinding] = key([], "signals of command messages that never change")
+    feedback: Literal["triggered", "cyclic"] = key(
+        "triggered", "triggered: drives sample when they receive the last command; cyclic: in their own time"
+    )
+    feedback_period_s: float = key(
+        0.0, "cyclic: period in which a drive sends its position", "s", derived="the control period", ge=0, le=1
+    )
+    state_period_s: float = key(
+        0.01,
+        "period of the messages with `status` or `error` alone; what drives say of themselves is seen so much later",
+        "s",
+        ge=1e-3,
+        le=0.25,
+    )
+    on_change: list[str] = key(
+        [],
+        "command messages that are sent when a value in them changes: at the start too, and before every enabling; one "
+        "with nothing but `reset` when a reset is asked for. MESSAGE.SIGNAL: that page of a multiplexed message",
+    )
+    start: list[FrameBinding] = key(
+        [], "frames that enable by themselves; one for all drives, or one per axis; again while a drive says otherwise"
+    )
+    stop: list[FrameBinding] = key([], "frames that disable by themselves, likewise; also at the start")
+    periodic: list[PeriodBinding] = key([], "command messages and requests that are not sent every tick but so often")
+    remote: list[str] = key([], "feedback messages that drives send when they are asked by a remote frame: every tick")
+    feedback_counter: Signals = key([], "sequence number in the answers")
+    command_counter: Signals = key([], "sequence number in the commands")
+    checksum: Signals = key([], "checksums in the payload, besides CAN's own")
+    checksum_algorithm: Literal["crc8-sae-j1850", "sum8", "xor8"] = key("crc8-sae-j1850", "how they are computed")
+
+
+class DbcKeys(Table):
+    """What this family adds to [bus]."""
+
+    dbc: DbcBinding | None = key(None, "signals of the DBC file; for a dbc: layout")
+
+
+def dbc_keys(bus: Any) -> DbcKeys:
+    """The keys of this family in [bus]."""
+    keys: DbcKeys = bus
+    return keys

@@ -1,0 +1,265 @@
+"""`protocol = "dbc:<file>"`: drives that some other DBC file describes, bound to the rig by message and signal name.
+
+Rules. What the binding (drivers.config.DbcBinding) means:
+- position: one signal per axis, in any messages; those of several axes in one message are sampled together.
+  counts = physical * scale.
+- torque: one signal per axis, in any messages. N (N m) = physical * scale; it has to reach the rated force.
+- enable: one signal per axis; or one for all, of a bit per axis, or of one bit (set while any axis is enabled). Without
+  it disabled axes get zero torque.
+- reset: clears latched faults; any number of signals. Without it the drives' own means have to.
+- status: per axis, raw value = DriveStatus bits, or lists of values that mean enabled and fault. Without it a drive
+  counts as enabled while it is told to be. It may come in a message of its own; it is then believed for half a second.
+- error: per axis; anything but 0 is a fault.
+- constant: signals of command messages that never change. on_change: command messages that are not sent every tick,
+  but when a value in them changes, and all anew before drives are enabled, which may have restarted since: constants
+  first. One that enables or disables is sent again while its drive's state is another than it was told. A message with
+  nothing but reset signals is sent when a reset is asked for, and never else. One without signals is a frame of the
+  start.
+- start, stop: frames that enable and disable by themselves, beside enable or instead of it; stop at the start, too, and
+  each again while a drive's state is another than it was told.
+- periodic: sent so often, and at once when a value in it changes. remote: feedback that is asked for in every tick, or
+  as periodic says. The positions among them are sampled when they are asked for.
+- Signals of multiplexed messages are on pages of their own (dbc_binding.py).
+- command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
+  every command message may have one.
+- checksum: any bound message's 8-bit checksum over its other bytes.
+
+Theory of operation. The file is read once, before a bus is opened: dbc_binding.py finds the bound signals, and
+dbc_codec.py compiles each message to shifts and masks on raw values. All command messages are sent every tick, the one
+with the highest identifier last: its reception triggers the drives, as SYNC does. Frames of a DBC carry no sampling
+time, so sampling_clock.py estimates it.
+"""
+
+from collections.abc import Container, Sequence
+from typing import Any, NamedTuple
+
+from drivers.config import BusConfig, Wiring
+from drivers.families.dbc.layout import COUNTS, ENABLED, FAULT, DbcLayout
+from drivers.families.dbc.page import BoundMessage
+from drivers.frame import ECHO, ERROR, REMOTE, Frame
+from drivers.frame_length import INTERMISSION, frame_bits
+from drivers.protocols.base import EVERY_STATUS, Command, Reject, Sample
+from drivers.protocols.common import check_force
+from drivers.protocols.sampling_clock import SamplingClock
+
+STATE_TIMEOUT_NS = 500_000_000  # after which a state that came in such a message is no longer believed
+REPEAT_NS = 100_000_000  # after which an enabling or disabling message is sent again that was not obeyed
+
+
+class Turns(NamedTuple):
+    """Of a position that begins anew with every turn: the last one, and the counts of all turns since the first."""
+
+    counts: float
+    turned: float
+
+
+class DbcHost(DbcLayout):
+    """HostProtocol of any DBC file."""
+
+    def __init__(self, wiring: Wiring) -> None:
+        super().__init__(wiring)
+        bus, n_axes, period_ns = wiring.bus, wiring.n_axes, wiring.period_ns
+        self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
+        self._axes: dict[BoundMessage, list[int]] = {}
+        for axis, message in enumerate(self._feedback):
+            self._axes.setdefault(message, []).append(axis)
+        self._heard: dict[int, list[BoundMessage]] = {}
+        for message in [*self._state_only, *self._axes]:  # states first: a sample shows them
+            self._heard.setdefault(message.can_id, []).append(message)
+        lone = [lone.message.can_id for lone in (*self._start, *self._stop)]
+        self._own = {*(message.can_id for message in self._commands), *lone}
+        self._own |= {REMOTE | message.can_id for message in self._requests}
+        self.echo_id: int | None = None if self._free_running else self._trigger_id()
+        self.acts_ns: Sequence[int] = self._find_acts(bus) if self._free_running else []
+        self._enabled = 0
+        self._state, self._fault = [0] * n_axes, [0] * n_axes
+        self._told_tick = [-STATE_TIMEOUT_NS] * n_axes  # when a message with a state alone came
+        self._tick = 0
+        self._state_ticks = STATE_TIMEOUT_NS // period_ns
+        self._sent: dict[BoundMessage, list[Any] | None] = {}
+        self._told: list[bool | None] = [None] * n_axes  # by start and stop
+        self._turns: list[Turns | None] = [None] * n_axes
+        self._feedback_ns = self.feedback_ns or period_ns
+        self._repeat_ticks = max(1, REPEAT_NS // period_ns)
+        self._switched_tick = [0] * n_axes  # when each axis was last told its enable
+        constant = {bound.message for bound, _ in self._constant}
+        self._occasional = sorted((m for m in self._commands if m not in self._cyclic), key=lambda m: m not in constant)
+        self._period_ticks = {page: max(1, round(ns / period_ns)) for page, ns in self._period_ns.items()}
+        self._asked = [(m, Frame(REMOTE | m.can_id, bytes(m.length))) for m in self._requests]
+
+    def _find_acts(self, bus: BusConfig) -> list[int]:
+        """When each axis' torque has been sent, on a bus that is free at the tick's start: the frames of every tick
+        follow each other.
+        """
+        out_ns, sent_ns = {}, 0.0
+        for message in self._cyclic:
+            nominal, data = frame_bits(message.frame(message.blank()))
+            sent_ns += (nominal + INTERMISSION) * 1e9 / bus.bitrate + data * 1e9 / bus.data_bitrate
+            out_ns[message] = round(sent_ns)
+        return [out_ns[bound.message] for bound in self._torque]
+
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
+        """The samples in a message, their stamps estimated (sampling_clock.py). SERVICE for a state alone."""
+        pages = self._heard.get(frame.can_id)
+        if pages is None:
+            if frame.flags & ECHO:
+                self._clock.triggered(frame.timestamp_ns)
+            return reject_id(frame.can_id, self._heard, self._own)
+        samples: list[Sample] = []
+        for page in pages:
+            unfit = page.fits(frame)
+            if unfit is not None:
+                if page.is_another(frame):
+                    continue
+                return unfit
+            values = page.values(frame.data)
+            if not page.is_in(values):
+                continue
+            if not self._note_state(page, values):
+                return Reject.INVALID_VALUE
+            for axis in self._axes.get(page, ()):
+                sample = self._sample(axis, frame, values)
+                if sample is None:
+                    return Reject.INVALID_VALUE
+                samples.append(sample)
+        if not samples:
+            return Reject.SERVICE
+        return samples[0] if len(samples) == 1 else tuple(samples)
+
+    def _sample(self, axis: int, frame: Frame, values: Sequence[Any]) -> Sample | None:
+        """The sample of one axis in a frame, None where it is no position."""
+        place = self._position[axis].place
+        counts = place.value(values[place.at])
+        if self._wrap[axis]:
+            counts = self._unwrapped(axis, counts)
+        if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
+            return None
+        sequence = int(values[self._echo[axis].place.at]) if self._echo else -1
+        clock = self._clock
+        own_time = self._free_running
+        stamp_ns = clock.begun(axis, frame, self._feedback_ns) if own_time else clock.instant(axis, frame)
+        return Sample(axis, round(counts), self._status_of(axis), sequence, stamp_ns)
+
+    def _unwrapped(self, axis: int, counts: float) -> float:
+        """The nearest of the positions that these counts can mean."""
+        wrap, last = self._wrap[axis], self._turns[axis]
+        if counts - counts != 0.0:  # no number
+            return counts
+        turned = 0.0 if last is None else last.turned + round((last.counts - counts) / wrap) * wrap
+        self._turns[axis] = Turns(counts, turned)
+        return counts + turned
+
+    def _note_state(self, message: BoundMessage, values: Sequence[Any]) -> bool:
+        """Keep what a message tells of drives; False where it has a status bit that nobody knows."""
+        for axis, bound in enumerate(self._status):
+            if bound.message is message:
+                raw, meanings = int(values[bound.place.at]), self._maps[axis]
+                if meanings is None and raw & ~EVERY_STATUS:
+                    return False
+                self._state[axis] = raw if meanings is None else meanings.get(raw, 0)
+                self._told_tick[axis] = self._tick
+        for axis, bound in enumerate(self._error):
+            if bound.message is message:
+                self._fault[axis] = FAULT if values[bound.place.at] else 0
+        return True
+
+    def _status_of(self, axis: int) -> int:
+        """What is known of a drive: nothing where it has been silent about its state for too long."""
+        if not self._status:
+            return self._enabled >> axis & ENABLED | self._fault[axis]
+        if self._tick - self._told_tick[axis] > self._state_ticks:
+            return self._fault[axis]
+        return self._state[axis] | self._fault[axis]
+
+    def encode(self, command: Command) -> list[Frame]:
+        """All command messages that are due. Raises ValueError for a force not finite or beyond its rated force."""
+        check_force(command.force, self._rated)
+        enable = command.enable
+        self._tick += 1
+        if enable & ~self._enabled:
+            self._sent.clear()  # a drive that has restarted since has forgotten
+        for axis in range(self.n_axes):
+            if (enable ^ self._enabled) >> axis & 1:
+                self._switched_tick[axis] = self._tick
+        self._enabled = enable
+        self._clock.trigger()
+        values = {message: message.blank() for message in self._commands}
+        for (message, place), raw in self._constant:
+            values[message][place.at] = raw
+        for axis, (message, place) in enumerate(self._torque):
+            values[message][place.at] = place.raw(command.force[axis] if enable >> axis & 1 else 0.0)
+        self._put_enable(values, enable)
+        for (message, place), (on, off) in zip(self._reset, self._reset_switch, strict=True):
+            values[message][place.at] = on if command.reset else off
+        for message, place in self._counters:
+            values[message][place.at] = command.sequence % self.sequence_modulus
+        due = self._due(values, reset=command.reset) if self._occasional else []
+        frames = [message.frame(values[message]) for message in due]
+        if self._start:
+            frames += self._switching()
+        frames += [message.frame(values[message]) for message in self._cyclic]
+        return frames + self._asking() if self._asked else frames
+
+    def _put_enable(self, values: dict[BoundMessage, list[Any]], enable: int) -> None:
+        if len(self._enable) == 1 < self.n_axes:
+            ((message, place),), ((on, off),) = self._enable, self._switch
+            switched = on if enable else off
+            values[message][place.at] = enable if self._bit_per_axis else switched
+            return
+        for axis, ((message, place), (on, off)) in enumerate(zip(self._enable, self._switch, strict=True)):
+            values[message][place.at] = on if enable >> axis & 1 else off
+
+    def _switching(self) -> list[Frame]:
+        """The frames of start and stop that are due."""
+        frames: list[Frame] = []
+        for number, (start, stop) in enumerate(zip(self._start, self._stop, strict=True)):
+            axes = range(self.n_axes) if len(self._start) == 1 else (number,)
+            on = any(self._enabled >> axis & 1 for axis in axes)
+            if self._told[number] is not on or any(self._due_again(axis) for axis in axes):
+                self._told[number] = on
+                lone = start if on else stop
+                frames.append(lone.message.frame(lone.values))
+        return frames
+
+    def _asking(self) -> list[Frame]:
+        """The remote frames that are due."""
+        ticks = self._period_ticks
+        return [frame for page, frame in self._asked if self._tick % ticks.get(page, 1) == 0]
+
+    def _due(self, values: dict[BoundMessage, list[Any]], *, reset: bool) -> list[BoundMessage]:
+        """The messages that are not sent every tick and are now: constants first."""
+        for axis in range(self.n_axes if self._enable else 0):
+            if self._due_again(axis):
+                bound = self._enable[axis] if len(self._enable) == self.n_axes else self._enable[0]
+                self._sent.pop(bound.message, None)
+        due = []
+        for message in self._occasional:
+            now: list[Any] | None = values[message]
+            if message in self._resets_alone:
+                now = values[message] if reset else None
+            period = self._period_ticks.get(message, 0)
+            if (period and self._tick % period == 0) or message not in self._sent or now != self._sent[message]:
+                self._sent[message] = now
+                if now is not None:
+                    due.append(message)
+        return due
+
+    def _due_again(self, axis: int) -> bool:
+        return self._disobeyed(axis) and (self._tick - self._switched_tick[axis]) % self._repeat_ticks == 0
+
+    def _disobeyed(self, axis: int) -> bool:
+        """Whether a drive says that its state is another than it was told."""
+        if not (self._enable or self._start) or not self._status or not self._told_tick[axis] >= 0:
+            return False
+        return bool(self._state[axis] & ENABLED) != bool(self._enabled >> axis & 1)
+
+
+def reject_id(can_id: int, known: Container[int], own: Container[int]) -> Reject:
+    """Why a frame whose identifier is none that is listened to carries nothing."""
+    if can_id & ERROR:
+        return Reject.ERROR_FRAME
+    if can_id & REMOTE:
+        if can_id in own:
+            return Reject.OWN_ECHO
+        return Reject.WRONG_FORMAT if can_id & ~REMOTE in known else Reject.UNKNOWN_ID
+    return Reject.OWN_ECHO if can_id in own else Reject.UNKNOWN_ID

@@ -1,0 +1,262 @@
+"""What both ends of a dbc: layout share: the messages that the rig binds, checked against each other."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from drivers.arbitration import arbitration_key
+from drivers.config import Wiring
+from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding
+from drivers.families.dbc.config import DbcBinding, SignalBinding, StatusBinding, dbc_keys
+from drivers.families.dbc.file import load_used
+from drivers.families.dbc.page import Bound, BoundMessage, Place
+from drivers.frame import EXTENDED_MASK, REMOTE
+from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError, Message
+
+ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
+COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
+OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
+
+
+class Lone(NamedTuple):
+    """A frame that enables or disables by itself, and its raw values."""
+
+    message: BoundMessage
+    values: list[Any]
+
+
+class DbcLayout:
+    """What both ends share: the bound messages. Raises LayoutError naming every signal that is not there.
+
+    warnings: what is wrong with the file beside what is used of it, for people.
+    """
+
+    name = "dbc"
+    problems: Sequence[str] = ()
+
+    def __init__(self, wiring: Wiring) -> None:
+        bus, n_axes, rated_force, _, base_dir = wiring
+        binding = dbc_keys(bus).dbc
+        if binding is None:
+            raise LayoutError(f"bus.protocol = {bus.protocol!r} needs a table [bus.dbc] that binds its signals")
+        path = base_dir / bus.file
+        check_binding(binding, n_axes)
+        self.n_axes = n_axes
+        self._rated = list(rated_force)
+        database, self.warnings = load_used(path, bound_names(binding))
+        self._pages = Pages(database, binding, path.name)
+        self._free_running = binding.feedback == "cyclic"
+        self._bind(binding)
+        self._sort(binding)
+        self.positions: Sequence[tuple[float, float]] = [
+            _reach(at.place, wrap) for at, wrap in zip(self._position, self._wrap, strict=True)
+        ]
+        self.feedback_ns = round(binding.feedback_period_s * 1e9)
+        self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
+        if not self._state_only and binding.state_period_s != DbcBinding.model_fields["state_period_s"].default:
+            raise LayoutError("bus.dbc.state_period_s: no status or error is bound in a message without positions")
+        self.states = bool(self._status)
+        self.stamp_wraps_ns: Sequence[int] = ()
+        self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
+        self.tells = self._carried()
+        self.checksum = all(message.checksum_at >= 0 for message in self._pages)
+        self.fd = any(message.fd for message in self._pages)
+        self._check_identifiers(path.name)
+        self._check_places(binding, path.name)
+        self._check_resets()
+
+    def _bind(self, binding: DbcBinding) -> None:
+        """Every signal to its page."""
+        for key, item in bound_items(binding):
+            if not key.startswith(("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant")):
+                self._bound(key, item).message.whole(key, item)
+        self._position = self._all("position", binding.position)
+        self._torque = self._all("torque", binding.torque)
+        self._status = self._all("status", binding.status)
+        self._enable = self._all("enable", binding.enable)
+        self._reset = self._all("reset", binding.reset)
+        self._error = self._all("error", binding.error)
+        self._feedback = [bound.message for bound in self._position]
+        constants = self._all("constant", binding.constant)
+        self._constant = [(bound, item.value) for bound, item in zip(constants, binding.constant, strict=True)]
+        self._echo = [
+            self._bound(f"bus.dbc.feedback_counter[{axis}]", item, self._feedback[axis])
+            for axis, item in enumerate(binding.feedback_counter)
+        ]
+        self._counters = self._all("command_counter", binding.command_counter)
+        for checksum in binding.checksum:
+            for page in self._pages.of(checksum.message):
+                page.protect(checksum)
+        self._switch = [(item.on, item.off) for item in binding.enable]
+        self._bit_per_axis = len(self._enable) == 1 and self._enable[0].place.bits > 1 and self._switch[0] == (1, 0)
+        self._reset_switch = [(item.on, item.off) for item in binding.reset]
+        self._maps = [_status_map(item) for item in binding.status]
+        self._wrap = [item.wrap for item in binding.position]
+        self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
+        self._start, self._stop = (
+            [Lone(*self._pages.alone(f"bus.dbc.{key}[{at}]", frame)) for at, frame in enumerate(frames)]
+            for key, frames in (("start", binding.start), ("stop", binding.stop))
+        )
+
+    def _carried(self) -> int:
+        """DriveStatus bits that every axis' messages can tell."""
+        tells = EVERY_STATUS if self._status else 0
+        for bound, meanings in zip(self._status, self._maps, strict=True):
+            tells &= (1 << bound.place.bits) - 1 if meanings is None else ENABLED | FAULT
+        return tells | (FAULT if self._error else 0)
+
+    def _all(self, key: str, items: Sequence[SignalBinding]) -> list[Bound]:
+        return [self._bound(f"bus.dbc.{key}[{at}]", item) for at, item in enumerate(items)]
+
+    def _bound(self, key: str, item: SignalBinding, beside: BoundMessage | None = None) -> Bound:
+        return self._pages.bound(key, item, beside)
+
+    def _sort(self, binding: DbcBinding) -> None:
+        """Pages by when they are sent, and by what they tell."""
+        carrying: dict[BoundMessage, int] = {}
+        for group in (self._status, self._error):
+            for axis, bound in enumerate(group):
+                carrying.setdefault(bound.message, axis)
+        self._state_only = {message: axis for message, axis in carrying.items() if message not in self._feedback}
+        bound_commands = [*self._torque, *self._enable, *self._reset, *self._counters]
+        commands = [bound.message for bound in [*bound_commands, *(bound for bound, _ in self._constant)]]
+        self._requests = self._find_requests(binding)
+        occasional = {name: self._named("on_change", name, commands) for name in binding.on_change}
+        commands += [page for pages in occasional.values() for page in pages]
+        asked_or_said = [*commands, *self._requests]
+        periodic = {item.message: self._named("periodic", item.message, asked_or_said) for item in binding.periodic}
+        commands += [page for pages in periodic.values() for page in pages if page not in self._requests]
+        self._commands = sorted(dict.fromkeys(commands), key=lambda message: arbitration_key(message.can_id))
+        others = [*self._torque, *self._enable, *self._counters, *(bound for bound, _ in self._constant)]
+        carried = {bound.message for bound in others}
+        self._on_change = {page for pages in occasional.values() for page in pages}
+        self._resets_alone = {bound.message for bound in self._reset if bound.message in self._on_change} - carried
+        self._period_ns = {
+            page: round(item.period_s * 1e9) for item in binding.periodic for page in periodic[item.message]
+        }
+        twice = self._on_change.intersection(self._period_ns)
+        if twice:
+            raise LayoutError(f"bus.dbc: {twice.pop().name} is in both on_change and periodic")
+        seldom = self._on_change.union(self._period_ns)
+        self._cyclic = [message for message in self._commands if message not in seldom]
+        if any(bound.message in seldom for bound in self._torque) or not self._cyclic:
+            key = "on_change" if self._on_change else "periodic"
+            raise LayoutError(f"bus.dbc.{key} names a message with a torque, which is sent every tick")
+
+    def _named(self, key: str, name: str, commands: Sequence[BoundMessage]) -> list[BoundMessage]:
+        """The pages of a command message, or of a feedback message that is asked for. Raises LayoutError."""
+        pages = self._pages.of(name)
+        found = [page for page in pages if page in commands]
+        if found:
+            return found
+        if pages:
+            raise LayoutError(f"bus.dbc.{key}: {name!r} is no bound command message")
+        return [self._pages.empty(f"bus.dbc.{key}", name)]
+
+    def _find_requests(self, binding: DbcBinding) -> list[BoundMessage]:
+        """The feedback messages that are asked for, once each."""
+        requests: dict[int, BoundMessage] = {}
+        for name in binding.remote:
+            pages = [page for page in self._pages.of(name) if page in self._feedback or page in self._state_only]
+            if not pages:
+                raise LayoutError(f"bus.dbc.remote: {name!r} is no bound feedback message")
+            if pages[0].fd:
+                raise LayoutError(f"bus.dbc.remote: {name} is a CAN FD message, for which there are no remote frames")
+            requests[pages[0].can_id] = pages[0]
+        return [requests[can_id] for can_id in sorted(requests, key=arbitration_key)]
+
+    def _trigger_id(self) -> int:
+        """Identifier of the last frame of every tick, whose reception triggers the drives."""
+        return REMOTE | self._requests[-1].can_id if self._requests else self._cyclic[-1].can_id
+
+    def _check_identifiers(self, file: str) -> None:
+        """An identifier belongs to one bound message."""
+        lone = [alone.message for alone in (*self._start, *self._stop)]
+        names: dict[int, str] = {}
+        for page in (*self._commands, *lone, *self._feedback, *self._state_only):
+            if names.setdefault(page.can_id, page.name) != page.name:
+                raise LayoutError(
+                    f"{file}: messages {names[page.can_id]} and {page.name} are both bound, on one identifier, "
+                    f"{page.can_id & EXTENDED_MASK:#x}: nothing tells them apart"
+                )
+
+    def _check_places(self, binding: DbcBinding, file: str) -> None:
+        """Counters echo beside their position; torques reach; nothing is both said and heard."""
+        for axis, bound in enumerate(self._echo):
+            if bound.message is not self._feedback[axis]:
+                raise LayoutError(
+                    f"bus.dbc.feedback_counter[{axis}] is in message {bound.message.name}; it has to be in "
+                    f"{self._feedback[axis].name}, which carries position[{axis}]"
+                )
+        if len({(bound.message, bound.place.at) for bound in self._position}) != self.n_axes:
+            raise LayoutError(f"{file}: two axes with one position; each axis needs a signal of its own in a message")
+        said = {page.can_id for page in self._commands} | {lone.message.can_id for lone in (*self._start, *self._stop)}
+        for message in [*self._feedback, *self._state_only]:
+            if message.can_id in said:
+                raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
+        if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
+            raise LayoutError("bus.dbc: command_counter and feedback_counter have signals of different lengths")
+        for axis, (bound, rated) in enumerate(zip(self._torque, self._rated, strict=True)):
+            place = bound.place
+            reach = min(abs(place.value(place.low)), abs(place.value(place.high)))
+            if reach < rated * (1 - 1e-9) or not place.low <= -place.offset / place.gain <= place.high:
+                raise LayoutError(
+                    f"bus.dbc.torque[{axis}]: {bound.message.name}.{binding.torque[axis].signal} reaches +-{reach:g}; "
+                    f"the rated force is {rated:g}: check its scale"
+                )
+        if self._bit_per_axis and self._enable[0].place.bits < self.n_axes:
+            raise LayoutError(f"bus.dbc.enable has {self._enable[0].place.bits} bits; 1, or one per axis, is needed")
+        for start, stop in zip(self._start, self._stop, strict=True):
+            if start.message.frame(start.values) == stop.message.frame(stop.values):
+                raise LayoutError(f"bus.dbc: start and stop are the same frame of {start.message.name}")
+
+    def _check_resets(self) -> None:
+        """A reset that is asked for by nothing but the message has to be alone in it."""
+        for (message, _), (on, off) in zip(self._reset, self._reset_switch, strict=True):
+            if on == off and message not in self._resets_alone:
+                raise LayoutError(
+                    f"bus.dbc.reset: on = off = {on} in {message.name}, which is sent for more than resets, or every "
+                    "tick: it would say nothing"
+                )
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """All commands, then the feedbacks, which the last command triggers, and what is sent less often."""
+        trigger = None if self._free_running else self._cyclic[-1].name
+        if self._requests:
+            trigger = f"request of {self._requests[-1].name}"
+        slow_ns = max(period_ns, OCCASIONAL_NS)
+        state_ns = max(period_ns, self.state_ns)
+        feedback_ns = self.feedback_ns or period_ns
+        feedback: dict[BoundMessage, int] = {}  # and the first of its axes
+        for axis, page in enumerate(self._feedback):
+            feedback.setdefault(page, axis)
+        seldom = {m: max(period_ns, self._period_ns.get(m, slow_ns)) for m in self._commands if m not in self._cyclic}
+        lone = dict.fromkeys([lone.message for lone in (*self._start, *self._stop)], slow_ns)
+        return [
+            *(_message(m.name, m, period_ns, "host") for m in self._cyclic),
+            *(
+                Message(f"request of {m.name}", REMOTE | m.can_id, 0, False, period_ns, period_ns, 0, "host")
+                for m in self._requests
+            ),
+            *(_message(m.name, m, feedback_ns, f"axis {axis}", trigger) for m, axis in feedback.items()),
+            *(_message(m.name, m, state_ns, f"axis {axis}") for m, axis in self._state_only.items()),
+            *(_message(m.name, m, seldom_ns, "host") for m, seldom_ns in (seldom | lone).items()),
+        ]
+
+
+def _message(name: str, page: BoundMessage, period_ns: int, sender: str, trigger: str | None = None) -> Message:
+    return Message(name, page.can_id, page.length, page.fd, period_ns, period_ns, 0, sender, trigger, page.brs)
+
+
+def _status_map(binding: StatusBinding) -> dict[int, int] | None:
+    """DriveStatus bits by raw value; None where the raw value is the bits."""
+    if not binding.enabled and not binding.fault:
+        return None
+    return dict.fromkeys(binding.enabled, ENABLED) | dict.fromkeys(binding.fault, FAULT)
+
+
+def _reach(place: Place, wrap: float) -> tuple[float, float]:
+    """Least and greatest position (counts) that a signal can tell; one that wraps is unwrapped (dbc.py)."""
+    if wrap:
+        return -COUNTS, COUNTS
+    ends = place.value(place.low), place.value(place.high)
+    return max(min(ends), -COUNTS), min(max(ends), COUNTS)

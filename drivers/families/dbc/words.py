@@ -1,0 +1,47 @@
+"""Frames in the words of a DBC file, for people."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from cantools.database.can import Database
+
+from drivers.config import BusConfig
+from drivers.families.dbc.binding import bound_names
+from drivers.families.dbc.config import dbc_keys
+from drivers.families.dbc.file import load_used
+from drivers.frame import EXTENDED, Frame
+
+
+def reader(bus: BusConfig, base_dir: Path, cyclic: Callable[[Frame], str]) -> Callable[[Frame], str]:
+    """For the file of a rig: its own words say more than those for samples and commands."""
+    binding = dbc_keys(bus).dbc
+    assert binding is not None  # the layout is made
+    return dbc_reader(load_used(base_dir / bus.file, bound_names(binding))[0])
+
+
+def dbc_reader(database: Database) -> Callable[[Frame], str]:
+    """For a DBC file: message name, and each signal with its value, unit and name of the value where the file has
+    them.
+    """
+    by_id = {
+        message.frame_id | (EXTENDED if message.is_extended_frame else 0): message for message in database.messages
+    }
+
+    def text(frame: Frame) -> str:
+        message = by_id.get(frame.can_id)
+        if message is None:
+            return ""
+        try:
+            values = message.decode(frame.data, decode_choices=True, allow_truncated=True)
+        except Exception as error:  # whatever the package makes of a payload that does not fit
+            return f"{message.name}: {type(error).__name__} {error}"
+        assert isinstance(values, dict)
+        units = {signal.name: signal.unit or "" for signal in message.signals}
+        shown = (f"{name} {_value(value)}{' ' * bool(units[name])}{units[name]}" for name, value in values.items())
+        return f"{message.name}: {', '.join(shown)}"
+
+    return text
+
+
+def _value(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

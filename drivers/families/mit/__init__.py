@@ -1,0 +1,1 @@
+"""Drives of the MIT kind: Damiao, CubeMars (T-Motor) AK, RobStride."""

@@ -1,0 +1,1 @@
+"""moteus controllers."""

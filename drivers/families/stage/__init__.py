@@ -1,0 +1,1 @@
+"""The project's own drives: stage_fd and stage_classic."""

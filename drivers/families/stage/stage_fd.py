@@ -1,0 +1,143 @@
+"""The default layout: CAN FD, one command frame for all axes, one feedback frame per axis.
+
+Contract: stage_fd.dbc. Its two messages are of whole bytes, so that a struct says each; a test holds them equal to what
+the DBC file says. So a control process on this layout needs no DBC parser.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from struct import Struct
+from typing import Final
+from zlib import crc32 as _crc32
+
+from drivers.config import Wiring
+from drivers.families.stage.common import check_ids, cyclic_messages
+from drivers.families.stage.config import stage_keys
+from drivers.frame import BRS, FD, Frame
+from drivers.protocols.base import EVERY_STATUS, Command, Message, Reject, Sample
+from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
+
+DBC = Path(__file__).with_name("stage_fd.dbc")
+COMMAND: Final = Struct("<ffffHHI")  # force_0 to force_3, sequence, flags, checksum
+FEEDBACK: Final = Struct("<iIHHI")  # position, sample_time, status, sequence, checksum
+
+RESET: Final = 1 << MAX_AXES
+SEQUENCE_MODULUS: Final = 1 << 16
+COMMAND_LENGTH: Final = 24
+FEEDBACK_LENGTH: Final = 16
+COMMAND_CHECKED: Final = COMMAND_LENGTH - 4  # bytes the checksum covers
+FEEDBACK_CHECKED: Final = FEEDBACK_LENGTH - 4
+RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
+
+_WRAP: Final = 1 << 32  # sample_time, ns
+_HALF: Final = 1 << 31
+crc32: Final = _crc32
+_SINGLE = Struct("<f")
+
+
+class _Layout:
+    """What both ends share: identifiers and limits."""
+
+    name = "stage_fd"
+    checksum = True
+    states = True
+    causes = True
+    tells = EVERY_STATUS
+    problems: Sequence[str] = ()
+    fd = True
+
+    def __init__(self, wiring: Wiring) -> None:
+        bus, n_axes, rated_force = wiring.bus, wiring.n_axes, wiring.rated_force
+        check_ids(bus, n_axes, rated_force)
+        keys = stage_keys(bus)
+        self.n_axes = n_axes
+        self.sequence_modulus = SEQUENCE_MODULUS
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
+        self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.stamp_wraps_ns: Sequence[int] = [_WRAP] * n_axes
+        self.state_ns = 0
+        self._command_id = keys.host_id
+        self._feedback_id = keys.feedback_id
+        # The largest force after rounding to single precision, so that a command of exactly the rated force passes.
+        self._limits = [_SINGLE.unpack(_SINGLE.pack(force))[0] for force in rated_force]
+        self._limits += [0.0] * (MAX_AXES - n_axes)
+        self._enable_mask = (1 << n_axes) - 1
+
+
+class StageFdHost(_Layout):
+    """HostProtocol of stage_fd."""
+
+    def __init__(self, wiring: Wiring) -> None:
+        super().__init__(wiring)
+        n_axes, rated_force = wiring.n_axes, wiring.rated_force
+        self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
+        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = FEEDBACK.unpack
+        self._pack_command = COMMAND.pack
+        self._padding = (0.0,) * (MAX_AXES - n_axes)
+
+    def decode(self, frame: Frame) -> Sample | Reject:
+        """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
+        data, can_id, received = frame.data, frame.can_id, frame.timestamp_ns
+        axis = can_id - self._feedback_id
+        if not 0 <= axis < self.n_axes:
+            known = range(self._feedback_id, self._feedback_id + self.n_axes)
+            return reject_id(can_id, known, self._command_id)
+        if not frame.flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != FEEDBACK_LENGTH:
+            return Reject.WRONG_LENGTH
+        if crc32(data, can_id) != RESIDUE:
+            return Reject.BAD_CHECKSUM
+        position, stamp, status, sequence, _ = self._unpack_feedback(data)
+        if status > EVERY_STATUS:
+            return Reject.INVALID_VALUE
+        earliest = received - _HALF
+        return Sample(axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP)
+
+    def encode(self, command: Command) -> list[Frame]:
+        """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
+        a, b, c, d = (*command.force, *self._padding)
+        la, lb, lc, ld = self._rated
+        if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
+            check_force((a, b, c, d), self._rated)  # says which
+        flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
+        data = self._pack_command(a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
+        data += crc32(data, self._command_id).to_bytes(4, "little")
+        return [Frame(self._command_id, data, FD | BRS)]
+
+    def messages(self, period_ns: int) -> list[Message]:
+        """One command, then one feedback per axis."""
+        command, feedback = (self._command_id, COMMAND_LENGTH), (self._feedback_id, FEEDBACK_LENGTH)
+        return cyclic_messages(command, feedback, self.n_axes, True, period_ns)
+
+
+class StageFdDevice(_Layout):
+    """DeviceProtocol of stage_fd."""
+
+    def decode_command(self, frame: Frame) -> Command | Reject:
+        """The command for all axes; refused whole where any field is out of its range."""
+        can_id, data, flags, _ = frame
+        if can_id != self._command_id:
+            return reject_id(can_id, (self._command_id,), -1)
+        if not flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != COMMAND_LENGTH:
+            return Reject.WRONG_LENGTH
+        *force, sequence, bits, checksum = COMMAND.unpack(data)
+        if crc32(data[:COMMAND_CHECKED], can_id) != checksum:
+            return Reject.BAD_CHECKSUM
+        if bits & ~(self._enable_mask | RESET):
+            return Reject.INVALID_VALUE
+        for value, limit in zip(force, self._limits, strict=True):
+            if not -limit <= value <= limit:  # also where it is not a number
+                return Reject.INVALID_VALUE
+        return Command(sequence, force[: self.n_axes], bits & self._enable_mask, bool(bits & RESET))
+
+    def encode_feedback(self, sample: Sample) -> Frame:
+        """The feedback frame of one axis; position and stamp wrap at 32 bits."""
+        can_id = self._feedback_id + sample.axis
+        position, stamp = (sample.position + _HALF) % _WRAP - _HALF, sample.stamp_ns % _WRAP
+        data = FEEDBACK.pack(position, stamp, sample.status & EVERY_STATUS, sample.sequence % SEQUENCE_MODULUS, 0)
+        data = data[:FEEDBACK_CHECKED]
+        return Frame(can_id, data + crc32(data, can_id).to_bytes(4, "little"), FD | BRS)

@@ -1,0 +1,1 @@
+"""Sensors: nodes that measure something else than an axis' position, beside any frame layout."""

@@ -1,0 +1,52 @@
+"""The frame of `kind = "hil"` as the host reads it.
+
+| bytes | content |
+|---|---|
+| 0 to 3 | int32, little-endian: the reading in counts of `scale` |
+| 4 to 5 | uint16: instant of the sample on the sensor's own clock, us, modulo 65.536 ms |
+| 6 | uint8: sequence, one more with every sample |
+| 7 | uint8: status; 0: the reading is valid |
+| 8 to 11 | FD frames alone: CRC-32 of the identifier (as its start value) and bytes 0 to 7 |
+"""
+
+from collections.abc import Callable
+from struct import Struct
+from typing import Final
+from zlib import crc32
+
+from drivers.frame import FD, Frame
+from drivers.protocols.base import Reject
+from drivers.sensors.base import Measurement
+
+CLASSIC_LENGTH: Final = 8
+FD_LENGTH: Final = 12
+_CLASSIC: Final = Struct("<iHBB")
+_CHECKED: Final = Struct("<iHBBI")
+_RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
+WRAP_NS: Final = 65_536_000  # after which stamps repeat
+_HALF_NS: Final = WRAP_NS // 2
+
+
+class HilSensorFrame:
+    """One sensor's frames. can_id: its identifier. fd: CAN FD with a checksum. scale: reading per count."""
+
+    def __init__(self, can_id: int, *, fd: bool, scale: float) -> None:
+        self.can_id = can_id
+        self.length = FD_LENGTH if fd else CLASSIC_LENGTH
+        self.fd = fd
+        self._scale = scale
+        self._unpack: Callable[[bytes], tuple[int, ...]] = _CHECKED.unpack if fd else _CLASSIC.unpack
+
+    def decode(self, frame: Frame) -> Measurement | Reject:
+        """The measurement in a frame of this identifier. Never raises, whatever the bytes."""
+        data = frame.data
+        if bool(frame.flags & FD) != self.fd:
+            return Reject.WRONG_FORMAT
+        if len(data) != self.length:
+            return Reject.WRONG_LENGTH
+        if self.fd and crc32(data, self.can_id) != _RESIDUE:
+            return Reject.BAD_CHECKSUM
+        fields = self._unpack(data)
+        earliest = frame.timestamp_ns - _HALF_NS
+        stamp_ns = earliest + (fields[1] * 1000 - earliest) % WRAP_NS
+        return Measurement(fields[0] * self._scale, fields[2], stamp_ns, fields[3] == 0)

@@ -1,0 +1,1 @@
+"""Emulated nodes beside the drives."""

@@ -1,0 +1,222 @@
+"""An emulated sensor: samples at the frame its drives sample at, and sends one reading.
+
+Written from the table of bytes in docs/sensors.md, apart from the host's side (drivers/sensors): what one gets wrong
+shows against the other.
+"""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from drivers.frame import BRS, FD, Frame
+from drivers.sensors.config import SensorConfig
+from sim_plant.config import EmulatedSensorConfig, PlantConfig
+from sim_plant.physics.membrane import Membrane
+from sim_plant.physics.noise import READING, Stream
+from sim_plant.physics.truth import Truth
+
+NEVER_NS = 2**62
+_MOST = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What the sensor is about to send: counts, microseconds of its clock, sequence, status (0: valid)."""
+
+    counts: int
+    stamp_us: int
+    sequence: int
+    status: int = 0
+
+
+Tap = Callable[[Sampled], Sampled | None]
+
+
+class Stage(Protocol):
+    """What a sensor can look at of the emulated stage; by axis, at the instant of the sample, SI."""
+
+    axis_names: list[str]
+    now_ns: int
+
+    @property
+    def applied_force(self) -> list[float]:
+        """N of each drive."""
+
+    @property
+    def tips(self) -> tuple[list[float], list[float], list[float]]:
+        """Positions (m), velocities (m/s), and 1.0 where the cell is pierced."""
+
+    @property
+    def truth(self) -> Truth:
+        """What the stage is like."""
+
+
+class SensorNode:
+    """One sensor. name, config: as in [sensors]. place: its place there. entry: of [[plant.sensors]]; None: it measures
+    nothing but noise. trigger: mask and identifier of the host's frame at whose end it samples.
+
+    taps: what every sample goes through before it is sent; None from one of them: nothing is sent.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        config: SensorConfig,
+        place: int,
+        entry: EmulatedSensorConfig | None,
+        trigger: tuple[int, int],
+        seed: int,
+    ) -> None:
+        self.name, self.config, self.can_id = name, config, config.can_id
+        self.taps: list[Tap] = []
+        self._mask, self._trigger = trigger
+        self._entry = entry
+        own_noise = config.noise if entry is None or entry.noise is None else entry.noise
+        self._noise = own_noise
+        self._stream = Stream(seed, place, READING)
+        self.delay_ns = 0 if entry is None else round(entry.delay * 1e9)
+        self._level: float | None = None  # behind the sensor's lag
+        self._sampled_ns = 0
+        self._count = 0
+        self._waiting: list[tuple[int, Frame]] = []
+
+    @property
+    def next_ns(self) -> int:
+        """When it has something to send; NEVER_NS where nothing waits."""
+        return self._waiting[0][0] if self._waiting else NEVER_NS
+
+    def hears(self, frame: Frame) -> bool:
+        """Whether it samples at this frame."""
+        return frame.can_id & self._mask == self._trigger
+
+    def sample(self, stage: Stage) -> None:
+        """Measure now, and send in `delay_ns`."""
+        now_ns = stage.now_ns
+        value = self._behind_lag(self._measured(stage), now_ns)
+        if self._noise:
+            value += self._noise * float(self._stream.at(self._count))
+        counts = max(-_MOST - 1, min(_MOST, round(value / self.config.scale)))
+        shown: Sampled | None = Sampled(counts, now_ns // 1000, self._count)
+        self._count += 1
+        for tap in self.taps:
+            if shown is not None:
+                shown = tap(shown)
+        if shown is not None:
+            self._waiting.append((now_ns + self.delay_ns, self._frame(shown)))
+
+    def due(self, now_ns: int) -> list[Frame]:
+        """The frames whose time has come."""
+        found = [frame for due_ns, frame in self._waiting if due_ns <= now_ns]
+        del self._waiting[: len(found)]
+        return found
+
+    def _measured(self, stage: Stage) -> float:
+        entry = self._entry
+        if entry is None:
+            return 0.0
+        axis = stage.axis_names.index(entry.axis)
+        if entry.measures == "applied_force":
+            true = stage.applied_force[axis]
+        else:
+            positions, velocities, pierced = stage.tips
+            true = positions[axis]
+            if entry.measures == "cell_force":
+                true = cell_force(stage.truth, axis, true, velocities[axis], pierced[axis])
+        return entry.offset + entry.gain * true
+
+    def _behind_lag(self, value: float, now_ns: int) -> float:
+        lag = 0.0 if self._entry is None else self._entry.lag
+        if lag and self._level is not None:
+            passed = (now_ns - self._sampled_ns) * 1e-9
+            value = self._level + (value - self._level) * (passed / (lag + passed))  # backward Euler
+        self._level, self._sampled_ns = value, now_ns
+        return value
+
+    def _frame(self, shown: Sampled) -> Frame:
+        data = (shown.counts % 2**32).to_bytes(4, "little") + (shown.stamp_us % 2**16).to_bytes(2, "little")
+        data += bytes((shown.sequence % 256, shown.status))
+        if not self.config.fd:
+            return Frame(self.can_id, data)
+        return Frame(self.can_id, data + zlib.crc32(data, self.can_id).to_bytes(4, "little"), FD | BRS)
+
+
+def cell_force(truth: Truth, axis: int, position: float, velocity: float, pierced: float) -> float:
+    """Force of the axis' cell on its tip, N; positive while the tip presses on it."""
+    direction = float(truth.cell_direction[axis])
+    cell = Membrane(
+        float(truth.cell_surface[axis]),
+        direction,
+        float(truth.cell_stiffness[axis]),
+        float(truth.puncture_depth[axis]),
+        float(truth.cell_drag[axis]),
+    )
+    return direction * float(cell.resistance(position, velocity, pierced))
+
+
+def sensor_nodes(
+    sensors: dict[str, SensorConfig], plant: PlantConfig, trigger: tuple[int, int] | None
+) -> list[SensorNode]:
+    """The nodes of a rig's sensors. trigger: as SensorNode's; None: no frame comes in every tick, and none samples."""
+    if trigger is None:
+        return []
+    entries = {entry.sensor: entry for entry in plant.sensors}
+    return [
+        SensorNode(name, config, place, entries.get(name), trigger, plant.seed)
+        for place, (name, config) in enumerate(sensors.items())
+    ]
+
+
+def tapped(nodes: Sequence[SensorNode], tap_of: Callable[[SensorNode], Tap]) -> Callable[[], None]:
+    """Put a tap of its own on each node; returns how to take them off."""
+    taps = [(node, tap_of(node)) for node in nodes]
+    for node, tap in taps:
+        node.taps.append(tap)
+
+    def undo() -> None:
+        for node, tap in taps:
+            node.taps.remove(tap)
+
+    return undo
+
+
+def silent(node: SensorNode) -> Tap:
+    """It sends nothing."""
+    return lambda shown: None
+
+
+def stuck(node: SensorNode) -> Tap:
+    """It goes on sending the next value."""
+    held: list[int] = []
+
+    def tap(shown: Sampled) -> Sampled:
+        held[:] = held or [shown.counts]
+        return replace(shown, counts=held[0])
+
+    return tap
+
+
+def showing(value: float) -> Callable[[SensorNode], Tap]:
+    """It shows `value`, in its unit."""
+    return lambda node: lambda shown: replace(shown, counts=round(value / node.config.scale))
+
+
+def renumbered(offset: int) -> Callable[[SensorNode], Tap]:
+    """Its sequence numbers are off by so much."""
+    return lambda node: lambda shown: replace(shown, sequence=shown.sequence + offset)
+
+
+def repeating(node: SensorNode) -> Tap:
+    """All its frames have the sequence number of the next."""
+    held: list[int] = []
+
+    def tap(shown: Sampled) -> Sampled:
+        held[:] = held or [shown.sequence]
+        return replace(shown, sequence=held[0])
+
+    return tap
+
+
+def invalid(node: SensorNode) -> Tap:
+    """It says that its readings are not valid."""
+    return lambda shown: replace(shown, status=1)
