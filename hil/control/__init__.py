@@ -1,8 +1,7 @@
-"""The mathematics of control: laws, the motion filter, setpoints and trajectories; no I/O, no clock.
+"""The mathematics of control that a tick runs: laws, the motion filter, setpoints and trajectories; no I/O, no clock.
 
 Imports inside the room run down this list, never up:
 
-    stability                  poles and margins of the sampled loop, by simulation of filter and law as they are
     setpoints                  the reference fields of a law's inputs
     trajectories               tasks as pure functions of integer nanoseconds
     estimator                  the rig's Kalman filter, the design of its gains, and what users put before the law

@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 LARGEST = 1.7976931348623157e308
+SCALES = (  # of a Knob; what each multiplies by is in hil.studies.tune.search_space.knob_scale
+    "1", "1/T", "m", "m/T", "T/m", "m/T2", "m/T3", "m2/FT", "m2/FT2", "F", "C", "count", "count/T1.5",
+)  # fmt: skip
 TINIEST = 1e-300  # a least value below this means "above 0"
 
 
@@ -48,8 +51,46 @@ class Gain(NamedTuple):
 
 
 def declared(gains: Mapping[str, Any]) -> dict[str, Gain]:
-    """A law's GAINS with every plain default (a number, a word, None) as a Gain without further particulars."""
-    return {name: gain if isinstance(gain, Gain) else Gain(gain) for name, gain in gains.items()}
+    """A law's GAINS with every plain default (a number, a word, None) as a Gain without further particulars.
+
+    Raises ValueError for a declaration that says something impossible, naming the gain and what is allowed.
+    """
+    found = {name: gain if isinstance(gain, Gain) else Gain(gain) for name, gain in gains.items()}
+    for name, gain in found.items():
+        if problem := _problem(gain, [other for other in found if other != name]):
+            raise ValueError(f"GAINS[{name!r}]: {problem}")
+    return found
+
+
+def _problem(gain: Gain, others: list[str]) -> str:
+    """What is impossible in a declaration; empty where nothing is."""
+    if not _is_number(gain.least) or not _is_number(gain.most) or gain.least > gain.most:
+        return f"least = {gain.least!r}, most = {gain.most!r}: expected two numbers, the first not above the second"
+    if isinstance(gain.default, str):
+        if gain.default not in gain.words:
+            return f"default = {gain.default!r}: expected one of words, {', '.join(map(repr, gain.words)) or 'none'}"
+    elif gain.default is not None and not (_is_number(gain.default) and gain.least <= gain.default <= gain.most):
+        return f"default = {gain.default!r}: expected None, or {gain.allowed()}"
+    for key, knob in (("tune", gain.tune), ("plan", gain.plan)):
+        if knob is not None and (problem := _knob_problem(knob, others)):
+            return f"{key}: {problem}"
+    return ""
+
+
+def _knob_problem(knob: Any, others: list[str]) -> str:
+    if not isinstance(knob, Knob):
+        return f"{knob!r}: expected a hil.Knob"
+    if not (_is_number(knob.low) and _is_number(knob.high) and 0.0 < knob.low <= knob.high):
+        return f"Knob({knob.low!r}, {knob.high!r}): expected 0 < low <= high, as the search is logarithmic"
+    if knob.scale not in SCALES:
+        return f"Knob scale {knob.scale!r}: expected one of {', '.join(SCALES)}"
+    if knob.of and knob.of not in others:
+        return f"Knob of {knob.of!r}: expected another gain of this law: {', '.join(others) or 'there is none'}"
+    return ""
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def with_defaults(gains: Mapping[str, Gain], given: Mapping[str, Any]) -> dict[str, Any]:

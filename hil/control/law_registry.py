@@ -1,9 +1,9 @@
-"""The way to the class of any law, ours (hil/rig/law_names.py) or a user's (drivers/plugins.py)."""
+"""The way to the class of any law, ours (hil/rig/law_names.py) or a user's (drivers/base/plugins.py)."""
 
 import re
 from typing import Any
 
-from drivers import plugins
+from drivers.base import plugins
 from hil.rig.law_names import KIND, LAWS
 from hil.rig.schema import LawConfig
 

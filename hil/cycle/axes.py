@@ -33,7 +33,7 @@ class Axes:
         self.shown = [VelocityBlend(0.0, rig.period_ns * 1e-9) for _ in range(n)]  # for people
         self.innovation_limit: list[float] = np.sqrt(variance * rig.safety.nis_limit).tolist()  # m
         learning = rig.law.iterative_learning
-        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns) if learning else None
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns, rig.counts) if learning else None
         force = np.array([axis.limits.force for axis in axes])
         self.law: AxisLaws = make_axis_laws(rig.law, model, rig.period_ns * 1e-9, force, repeat)
         if rig.estimator.is_users:

@@ -7,6 +7,7 @@ from hil.cycle.tick import CommandKind, OperatorCommand
 
 EVENTS: dict[int, Event] = {
     CommandKind.ACTIVATE: Event.ACTIVATE,
+    CommandKind.ACTIVATE_HOLD: Event.ACTIVATE,
     CommandKind.STOP: Event.STOP,
     CommandKind.RESET: Event.RESET,
     CommandKind.ESTOP: Event.ESTOP,
@@ -20,6 +21,7 @@ class CommandDesk:
 
     def __init__(self) -> None:
         self.refused = 0
+        self.hold_asked = False  # by the newest ACTIVATE: to hold, not to begin the task
         self.heartbeat_ns: int | None = None
         self.handled: list[tuple[OperatorCommand, bool]] = []
         self._last_sequence = -1
@@ -52,4 +54,6 @@ class CommandDesk:
         if command.kind == CommandKind.LOAD_TASK:
             return load()
         event = EVENTS.get(command.kind)
+        if event is Event.ACTIVATE:
+            self.hold_asked = command.kind == CommandKind.ACTIVATE_HOLD
         return event is not None and act(event)

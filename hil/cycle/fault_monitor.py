@@ -16,23 +16,26 @@ so that the drives' own watchdogs act. Bits, because a tick in which nothing is 
 zero.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from drivers.bus.counters import BusState, PortCounters
 from drivers.protocols.base import DriveStatus
 from hil.control.laws.base import Reference
-from hil.cycle.fault_table import RULES, Fault, Reaction
+from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.oscillation import OscillationDetector
 from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
+from hil.cycle.rest_watch import RestWatch
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
+from hil.cycle.travel import Travel
 from hil.rig.schema import SafetyConfig
 
 _FAULTS: Final = list(Fault)  # by number
-REACTIONS: Final = [Reaction.COUNT] + [RULES[fault].reaction for fault in Fault if fault]
-_BLOCKING: Final = sum(1 << f for f, rule in RULES.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
+REACTIONS: Final = [Reaction.COUNT] + [ROWS[fault].reaction for fault in Fault if fault]
+_BLOCKING: Final = sum(1 << f for f, rule in ROWS.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
 _STATUS_FAULTS = (
     (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
     (int(DriveStatus.WATCHDOG), Fault.DRIVE_WATCHDOG),
@@ -40,7 +43,7 @@ _STATUS_FAULTS = (
 )
 _BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
 NO_ACK_TICKS: Final = 2  # in a row
-_ARMED: Final = [sum(1 << fault for fault, rule in RULES.items() if state in rule.states) for state in State]
+_ARMED: Final = [sum(1 << fault for fault, rule in ROWS.items() if state in rule.states) for state in State]
 
 
 class AxisLimits(NamedTuple):
@@ -55,10 +58,15 @@ class AxisLimits(NamedTuple):
     stuck_force: float
     braking: float  # m/s^2 the force limit is good for, halved
     force: float
+    switches: int = 0  # DriveStatus bits of its limit switches; 0: it has none
+    home_switch: int = 0  # of these, the one it homes on
+    rest_window: float = 3e-5  # m around where it rests
+    coasting_s: float = 0.2  # longest that friction takes to stop it
+    resolution: float = 1e-7  # m per count
 
 
 class Evidence(NamedTuple):
-    """What a detector measured of a fault, and the limit it was held against, in the unit that event_table.py names.
+    """What a detector measured of a fault, and the limit it was held against, in the unit that its text names.
 
     fault: a Fault. axis: 0-based, or NO_AXIS.
     """
@@ -87,9 +95,15 @@ class FaultMonitor:
         self._port = PortCounters()
         self._previous_index = -1
         self._previous_now_ns = 0
+        self._skipped = 0  # slots before this tick
         self._held_up = False  # frames lost while slots were skipped may still have to be told
         self._stuck_position = [0.0] * len(axes)
         self._swings = [OscillationDetector(limits.oscillation, period_ns * 1e-9) for limits in axes]
+        self.rest = [RestWatch(li.rest_window, li.jump_step, li.coasting_s, period_ns * 1e-9) for li in axes]
+        self.travel = [Travel(li.position_low, li.position_high, li.following_error) for li in axes]
+        self.switched = [axis for axis, limits in enumerate(self._axes) if limits.switches]
+        self.closed = [0] * len(axes)  # limit switches, as DriveStatus bits
+        self._known = [0] * len(axes)  # of these, those that were closed at a reset, or are homed on: no fault
         self.active = 0
         self.evidence: list[Evidence] = []
         self.counts = [0] * len(Fault)
@@ -103,8 +117,24 @@ class FaultMonitor:
         self._stuck = [0] * n
         self._no_ack_ticks = self._refused_ticks = self._overruns = 0
         self._enabled_ticks = 0  # in which a drive said so although it was told otherwise
-        for swings in self._swings:
+        for swings, travel in zip(self._swings, self.travel, strict=True):
             swings.restart(0.0)
+            travel.restart()
+        self.watch_rest(coasting=False)
+
+    def watch_rest(self, *, coasting: bool) -> None:
+        """The axes rest where they are next seen without torque. coasting: a run comes before it."""
+        for watch in self.rest:
+            watch.restart(coasting=coasting)
+
+    def forgive_switches(self) -> None:
+        """At a reset: the way back from a switch that is closed is free."""
+        self._known = list(self.closed)
+
+    def allow_way_back(self, positions: Sequence[float]) -> None:
+        """The axes rest there, m (rad), some of them perhaps beyond their travel, and goals bring them back."""
+        for travel, position in zip(self.travel, positions, strict=True):
+            travel.begin_at(position)
 
     def begin(self) -> None:
         """A new tick: nothing is flagged yet."""
@@ -120,6 +150,11 @@ class FaultMonitor:
         """Mark a fault as present in this tick, with what was measured and the limit it is beyond."""
         self.active |= 1 << fault
         self.evidence.append(Evidence(fault, axis, float(value), float(limit)))
+
+    def flag_state(self, fault: Fault, value: int, axis: int = NO_AXIS) -> None:
+        """Mark as present what is so or not, and has no limit. value: which of the row's words says it."""
+        self.active |= 1 << fault
+        self.evidence.append(Evidence(fault, axis, float(value), math.nan))
 
     def armed_evidence(self) -> list[Evidence]:
         """Of the faults that counted in this tick; the gravest first where a record cannot hold all."""
@@ -176,11 +211,11 @@ class FaultMonitor:
     def check_timing(self, tick: Tick) -> None:
         """Skipped slots and long gaps between ticks."""
         first = self._previous_index < 0
-        skipped = not first and tick.index > self._previous_index + 1
+        self._skipped = skipped = 0 if first else tick.index - self._previous_index - 1
         self._overruns = self._overruns + 1 if skipped else 0
         if skipped:
             safety, gap_ns = self._safety, tick.now_ns - self._previous_now_ns
-            self.flag(Fault.OVERRUN, tick.index - self._previous_index - 1, 0.0)
+            self.flag(Fault.OVERRUN, skipped, 0.0)
             if self._overruns >= safety.overrun_streak:
                 self.flag(Fault.OVERRUN_BURST, self._overruns, safety.overrun_streak)
             if gap_ns > safety.overrun_zero_s * 1e9:
@@ -203,6 +238,10 @@ class FaultMonitor:
             self._flag_silence(inbox)
         if inbox.bad_frames >= self._bad_frame_limit:
             self.flag(Fault.BAD_FRAMES, inbox.bad_frames, self._bad_frame_limit)
+        if inbox.foreign_id >= 0:
+            self.flag_state(Fault.FOREIGN_COMMAND, inbox.foreign_id)
+        if inbox.differ_axis >= 0:
+            self.flag_state(Fault.ANSWERS_DIFFER, 0, inbox.differ_axis)
         for axis, sample in enumerate(inbox.samples):
             if sample is None:
                 continue
@@ -212,6 +251,22 @@ class FaultMonitor:
                         self.flag(fault, 1.0, 0.0, axis)
             if enabled_seen and not sample.status & DriveStatus.ENABLED:
                 self.flag(Fault.DRIVE_DISABLED, 0.0, 1.0, axis)
+
+    def check_switches(self, inbox: Inbox, *, homing: bool) -> None:
+        """Limit switches that close. One that was closed at the last reset, or that the axis homes on, is no fault
+        until it has opened.
+        """
+        for axis in self.switched:
+            sample = inbox.samples[axis]
+            if sample is None:
+                continue
+            self.closed[axis] = closed = sample.status & self._axes[axis].switches
+            if homing:
+                self._known[axis] |= self._axes[axis].home_switch
+            self._known[axis] &= closed
+            fresh = closed & ~self._known[axis]
+            if fresh:
+                self.flag_state(Fault.LIMIT_SWITCH, 0 if fresh & DriveStatus.LIMIT_LOW else 1, axis)
 
     def _flag_silence(self, inbox: Inbox) -> None:
         stop, zero = self._safety.silent_stop_ticks, self._safety.silent_zero_ticks
@@ -251,6 +306,21 @@ class FaultMonitor:
         if self._enabled_ticks >= self._safety.disable_timeout_ticks:
             self.flag(Fault.DRIVE_STAYS_ENABLED, self._enabled_ticks, self._safety.disable_timeout_ticks, enabled)
 
+    def check_rest(self, inbox: Inbox) -> None:
+        """Where no torque is permitted: an axis that moves all the same."""
+        for axis, watch in enumerate(self.rest):
+            if self._skipped:
+                watch.pass_ticks(self._skipped)
+            sample = inbox.samples[axis]
+            if inbox.fresh[axis] and sample is not None:
+                watch.take(sample.position * self._axes[axis].resolution)
+            else:
+                watch.pass_ticks(1)
+            if watch.moving:
+                self.flag(Fault.AXIS_MOVED, watch.distance, watch.window, axis)
+                if not watch.allowed:
+                    self.flag(Fault.STANDSTILL, watch.distance, watch.window, axis)
+
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""
         limit = self._axes[axis].jump_step * max(1.0, periods)
@@ -258,7 +328,9 @@ class FaultMonitor:
             self._glitches[axis] = 0
             return False
         self._glitches[axis] += 1
-        self.flag(Fault.ENCODER_JUMP if self._glitches[axis] >= 2 else Fault.ENCODER_GLITCH, abs(step), limit, axis)
+        # Of an axis that moves at rest it is known why its samples are far apart: STANDSTILL says so.
+        jump = self._glitches[axis] >= 2 and not self.rest[axis].moving
+        self.flag(Fault.ENCODER_JUMP if jump else Fault.ENCODER_GLITCH, abs(step), limit, axis)
         return True
 
     def check_filter(self, axis: int, innovation: float) -> None:
@@ -282,8 +354,10 @@ class FaultMonitor:
         position at the end of the coming interval. following: the axis is meant to follow the setpoint (not in a damped
         stop).
         """
-        limits, vd = self._axes[axis], sample.velocity
-        low, high = limits.position_low, limits.position_high
+        limits, travel, vd = self._axes[axis], self.travel[axis], sample.velocity
+        if travel.wide:
+            travel.follow(q)
+        low, high = travel.low, travel.high
         if not low <= q <= high:
             self.flag(Fault.TRAVEL, q, low if q < low else high, axis)
         if abs(v) > limits.speed or v != v:

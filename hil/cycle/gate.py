@@ -51,11 +51,26 @@ class TorqueGate:
     def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits], drives: int | None = None) -> None:
         self._encode = protocol.encode
         self._limits = list(limits)
+        self._given = tuple(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
         self.force = self._zero  # applied in the latest tick
         self._drives = (1 << n) - 1 if drives is None else drives
         self.saturations = [0] * n
+
+    def bound(self, axis: int, force: float) -> None:
+        """Give the axis at most `force` (N) from here on, never more than its limit."""
+        self._limits[axis] = self._limits[axis]._replace(force=min(force, self._given[axis].force))
+
+    def block(self, axis: int, *, low: bool, high: bool) -> None:
+        """What the axis' limit switches say: no force towards an end whose switch is closed, whatever the position."""
+        given = self._given[axis]
+        self._limits[axis] = ForceLimits(
+            self._limits[axis].force,
+            math.inf if low else given.position_low,
+            -math.inf if high else given.position_high,
+            given.step,
+        )
 
     def release(
         self,

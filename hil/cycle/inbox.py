@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.frame import Frame
-from drivers.protocols.base import HostProtocol, Reject, Sample
+from drivers.frame import ECHO, Frame, segment_of
+from drivers.protocols.base import HostProtocol, Reject, Sample, own_ids
+from hil.cycle.readings import Readings
 
 SUSPICIOUS = frozenset(
     {
@@ -25,25 +26,33 @@ class Inbox:
     """The newest sample of every axis, and counters for everything that was not one.
 
     `fresh[i]`: this tick brought axis i's answer to the latest command. `age[i]`: ticks since it last did.
-    `bad_frames`: leaky bucket of suspicious frames, one forgiven every `leak_ticks`.
+    `bad_frames`: leaky bucket of suspicious frames, one forgiven every `leak_ticks`. What a checksum has passed is no
+    line noise, and is never forgiven. readings: of the rig's sensors, whose frames no layout knows; None: it has none.
     """
 
-    def __init__(self, protocol: HostProtocol, leak_ticks: int) -> None:
+    def __init__(self, protocol: HostProtocol, leak_ticks: int, readings: Readings | None = None) -> None:
         n = protocol.n_axes
+        self._readings = readings
         self._none_fresh = (False,) * n
         self._decode = protocol.decode
+        self._own = own_ids(protocol)
+        self._checked = protocol.checksum
+        self._unforgiven = 0  # of bad_frames
         self._modulus = protocol.sequence_modulus
         self._leak_ticks = leak_ticks
         self._since_leak = 0
         self._last_sequence = [-1] * n
         self.samples: list[Sample | None] = [None] * n
         self.fresh = [False] * n
+        self.received_ns = [0] * n  # when the newest sample came
         self.age = [0] * n
         self.heard = [False] * n
         self.rejects = [0] * len(Reject)
         self.bad_frames = 0
         self.late = 0
         self.lost = 0
+        self.foreign_id = -1  # identifier of ours in which another node spoke in this tick
+        self.differ_axis = -1  # whose two valid answers to one command differ, in this tick
         self.useless_now = 0  # frames of this tick that carried no sample of ours, not even a late one
 
     def forget(self) -> None:
@@ -52,14 +61,17 @@ class Inbox:
         self._last_sequence = [-1] * n
         self.heard = [False] * n
         self.age = [0] * n
-        self.bad_frames = 0
+        self.bad_frames = self._unforgiven = 0
+        if self._readings is not None:
+            self._readings.forget()
 
     def collect(self, frames: Sequence[Frame], sent_sequence: int) -> None:
         """Sort one tick's frames; `sent_sequence` is that of the newest command sent, -1 before the first."""
         self.useless_now = 0
+        self.foreign_id = self.differ_axis = -1
         fresh, samples, last = self.fresh, self.samples, self._last_sequence
         fresh[:] = self._none_fresh
-        decode, modulus = self._decode, self._modulus
+        decode, modulus, received = self._decode, self._modulus, self.received_ns
         expected = sent_sequence % modulus if modulus and sent_sequence >= 0 else _NOT_EXPECTED
         for frame in frames:
             outcome = decode(frame)
@@ -69,12 +81,20 @@ class Inbox:
                     samples[axis] = outcome
                     last[axis] = sequence
                     fresh[axis] = True
+                    received[axis] = frame.timestamp_ns
                 else:
+                    received[axis] = frame.timestamp_ns
                     self._accept(outcome, sent_sequence)
             elif isinstance(outcome, tuple):
                 for sample in outcome:
                     self._accept(sample, sent_sequence)
+            elif self._readings is not None and self._readings.knows(frame):
+                refused = self._readings.take(frame)
+                if refused is not None:
+                    self._reject(refused)
             else:
+                if not frame.flags & ECHO and frame.can_id in self._own[segment_of(frame)]:
+                    self.foreign_id = frame.can_id
                 self._reject(outcome)
         if sent_sequence >= 0:
             self._grow_older()
@@ -95,13 +115,13 @@ class Inbox:
             if previous >= 0:
                 newer = (sample.sequence - previous) % self._modulus
                 if newer == 0:
-                    self._reject(Reject.DUPLICATE)
+                    self._repeated(sample)
                     return
                 if newer > self._modulus // 2:
-                    self._reject(Reject.STALE)
+                    self._stale(axis)
                     return
             if sent_sequence < 0 or behind > self._modulus // 2:
-                self._reject(Reject.STALE)  # it answers a command never sent
+                self._stale(axis)  # it answers a command never sent
                 return
             self._last_sequence[axis] = sample.sequence
             if behind:
@@ -113,11 +133,27 @@ class Inbox:
         self.samples[axis] = sample
         self.fresh[axis] = True
 
+    def _repeated(self, sample: Sample) -> None:
+        """A second answer to a command. CAN may repeat a frame; one that says something else is of another node, and
+        neither can be believed.
+        """
+        taken = self.samples[sample.axis]
+        if taken is not None and taken.sequence == sample.sequence and taken != sample:
+            self.fresh[sample.axis] = False
+            self.differ_axis = sample.axis
+        self._reject(Reject.DUPLICATE)
+
+    def _stale(self, axis: int) -> None:
+        """Before the first answer, those to an earlier process' commands still come."""
+        self._reject(Reject.STALE)
+        self._unforgiven += self._checked and self.heard[axis]
+
     def _reject(self, reason: Reject) -> None:
         self.rejects[reason] += 1
         self.useless_now += 1
         if reason in SUSPICIOUS:
             self.bad_frames += 1
+            self._unforgiven += self._checked and reason is Reject.INVALID_VALUE
 
     def _grow_older(self) -> None:
         age, heard = self.age, self.heard
@@ -131,5 +167,5 @@ class Inbox:
         self._since_leak += 1
         if self._since_leak >= self._leak_ticks:
             self._since_leak = 0
-            if self.bad_frames:
+            if self.bad_frames > self._unforgiven:
                 self.bad_frames -= 1

@@ -1,6 +1,6 @@
 """The fixed-size record of one tick: what the control process leaves in the ring, and all that replay needs.
 
-Little-endian, SI units, 4864 bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
+Little-endian, SI units, RECORD_SIZE bytes. Per-axis arrays have MAX_AXES places; those beyond the rig's axes are zero.
 """
 
 from typing import Final
@@ -8,12 +8,15 @@ from typing import Final
 import numpy as np
 
 from drivers.protocols.base import MOST_SENT
+from drivers.sensors.config import MAX_SENSORS
+from hil.cycle.goal import MOST_GOALS
 from hil.rig.schema import MAX_AXES
 
 MAX_RECEIVED: Final = 32
 MAX_SENT: Final = MOST_SENT
 MAX_COMMANDS: Final = 4
 MAX_EVIDENCE: Final = 8
+MAX_READINGS: Final = MAX_SENSORS
 NO_AXIS: Final = -1  # of evidence that belongs to no axis
 EVERY_AXIS: Final = 0xFFFF  # the same as a record has it
 REJECT_REASONS = 10  # drivers.protocols.base.Reject
@@ -30,6 +33,22 @@ FRAME = np.dtype(
         ("data", "u1", 64),
     ]
 )  # 80 bytes
+GOAL = np.dtype(
+    [
+        ("number", "<u4"),
+        ("kind", "u1"),  # hil.cycle.goal.GoalKind
+        ("mask", "u1"),
+        ("flags", "<u2"),
+        ("due_ns", "<i8"),
+        ("valid_ns", "<i8"),
+        ("position", "<f8", (4,)),
+        ("velocity", "<f8", (4,)),
+        ("speed", "<f8"),
+        ("lease", "<u4"),
+        ("refusal", "<u4"),  # hil.cycle.goal.Refusal
+        ("reserved", "<u8"),
+    ]
+)  # 112 bytes
 COMMAND = np.dtype([("kind", "<u4"), ("accepted", "<u4"), ("sequence", "<u8"), ("expires_ns", "<i8")])
 
 _FIELDS = [
@@ -82,12 +101,28 @@ _FIELDS = [
     ("evidence_of", "<u4", (MAX_EVIDENCE,)),  # fault, and from bit 16 the axis; EVERY_AXIS: no axis
     ("evidence_value", "<f8", (MAX_EVIDENCE,)),
     ("evidence_limit", "<f8", (MAX_EVIDENCE,)),
+    # goals (hil.cycle.goal), and what they and the task have come to
+    ("motion", "u1"),  # MotionWord
+    ("homing", "u1"),  # sub-state of HOMING; 0: none
+    ("outputs", "u1"),  # bit i: output i is set
+    ("n_goals", "u1"),
+    ("phase", "<u2"),  # of a cell
+    ("reserved", "<u2"),
+    ("cell", "<u4"),
+    ("lease", "<u4"),
+    ("goal_number", "<u4"),  # of the goal accepted last
+    ("limited", "<u4"),  # knots brought within the limits, so far
+    ("superseded", "<u4"),  # goals without effect as a newer one came with them
+    ("goals_refused", "<u4"),
+    ("readings", "<f8", (MAX_READINGS,)),
+    ("reading_age", "<u2", (MAX_READINGS,)),  # ticks
+    ("goals", GOAL, (MOST_GOALS,)),
     ("sent", FRAME, (MAX_SENT,)),
     ("received", FRAME, (MAX_RECEIVED,)),
 ]
 
 _USED = np.dtype(_FIELDS).itemsize
-RECORD_SIZE: Final = 4864
+RECORD_SIZE: Final = 5376
 RECORD = np.dtype([*_FIELDS, ("padding", "u1", RECORD_SIZE - _USED)])
 
 MOTION_FIELDS = (

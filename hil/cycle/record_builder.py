@@ -10,6 +10,7 @@ too large for its field is cut: no number, however absurd, may raise in the cont
 """
 
 from collections.abc import Sequence
+from struct import Struct
 from typing import Any, Final
 
 import numpy as np
@@ -21,11 +22,14 @@ from drivers.frame import Frame
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws.base import LawInputs
 from hil.cycle.fault_monitor import Evidence
+from hil.cycle.goal import Goal
 from hil.cycle.record import (
     COMMAND,
     EVERY_AXIS,
     FRAME,
+    GOAL,
     MAX_EVIDENCE,
+    MAX_READINGS,
     MAX_RECEIVED,
     MAX_SENT,
     MOTION_FIELDS,
@@ -59,13 +63,20 @@ _COUNTS: Final = _word("n_commands")
 _COMMANDS: Final = _word("commands")
 _EVIDENCE_OF: Final = _word("evidence_of")
 _MEASURED: Final = _word("evidence_value")
+_MOVING: Final = _word("motion")
+_GOALS: Final = _word("goals")
+_GOAL_WORDS: Final = GOAL.itemsize // 8
+_READINGS: Final = _word("readings")
+_READING_AGE: Final = _word("reading_age")
 _SENT: Final = _word("sent")
 _RECEIVED: Final = _word("received")
 _COMMAND_WORDS: Final = COMMAND.itemsize // 8
 _FRAME_WORDS: Final = FRAME.itemsize // 8
+_PACKED_GOAL: Final = Struct("<IBBHqq4d4ddIIQ")  # GOAL
 _PADDING: Final = bytes(7)
 
 _MAX_I16: Final = 0x7FFF
+_MAX_U16: Final = 0xFFFF
 _MAX_U32: Final = 0xFFFFFFFF
 _HALF_U32: Final = 0x80000000
 _MAX_U64: Final = 2**64 - 1
@@ -86,6 +97,14 @@ def _at_most_u32(value: int) -> int:
     return value if value < _MAX_U32 else _MAX_U32
 
 
+def _at_most_u8(value: int) -> int:
+    return value if 0 <= value < 0xFF else 0xFF
+
+
+def _within_i64(value: int) -> int:
+    return min(max(value, -_HALF_U64), _HALF_U64 - 1)
+
+
 class RecordBuilder:
     """The record of the present tick; the same object every time."""
 
@@ -95,6 +114,8 @@ class RecordBuilder:
         self._flags = 0
         self._measured: vec[float] = vec[float]([0.0] * (2 * MAX_EVIDENCE))  # values, then limits
         self._n_evidence = self._evidence_total = 0
+        self._goal_counts: Sequence[int] = (0, 0, 0, 0)
+        self.word = self.goals = 0  # motion word and number of goals in the record
         # What the words hold already: it seldom changes.
         self._age_ticks = self._status = [0] * n_axes
         self._rejects = [0] * REJECT_REASONS
@@ -108,6 +129,10 @@ class RecordBuilder:
         self._to_motion, self._from_motion = record[begin:end], memoryview(self._motion).cast("B")
         self._to_measured = record[8 * _MEASURED : 8 * (_MEASURED + 2 * MAX_EVIDENCE)]
         self._from_measured = memoryview(self._measured).cast("B")
+        self._readings: vec[float] = vec[float]([0.0] * MAX_READINGS)
+        self._has_readings = False
+        self._to_readings = record[8 * _READINGS : 8 * (_READINGS + MAX_READINGS)]
+        self._from_readings = memoryview(self._readings).cast("B")
         used = [8 * (_RECEIVED + _FRAME_WORDS * received) for received in range(MAX_RECEIVED + 1)]
         self._to_rest, self._rest = [record[end:last] for last in used], [words[end:last] for last in used]
 
@@ -202,6 +227,17 @@ class RecordBuilder:
         self._evidence_total += len(found)
         words[_ILLEGAL + 3] = self._evidence_total
 
+    def readings(self, values: list[float], ages: list[int]) -> None:
+        """Of the sensors, by channel, each in its unit and in ticks."""
+        packed = 0
+        for channel, value in enumerate(values):
+            self._readings[channel] = value
+            age = ages[channel]
+            packed |= (age if age < _MAX_U16 else _MAX_U16) << 16 * channel
+        self._words[_READING_AGE] = _bits(packed)
+        self._words[_READING_AGE + 1] = _bits(packed >> 64)
+        self._has_readings = True
+
     def spent(self, read: int, estimate: int, control: int, gate: int, send: int) -> None:
         """The shell's: ns that this tick's stages took, to be told in the next record."""
         words = self._words
@@ -216,6 +252,29 @@ class RecordBuilder:
         words[_MISSED + 1] = host
         words[_MISSED + 2] = longest
         words[_SPENT + 2] = _pair(words[_SPENT + 2], _at_most_u32(run_delay_ns))
+
+    def motion(self, word: int, counts: Sequence[int], goals: Sequence[tuple[Goal, int]]) -> None:
+        """The motion word; number of the goal taken last, limited, superseded and refused so far; goals of the tick,
+        each with what refused it.
+        """
+        words = self._words
+        self.word, self.goals = word, len(goals)
+        words[_MOVING] = word | len(goals) << 24
+        if not goals and counts == self._goal_counts:
+            return
+        self._goal_counts = counts
+        words[_MOVING + 1] = _pair(0, goals[-1][0].lease) if goals else words[_MOVING + 1]
+        words[_MOVING + 2] = _pair(counts[0], counts[1])
+        words[_MOVING + 3] = _pair(counts[2], counts[3])
+        for place, (goal, refusal) in enumerate(goals):
+            packed = _PACKED_GOAL.pack(
+                goal.number & _MAX_U32, _at_most_u8(goal.kind), _at_most_u8(goal.mask), goal.flags & 0xFFFF,
+                _within_i64(goal.due_ns), _within_i64(goal.valid_ns), *goal.position, *goal.velocity, goal.speed,
+                goal.lease & _MAX_U32, refusal, 0,
+            )  # fmt: skip
+            at = _GOALS + _GOAL_WORDS * place
+            for k in range(_GOAL_WORDS):
+                words[at + k] = read_i64_le(packed, 8 * k)
 
     def traffic(
         self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
@@ -236,6 +295,8 @@ class RecordBuilder:
         self._to_head[:] = self._head
         self._to_motion[:] = self._from_motion
         self._to_rest[n_received][:] = self._rest[n_received]
+        if self._has_readings:
+            self._to_readings[:] = self._from_readings
         if n_evidence:
             self._to_measured[:] = self._from_measured
             self._n_evidence = 0

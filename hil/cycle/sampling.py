@@ -10,7 +10,9 @@ from typing import Final
 
 from drivers.protocols.base import Sample
 from hil.control.laws.base import LawInputs
+from hil.cycle.drive_clock import DriveClock
 from hil.cycle.fault_monitor import FaultMonitor
+from hil.cycle.fault_table import Fault
 from hil.cycle.inbox import Inbox
 
 LATENCY_SHIFT: Final = 6  # the send-to-sample latency is averaged over 64 samples
@@ -26,12 +28,14 @@ class SampleClock:
     """
 
     __slots__ = (
-        "_average", "_inputs", "_period_ns", "_resolution", "_trusted", "_trusted_ns",
+        "_average", "_drive", "_inputs", "_period_ns", "_resolution", "_trusted", "_trusted_ns",
         "instant", "known", "latency", "stretch",
     )  # fmt: skip
 
-    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int) -> None:
+    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int = 0) -> None:
+        """wrap_ns: after which the drive's stamps repeat; 0: they are of the host's clock."""
         self._inputs = inputs
+        self._drive = DriveClock(wrap_ns) if wrap_ns else None
         self._resolution = resolution
         self._period_ns = period_ns
         self.instant = self.latency = self._average = 0
@@ -39,12 +43,28 @@ class SampleClock:
         self.stretch = 1.0
         self._trusted, self._trusted_ns = 0.0, 0  # last believed position, m, and its instant
 
-    def take(self, axis: int, sample: Sample, sent_ns: int, monitor: FaultMonitor, *, tracked: bool) -> bool:
+    def take(
+        self,
+        axis: int,
+        sample: Sample,
+        sent_ns: int,
+        received_ns: int,
+        monitor: FaultMonitor,
+        *,
+        tracked: bool,
+    ) -> bool:
         """An answer to the command of the tick that began at sent_ns; whether it is believed. Before the axes are
         `tracked` there is nothing to hold it against.
         """
         x, period = self._inputs, self._period_ns
-        instant = sample.stamp_ns
+        instant, drive = sample.stamp_ns, self._drive
+        if drive is not None and received_ns > sent_ns:
+            instant = drive.instant(instant, sent_ns, received_ns)
+            if drive.outside_ns:
+                wrong = Fault.STAMP if 2 * drive.outside_ns > drive.margin_ns else Fault.STAMP_GLITCH
+                monitor.flag(wrong, drive.outside_ns * 1e-9, 0.0, axis)
+                self.miss()
+                return False
         self._learn(instant - sent_ns)
         position = sample.position * self._resolution
         if tracked:
@@ -61,6 +81,12 @@ class SampleClock:
         self._trusted_ns = instant
         x.fresh = 1.0
         return True
+
+    def restart(self) -> None:
+        """What was learnt about the drive's clock counts no more."""
+        self.known = False
+        if self._drive is not None:
+            self._drive.restart()
 
     def miss(self) -> None:
         """No answer came: the sample would have been taken a period after the last one."""
@@ -88,6 +114,9 @@ class Sampling:
     interval. tracked: there is a position to start from. shares: part of the interval between two samples in which the
     force of the latest tick acted already, per axis: 0, but for drives that sample in their own time.
 
+    wraps_ns: after which the stamps of drives with clocks of their own repeat, per axis. one_command:
+    all drives sample at the same command.
+
     acts_ns: of those drives, from the tick's start until the force acts, ns per axis; empty for all others, which
     sample when it does.
     """
@@ -99,10 +128,17 @@ class Sampling:
         resolution: Sequence[float],
         period_ns: int,
         acts_ns: Sequence[int] = (),
+        wraps_ns: Sequence[int] = (),
+        *,
+        one_command: bool = False,
     ) -> None:
         self._inputs = list(inputs)
         self._inbox = inbox
-        self.clocks = [SampleClock(x, r, period_ns) for x, r in zip(self._inputs, resolution, strict=True)]
+        self.clocks = [
+            SampleClock(x, r, period_ns, wraps_ns[axis] if wraps_ns else 0)
+            for axis, (x, r) in enumerate(zip(self._inputs, resolution, strict=True))
+        ]
+        self._one_command = one_command and any(wraps_ns)
         self.instants = [0] * len(self.clocks)
         self.starts = [0] * len(self.clocks)
         self.shares = [0.0] * len(self.clocks)
@@ -114,7 +150,7 @@ class Sampling:
         """After a reset: what was learnt about the drives' clocks and positions counts no more."""
         self.tracked = False
         for clock in self.clocks:
-            clock.known = False
+            clock.restart()
 
     def take(self, now_ns: int, sent_ns: int, monitor: FaultMonitor) -> None:
         """Fill the inputs' intervals (s) and `fresh`, and `position` (m) where a believable sample came; for a tick
@@ -122,10 +158,14 @@ class Sampling:
         """
         inbox, inputs, instants, starts, tracked = self._inbox, self._inputs, self.instants, self.starts, self.tracked
         samples, arrived, answered = inbox.samples, inbox.fresh, 0.0
+        received = inbox.received_ns
+        if self._one_command and True in arrived:  # all sample before the first of the answers comes
+            first = min([at for at, fresh in zip(received, arrived, strict=True) if fresh])
+            received = [first] * len(samples)
         for axis, clock in enumerate(self.clocks):
             sample = samples[axis]
             if arrived[axis] and sample is not None:
-                if clock.take(axis, sample, sent_ns, monitor, tracked=tracked):
+                if clock.take(axis, sample, sent_ns, received[axis], monitor, tracked=tracked):
                     answered = 1.0
             else:
                 clock.miss()

@@ -32,8 +32,7 @@ from typing import Final
 import numpy as np
 
 from drivers.frame import Frame
-from drivers.protocols import host_protocol
-from drivers.protocols.base import HostProtocol
+from drivers.protocols.base import DriveStatus, HostProtocol
 from hil.control.estimator.motion_filter import expected_acceleration
 from hil.control.laws.base import AxisLaws
 from hil.cycle.axes import Axes
@@ -42,12 +41,15 @@ from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
-from hil.cycle.limits import axis_limits, force_limits
+from hil.cycle.limits import axis_limits, force_limits, return_forces
+from hil.cycle.reading_faults import check_readings
+from hil.cycle.readings import Readings
 from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.supervisor import Supervisor
 from hil.cycle.tick import CycleResult, Tick
+from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 
 # The stages of a tick that follow the decoding.
@@ -65,16 +67,22 @@ class ControlCycle:
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
         axes = list(rig.axes.values())
-        rated = [axis.rated_force for axis in axes]
-        self.protocol: HostProtocol = host_protocol(rig.bus, len(axes), rated, base_dir, rig.period_ns, rig.mountings)
-        self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks)
+        self.protocol: HostProtocol = host_layout(rig, base_dir)
+        self.readings = Readings(list(rig.sensors.values()), rig.period_ns) if rig.sensors else None
+        self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings)
         self.axes = Axes(rig)
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints
         resolution = [axis.encoder_resolution for axis in axes]
-        self.sampling = Sampling(self.inputs, self.inbox, resolution, rig.period_ns, self.protocol.acts_ns)
+        wraps_ns = self.protocol.stamp_wraps_ns
+        self.sampling = Sampling(
+            self.inputs, self.inbox, resolution, rig.period_ns, self.protocol.acts_ns, wraps_ns,
+            one_command=not rig.bus.segments,
+        )  # fmt: skip
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
         self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
+        self._return_force = return_forces(rig)
+        self._soft = [False] * len(axes)  # axes that have no more than that: those on their way back
         self.records = RecordBuilder(len(axes))
         self.sent_sequence = -1
         self._sent_now_ns = 0
@@ -124,9 +132,15 @@ class ControlCycle:
 
     def step(self, tick: Tick, frames: Sequence[Frame]) -> CycleResult:
         """One tick: `frames` are all received since the last one, oldest first. Never raises on any bytes."""
+        readings = self.readings
+        if readings is not None:
+            readings.begin(self._sent_now_ns)
         self.inbox.collect(frames, self.sent_sequence)
         self._mark(ESTIMATE)
         self.monitor.begin()
+        if readings is not None:
+            readings.close()
+            check_readings(readings, self.monitor)
         self._estimate(tick)
         self.setpoints.update(self.sampling.instants, self.sampling.starts)
         self._detect(tick)
@@ -175,10 +189,13 @@ class ControlCycle:
         monitor.check_bus(tick, self.inbox.useless_now)
         monitor.check_timing(tick)
         monitor.check_grants(tick)
-        monitor.check_samples(self.inbox, self.supervisor.enabled)
         state = self.supervisor.machine.state
+        if monitor.switched:
+            self._read_switches(homing=state is State.HOMING)
+        monitor.check_samples(self.inbox, self.supervisor.enabled)
         if state not in TORQUE_STATES:
             monitor.check_released(self.inbox)
+            monitor.check_rest(self.inbox)
             return
         filters, applied, following = self.filters, self.gate.force, state is not State.STOPPING
         for axis, x in enumerate(self.inputs):
@@ -187,8 +204,19 @@ class ControlCycle:
             monitor.check_motion(
                 axis, x.position, motion.velocity, applied[axis], x.sample, x.end.position, following=following
             )
+            if monitor.travel[axis].wide or self._soft[axis]:
+                self._soft[axis] = monitor.travel[axis].wide
+                self.gate.bound(axis, self._return_force[axis] if self._soft[axis] else math.inf)
         if self._heartbeat_ns and tick.now_ns - (self.commands.heartbeat_ns or 0) > self._heartbeat_ns:
             monitor.flag_heartbeat(tick.now_ns, self.commands.heartbeat_ns)
+
+    def _read_switches(self, *, homing: bool) -> None:
+        """Limit switches: what is closed is a fault, and no force goes there."""
+        monitor = self.monitor
+        monitor.check_switches(self.inbox, homing=homing)
+        for axis in monitor.switched:
+            closed = monitor.closed[axis]
+            self.gate.block(axis, low=bool(closed & DriveStatus.LIMIT_LOW), high=bool(closed & DriveStatus.LIMIT_HIGH))
 
     def _act(self, tick: Tick) -> list[Frame]:
         """Law, gate, encode."""
@@ -245,10 +273,16 @@ class ControlCycle:
         if self._users_estimator:
             for axis, x in enumerate(self.inputs):
                 records.estimate(axis, x.position_estimate, x.velocity_estimate)
+        desk = supervisor.goals
+        if desk.handled or desk.word != records.word or records.goals:  # mostly nothing of it changes
+            counts = (desk.number, desk.limited, desk.superseded, desk.refused)
+            records.motion(desk.word, counts, desk.handled)
         records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])
         refused = supervisor.commands.refused
         records.counters(tick.port, inbox.rejects, inbox.lost, supervisor.machine.refused, refused)
         records.law_floors(self.axes.law.denominator_floors)
+        if self.readings is not None:
+            records.readings(self.readings.values, self.readings.age)
         if self.monitor.evidence:
             records.evidence(self.monitor.armed_evidence())
         return records.traffic(supervisor.commands.handled, sent, received)

@@ -5,8 +5,11 @@ Rules:
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
   ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, ACTIVATE where the task from here would
-  break a limit (hil/control/start_ranges.py), RESET while its cause is still there.
+  break a limit (hil/analysis/start_ranges.py), RESET while its cause is still there, and all three while an axis
+  moves.
   A refused event is counted and has no other effect.
+- An axis that rests beyond its travel has a way back: it may be held there (ACTIVATE_HOLD), with less force
+  (limits.return_forces), and goals move it inwards, slowly. What it has come back it does not get again (travel.py).
 - The first fault whose reaction is STOP or more latches; later ones do not replace it. A latched fault is left by an
   operator's RESET alone.
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
@@ -22,8 +25,8 @@ from typing import Final
 
 from drivers.bus.counters import BusState
 from drivers.protocols.base import UNHEALTHY, DriveStatus
-from hil.control.start_ranges import start_ranges
-from hil.control.trajectories import plan_task
+from hil.analysis.start_ranges import start_ranges
+from hil.control.trajectories import Trajectory, plan_task
 from hil.control.trajectories.homing import plan_homing
 from hil.cycle.axes import Axes
 from hil.cycle.command_desk import CommandDesk
@@ -31,13 +34,18 @@ from hil.cycle.commissioning import Commissioning
 from hil.cycle.damped_stop import DampedStop
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
+from hil.cycle.goal import MotionWord
+from hil.cycle.goal_desk import GoalDesk
 from hil.cycle.inbox import Inbox
+from hil.cycle.limits import motion_limits, path_accelerations
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
 from hil.cycle.tick import Tick
 from hil.rig.schema import RigConfig
 
+_FROM_REST: Final = frozenset({Event.ACTIVATE, Event.HOME, Event.RESET})
+REST_TICKS: Final = 200  # most that an axis pushed by hand keeps the rig from READY; then it is STANDSTILL
 RESET_TICKS: Final = 3  # with the reset bit clear, then set: drives see its edge even if two frames of each are lost
 
 
@@ -60,8 +68,10 @@ class Supervisor:
         self.commissioning = Commissioning(rig.axes, axes.models, period_s, self.damped_stop, rig.safety.stop_s)
         self._rig, self._monitor, self._inbox, self._sampling, self._axes = rig, monitor, inbox, sampling, axes
         # Now, so that a task that cannot be done is refused, and none takes long to begin once the drives are live.
-        self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns), plan_homing(rig)
+        self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns, rig.counts), plan_homing(rig)
         self.start_ranges = start_ranges(rig)
+        limits, paths = motion_limits(rig), path_accelerations(rig)
+        self.goals = GoalDesk(axes, sampling, limits, paths, rig.motion.interrupt and not rig.law.iterative_learning)
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
     @property
@@ -91,6 +101,24 @@ class Supervisor:
         if tick.estop:  # after the operator: no RESET of the same tick undoes it
             self._handle(Event.ESTOP, tick)
         self._progress(tick)
+        self._move(tick)
+
+    def _move(self, tick: Tick) -> None:
+        """Goals, once the axes are under torque and ours to move."""
+        if self.goals.handled:
+            self.goals.handled = []
+        if self.goals.word is not MotionWord.NONE:
+            self.goals.advance(tick.goals, self._path_from)
+        elif tick.goals:
+            self.goals.refuse(tick.goals)
+
+    def _path_from(self, position: list[float]) -> Trajectory | None:
+        """The task's plan from rest; None where it may not begin there."""
+        for place, (low, high) in zip(position, self.start_ranges, strict=True):
+            if not low <= place <= high:
+                return None
+        path: Trajectory = self._plan(position)
+        return path
 
     def latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:
         """React to a fault, and remember the first one."""
@@ -115,18 +143,29 @@ class Supervisor:
         """An operator's event, after the guards the table cannot express."""
         if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
             return False
-        if event is Event.ACTIVATE and not self._may_begin_here():
+        if event is Event.ACTIVATE and not self.commands.hold_asked and not self._may_begin_here():
             return False
         if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
             return False
+        if event in _FROM_REST and self.machine.state is not State.CONNECTED and self._moves():
+            return False
         return self._handle(event, tick)
+
+    def _moves(self) -> bool:
+        """Whether an axis is not known to rest although it has no torque."""
+        return any(watch.restless for watch in self._monitor.rest)
+
+    @property
+    def at_rest(self) -> bool:
+        """Another task may be loaded: the stage is READY, or holds for goals."""
+        return self.machine.state is State.READY or self.goals.word is MotionWord.HOLD
 
     def _load_task(self, tick: Tick) -> bool:
         """Another task, while the stage is at rest, if it may begin where each axis stands. A law that learns from the
         repeats of the rig's own task cannot take another.
         """
         task = tick.task
-        if task is None or self.machine.state is not State.READY or self._rig.law.iterative_learning:
+        if task is None or not self.at_rest or self._rig.law.iterative_learning:
             return False
         if not self._within(task.start_ranges):
             return False
@@ -171,8 +210,12 @@ class Supervisor:
             self._axes.hold()
         elif state in (State.ACTIVE, State.HOMING):
             self._engage()
+            if state is State.ACTIVE and self.commands.hold_asked:
+                self._monitor.allow_way_back(self._axes.measured)
         elif state is State.STOPPING:
             self._stopping_since_ns = tick.now_ns
+        if state is not State.ACTIVE:
+            self.goals.leave()
         if state not in TORQUE_STATES:
             self.enabled = False
         if state not in (State.ACTIVE, State.HOMING):
@@ -189,10 +232,13 @@ class Supervisor:
         self.fault = Fault.NONE
         self._inbox.forget()
         self._monitor.restart()
+        if reset:
+            self._monitor.forgive_switches()
         self._axes.hold()
 
     def _engage(self) -> None:
         self._monitor.restart()
+        self._monitor.watch_rest(coasting=True)  # behind this run
         self._axes.rest()
         self._waited_for_enable = 0
         self.enabled = False
@@ -219,7 +265,8 @@ class Supervisor:
         samples = self._inbox.samples
         healthy = all(self._inbox.fresh) and not any(s is None or s.status & UNHEALTHY for s in samples)
         self._ready_ticks = self._ready_ticks + 1 if healthy and tick.port.state <= BusState.ERROR_PASSIVE else 0
-        if self._ready_ticks >= self._rig.safety.ready_ticks:
+        waited = self._ready_ticks - self._rig.safety.ready_ticks
+        if waited >= REST_TICKS or (waited >= 0 and not self._moves()):
             self._handle(Event.AXES_READY, tick)
 
     def _await_enable(self, tick: Tick) -> None:
@@ -251,10 +298,15 @@ class Supervisor:
     def _begin(self, tick: Tick) -> None:
         """The task, or the way home, from where the axes are held."""
         sampling, setpoints = self._sampling, self._axes.setpoints
+        if self.machine.state is State.ACTIVE and self.commands.hold_asked:
+            self.goals.begin(None, MotionWord.HOLD)
+            return
         begin = self._plan_homing if self.machine.state is State.HOMING else self._plan
         trajectory = begin([x.sample.position for x in self._axes.inputs])
         setpoints.follow(trajectory, [tick.now_ns + clock.latency for clock in sampling.clocks])
         setpoints.update(sampling.instants, sampling.starts)
+        if self.machine.state is State.ACTIVE:
+            self.goals.begin(trajectory, MotionWord.TASK)
 
     def _at_home(self) -> bool:
         setpoints = self._axes.setpoints

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
+from hil.cycle.goal import Goal
 
 __all__ = ["BusState", "CommandKind", "CycleResult", "LoadedTask", "OperatorCommand", "PortCounters", "Tick"]
 
@@ -23,6 +24,7 @@ class CommandKind(IntEnum):
     SHUTDOWN = 6
     HEARTBEAT = 7
     LOAD_TASK = 8  # another task, Tick.task, while the stage is at rest
+    ACTIVATE_HOLD = 9  # as ACTIVATE, but to hold where the stage stands, for goals
 
 
 class OperatorCommand(NamedTuple):
@@ -52,12 +54,13 @@ class Tick:
     now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
     recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
     rig_ok: the rig file is still the one this process was started with. estop: somebody pressed stop since the last
-    tick (hil estop). task: what a LOAD_TASK among the commands loads.
+    tick (hil estop). task: what a LOAD_TASK among the commands loads. goals: in order of arrival.
     """
 
     __slots__ = (
         "commands",
         "estop",
+        "goals",
         "index",
         "now_ns",
         "port",
@@ -83,6 +86,7 @@ class Tick:
         rig_ok: bool = True,
         estop: bool = False,
         task: LoadedTask | None = None,
+        goals: tuple[Goal, ...] = (),
     ) -> None:
         self.index = index
         self.scheduled_ns = scheduled_ns
@@ -95,6 +99,7 @@ class Tick:
         self.rig_ok = rig_ok
         self.estop = estop
         self.task = task
+        self.goals = goals
 
 
 class CycleResult:

@@ -1,17 +1,17 @@
 """What a rig file brings with it: its plug-ins' texts or digests, the samples of its task, what its law has learnt.
 
-A document that has them already (a recording's, or work sent to another process) keeps them, unless something else was
-chosen: it needs no file, and runs no code.
+A document that has them already (work sent to another process) keeps them, unless something else was chosen: it needs
+no file, and runs no code. Of a carried document (a recording's) the names are its author's: what it lacks stays away.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.base.plugins import DIGEST, Kind, file_of, known, package_digest
+from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.toml_file import shown
 from drivers.config import LAYOUT_KIND
-from drivers.plugins import DIGEST, Kind, file_of, known, package_digest
-from drivers.text_file import UnsuitableFileError, read_bounded
-from drivers.toml_file import shown
 from hil.rig import law_names
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ESTIMATOR_KIND
@@ -28,22 +28,29 @@ class BroughtError(ValueError):
     """A file or a program that the rig names and that is of no use; a line for each problem."""
 
 
-def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[str]]) -> None:
+def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[str]], *, carried: bool) -> None:
     """Fill in what the files beside the rig say. overridden: paths of the keys that were chosen after the file.
+    carried: the document came from elsewhere; only for what was chosen after it a file is read, or code run.
 
     Raises BroughtError.
     """
     for plugin in PLUGINS:
-        _read_source(document, plugin, folder, chosen=[plugin.table, plugin.key] in overridden)
-    _read_learnt(document, folder, chosen=["law", "learnt"] in overridden)
+        chosen = [plugin.table, plugin.key] in overridden
+        if chosen or not carried:
+            _read_source(document, plugin, folder, chosen=chosen)
+    chosen = ["law", "learnt"] in overridden
+    if chosen or not carried:
+        _read_learnt(document, folder, chosen=chosen)
     task = document.get("task")
     if not isinstance(task, dict):
         return
     kind, changed = task.get("kind", ""), {path[1] for path in overridden if path[0] == "task" and len(path) > 1}
+    lacking = not task.get("samples") and not carried
     if isinstance(kind, str) and kind and is_users(kind):
-        if (changed & {*_OF_A_TASK} or not task.get("samples")) and known(KIND, kind):
+        anew = "kind" in changed if carried else changed & {*_OF_A_TASK}
+        if (anew or lacking) and known(KIND, kind):
             _run_task(task, kind)
-    elif isinstance(task.get("file", ""), str) and task.get("file") and ("file" in changed or not task.get("samples")):
+    elif isinstance(task.get("file", ""), str) and task.get("file") and ("file" in changed or lacking):
         try:
             task["axes"], task["samples"] = read_task_file(folder / task["file"])
         except TaskFileError as error:
@@ -53,9 +60,7 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
 def named_files(rig: RigConfig) -> dict[str, str]:
     """The files that a rig names, by key: their paths, as the rig has them."""
     named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key)) for plugin in PLUGINS}
-    kind, _, dbc = rig.bus.protocol.partition(":")
-    if kind == "dbc":
-        named["bus.protocol"] = dbc
+    named["bus.protocol"] = rig.bus.file or named["bus.protocol"]
     named["task.file"] = rig.task.file
     named["law.learnt"] = rig.law.learnt
     return {key: name for key, name in named.items() if name}

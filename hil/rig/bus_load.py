@@ -1,21 +1,23 @@
 """Admission: whether a rig's traffic fits its bus. `hil run` refuses a rig on it; `hil check` prints its tables."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from drivers.bus_load.schedulability import Analysis, analyse
 from drivers.config import LAYOUT_KIND
-from drivers.protocols import host_protocol
+from drivers.families import family_of
 from drivers.protocols.base import HostProtocol, Message
 from drivers.protocols.mounting import MountedHost
+from hil.rig.layout import host_layout
 from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
+from hil.rig.sensors import sensor_messages
 
 
 def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     """The host's side of the rig's frame layout. Raises RigError for one the rig cannot have."""
-    rated = [axis.rated_force for axis in rig.axes.values()]
     try:
-        return host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+        return host_layout(rig, base_dir)
     except (ValueError, OSError) as error:
         raise RigError([layout_problem(rig, error)]) from None
 
@@ -23,7 +25,7 @@ def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
 def layout_problem(rig: RigConfig, error: Exception) -> str:
     """Why the rig cannot have its layout, with the key."""
     text = str(error)
-    return text if text.startswith("bus.protocol = ") else f"bus.protocol = {rig.bus.protocol!r}: {text}"
+    return text if text.startswith(("bus.protocol = ", "sensors.")) else f"bus.protocol = {rig.bus.protocol!r}: {text}"
 
 
 def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
@@ -33,11 +35,12 @@ def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
 
 def feedback_notes(rig: RigConfig, base_dir: Path) -> list[str]:
     """What drives that sample in their own time cost the loop, for people; nothing for drives that are triggered."""
-    acts_ns = rig_layout(rig, base_dir).acts_ns
-    if not acts_ns or rig.bus.dbc is None:
+    layout = rig_layout(rig, base_dir)
+    acts_ns = layout.acts_ns
+    if not acts_ns or family_of(rig.bus.protocol) is None:
         return []
     least_ms = max(acts_ns) * 1e-6
-    most_ms = least_ms + (rig.bus.dbc.feedback_period_s * 1e3 or rig.period_ns * 1e-6)
+    most_ms = least_ms + (feedback_ns(layout) or rig.period_ns) * 1e-6
     more_ms = max(0.0, most_ms - rig.period_ns * 1e-6)
     return [
         f"drives sample in their own time: a position is {least_ms:.1f} to {most_ms:.1f} ms old when the force made of "
@@ -63,10 +66,20 @@ def _unmounted(layout: HostProtocol) -> HostProtocol:
     return layout.layout if isinstance(layout, MountedHost) else layout
 
 
+def _parts(layout: HostProtocol) -> Sequence[HostProtocol]:
+    """Of every segment."""
+    inner = _unmounted(layout)
+    return getattr(inner, "segments", (inner,))
+
+
+def feedback_ns(layout: HostProtocol) -> int:
+    """Stated period of drives that send their position in their own time; 0: every tick."""
+    return max(int(getattr(part, "feedback_ns", 0)) for part in _parts(layout))
+
+
 def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
-    """What is wrong with the rig's DBC file beside what is used of it, for people."""
-    inner = _unmounted(rig_layout(rig, base_dir))
-    parts = getattr(inner, "segments", (inner,))  # all of them read the same file
+    """What is wrong with the file of the rig's layout beside what is used of it, for people."""
+    parts = _parts(rig_layout(rig, base_dir))  # all of them read the same file
     return list(dict.fromkeys(text for part in parts for text in getattr(part, "warnings", ())))
 
 
@@ -74,7 +87,9 @@ def messages_by_segment(rig: RigConfig, base_dir: Path) -> list[list[Message]]:
     """All traffic the rig's layout puts on each of its segments. Raises RigError for a layout it cannot have."""
     layout = rig_layout(rig, base_dir)
     several = getattr(_unmounted(layout), "messages_by_segment", None)
-    return several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
+    found: list[list[Message]] = several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
+    found[0] = [*found[0], *sensor_messages(rig, layout)]
+    return found
 
 
 def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:

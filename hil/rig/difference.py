@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from drivers.toml_file import shown
+from drivers.base.toml_file import shown
 from hil.rig.schema import RigConfig
 
 

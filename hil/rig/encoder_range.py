@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.protocols import host_protocol
+from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 
 
@@ -10,8 +10,7 @@ def encoder_range_problems(rig: RigConfig, base_dir: Path) -> list[str]:
     """A line for every axis whose travel, with limits.following_error beyond either end, is more than the layout's
     position signal can carry. Raises ValueError or OSError for a layout that the rig cannot have.
     """
-    rated = [axis.rated_force for axis in rig.axes.values()]
-    layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+    layout = host_layout(rig, base_dir)
     problems = []
     for (name, axis), counts in zip(rig.axes.items(), layout.positions, strict=True):
         least, greatest = (count * axis.encoder_resolution for count in counts)

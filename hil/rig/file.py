@@ -10,9 +10,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
+from drivers.base.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
 from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
+from hil.rig.layout import demands, host_layout
 from hil.rig.reference import nearest
 from hil.rig.schema import RigConfig, RigError, TaskConfig
 
@@ -92,7 +93,18 @@ def _check_learnt(rig: RigConfig) -> None:
         )
 
 
-def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> tuple[RigConfig, list[str]]:
+def _check_layout(rig: RigConfig, folder: Path) -> None:
+    """A rig that asks for more than its layout can carry. Other faults of a layout are told by who builds it."""
+    if demands(rig):
+        try:
+            host_layout(rig, folder)
+        except (ValueError, OSError) as error:
+            raise RigError([str(error)]) from None
+
+
+def _build(
+    document: dict[str, Any], overrides: Sequence[str], folder: Path, *, carried: bool = False
+) -> tuple[RigConfig, list[str]]:
     """The rig, and what to change in a document of an earlier version, a line for each key. Raises RigError."""
     parsed = sorted((parse_override(text) for text in overrides), key=lambda item: not _names_a_class(item[0]))
     paths = [path for path, _ in parsed]
@@ -102,9 +114,11 @@ def _build(document: dict[str, Any], overrides: Sequence[str], folder: Path) -> 
         _apply_override(document, path, value)
     try:
         lines = modernise(document)
-        bring(document, folder, paths)
+        bring(document, folder, paths, carried=carried)
         rig = RigConfig.model_validate(document)
         _check_learnt(rig)
+        if not carried:  # which was checked before it ran
+            _check_layout(rig, folder)
         return rig, lines
     except (FormerKeyError, BroughtError) as error:
         raise RigError(str(error).splitlines()) from None
@@ -116,11 +130,14 @@ def _is_axis_encoder(path: list[str]) -> bool:
     return len(path) == 3 and path[0] == "axes" and path[2] == "encoder_resolution"
 
 
-def build_rig(document: dict[str, Any], overrides: Sequence[str] = (), *, folder: Path = Path()) -> RigConfig:
+def build_rig(
+    document: dict[str, Any], overrides: Sequence[str] = (), *, folder: Path = Path(), carried: bool = False
+) -> RigConfig:
     """Validate a parsed rig document, of this version or an earlier one, with `key=value` overrides applied. Raises
-    RigError with every problem. folder: what files of laws and tasks are relative to.
+    RigError with every problem. folder: what files of laws and tasks are relative to. carried: it came from elsewhere,
+    whole, as a recording's: no file that it names is read, and no code run.
     """
-    return _build(document, overrides, folder)[0]
+    return _build(document, overrides, folder, carried=carried)[0]
 
 
 def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> RigConfig:

@@ -4,7 +4,7 @@ import sys
 import warnings
 from typing import Any
 
-from drivers.toml_file import shown
+from drivers.base.toml_file import shown
 
 MOVED = ("brake", "watchdog_s")  # from [plant] to [drives]
 

@@ -1,6 +1,6 @@
 """Our own laws by name, and what a law of users has to have."""
 
-from drivers.plugins import Kind
+from drivers.base.plugins import Kind
 
 LAWS: dict[str, str] = {
     "pd-feedforward": "hil.control.laws.pd_feedforward:PdFeedforward",

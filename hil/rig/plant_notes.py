@@ -2,15 +2,49 @@
 
 from hil.rig.plant import MODEL_KEYS
 from hil.rig.schema import RigConfig
+from sim_plant.config import REAL_STAGES, STAGES
+from sim_plant.native import library
+from sim_plant.physics.truth import Truth
 
 
 def plant_notes(rig: RigConfig) -> list[str]:
     """What to know of the emulated stage before a simulation, a line each: which of its keys come from the nominal
-    model, and which encoders are emulated with another resolution than the control service uses.
+    model, and which encoders are emulated with another resolution than the control service uses; what computes it.
     """
     absent = [name for name in MODEL_KEYS if name not in rig.plant.model_fields_set and any(getattr(rig.plant, name))]
-    notes = [f"emulated stage of {rig.name}: {', '.join(absent)} as the nominal model says"] if absent else []
-    return notes + encoder_notes(rig)
+    scaled = {"mass": rig.plant.mass_scale} | dict.fromkeys(
+        ("coulomb", "viscous", "quadratic"), rig.plant.friction_scale
+    )
+    said: dict[str, list[str]] = {}
+    for name in absent:
+        factor = scaled.get(name, 1.0)
+        said.setdefault("as" if factor == 1.0 else f"{factor:g} times what", []).append(name)
+    parts = [f"{', '.join(names)} {how} the nominal model says" for how, names in said.items()]
+    notes = [f"emulated stage of {rig.name}: {'; '.join(parts)}"] if parts else []
+    return notes + encoder_notes(rig) + law_notes(rig) + kernel_notes(rig)
+
+
+def law_notes(rig: RigConfig) -> list[str]:
+    """A line where the law is made for presliding and guides of the emulated stage have dry friction alone."""
+    if rig.law.name != "presliding-kalman" or rig.plant.stage not in STAGES:
+        return []
+    truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
+    dry = ((truth.coulomb > 0.0) & (truth.presliding == 0.0)).tolist()
+    axes = ", ".join(name for name, is_dry in zip(rig.axis_names, dry, strict=True) if is_dry)
+    if not axes:
+        return []
+    return [
+        f"presliding-kalman is made for guides with presliding; plant.stage = {rig.plant.stage!r} has none on {axes}: "
+        "there the law will hunt at rest. Use --set law.name=structured-kalman, or --set plant.stage=crossed-roller"
+    ]
+
+
+def kernel_notes(rig: RigConfig) -> list[str]:
+    """A line where the emulated stage is computed in Python though it has what the native kernel is for."""
+    kernel, lacking = library.found()
+    if kernel or rig.plant.stage not in REAL_STAGES:
+        return []
+    return [f"emulated stage computed in Python, several times slower ({lacking}): python -m sim_plant.native"]
 
 
 def encoder_notes(rig: RigConfig) -> list[str]:

@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import platform
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -13,8 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from drivers.config import LAYOUT_KIND
 from hil.rig.file import build_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
+
+_ABSENT = "a file that is not in the recording"
 
 
 def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[str, Any]:
@@ -38,35 +42,62 @@ def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[
 
 
 def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
-    """Texts of the files the rig file names, by the name it uses (today: the DBC file of a `dbc:` protocol)."""
-    kind, _, name = rig.bus.protocol.partition(":")
-    return {name: (base_dir / name).read_text(encoding="utf-8", errors="surrogateescape")} if kind == "dbc" else {}
+    """Texts of the files that [bus] names, by the name it uses: the frame layout's, and EDS files."""
+    bought = getattr(rig.bus, "cia402", None)
+    names = ([rig.bus.file] if rig.bus.file else []) + (bought.eds if bought else [])
+    return {name: (base_dir / name).read_text(encoding="utf-8", errors="surrogateescape") for name in names}
 
 
 @contextmanager
 def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Iterator[tuple[RigConfig, Path]]:
-    """The rig of a described run (with overrides) and a directory with the files it refers to. Raises RigError."""
+    """The rig of a described run (with overrides) and a directory with the files it refers to. Raises RigError.
+
+    No file of this machine is read because the run names it, and no code of the run is run here.
+    """
     document = json.loads(json.dumps(metadata["rig"]))
-    with tempfile.TemporaryDirectory(prefix="hil-rig-") as directory:
-        base_dir = Path(directory)
+    base_dir = Path(tempfile.mkdtemp(prefix="hil-rig-"))
+    try:
         try:
-            for name, text in metadata.get("files", {}).items():
-                place = base_dir / Path(name).name
-                place.write_text(text, encoding="utf-8", errors="surrogateescape")
-                document["bus"]["protocol"] = f"dbc:{place.name}"
+            places = _unpack(metadata.get("files", {}), base_dir)
+            _point_to(document.get("bus", {}), places)
         except (AttributeError, KeyError, TypeError, ValueError, OSError):
             raise RigError(["the recording's description of the files its rig names is damaged"]) from None
-        yield build_rig(document, overrides), base_dir
+        try:
+            rig = build_rig(document, overrides, carried=True)
+        except RigError as error:
+            raise RigError([*error.problems, *filter(None, [other_version(metadata)])]) from None
+        yield rig, base_dir
+    finally:
+        shutil.rmtree(base_dir, ignore_errors=True)  # a process that is confined by now cannot; its parent does
+
+
+def other_version(metadata: dict[str, Any]) -> str:
+    """Which version recorded a run and which this is; empty where both are the same."""
+    recorded, ours = metadata.get("version"), importlib.metadata.version("hil")
+    return "" if recorded == ours else f"recorded by hil {recorded}; this is hil {ours}"
+
+
+def _unpack(files: dict[str, str], folder: Path) -> dict[str, str]:
+    """Write texts into a folder, numbered, as their names are not ours; where each of them is."""
+    places = {}
+    for number, (name, text) in enumerate(files.items()):
+        places[name] = f"{number}-{Path(name).name}"
+        (folder / places[name]).write_text(text, encoding="utf-8", errors="surrogateescape")
+    return places
+
+
+def _point_to(bus: dict[str, Any], places: dict[str, str]) -> None:
+    """Let [bus] name the unpacked files; what did not come with them is not looked for elsewhere."""
+    layout, colon, name = bus.get("protocol", "").partition(":")
+    if colon and LAYOUT_KIND.own(bus["protocol"]):
+        bus["protocol"] = f"{layout}:{places.get(name, _ABSENT)}"
+    if bus.get("cia402"):
+        bus["cia402"]["eds"] = [places.get(name, _ABSENT) for name in bus["cia402"].get("eds", [])]
 
 
 @contextmanager
-def unpacked_rig(document: str, files: dict[str, str], folder: Path) -> Iterator[tuple[RigConfig, Path]]:
-    """A rig (JSON) that came from elsewhere, and a directory with the files it refers to: `folder`, where it needs
-    none. Raises RigError.
-    """
-    if not files:
-        yield build_rig(json.loads(document)), folder
-        return
+def unpacked_rig(document: str, files: dict[str, str]) -> Iterator[tuple[RigConfig, Path]]:
+    """A rig (JSON) that came from elsewhere, and a directory with the files it refers to. Raises RigError."""
     with rig_of_run({"rig": json.loads(document), "files": files}) as found:
         yield found
 

@@ -94,8 +94,8 @@ def _likeness(name: str, own: str, path: str) -> float:
 
 
 def _general(parts: Sequence[str]) -> str:
-    """The path with NAME for the axis' name."""
-    named = [ANY_AXIS if index == 1 and parts[0] == "axes" else part for index, part in enumerate(parts)]
+    """The path with NAME for the axis' or sensor's name."""
+    named = [ANY_AXIS if index == 1 and parts[0] in ("axes", "sensors") else part for index, part in enumerate(parts)]
     return ".".join(named)
 
 

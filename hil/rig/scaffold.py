@@ -8,11 +8,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from drivers.config import LAYOUTS as OF_DRIVERS
-from hil.rig.tables import MAX_AXES
+from drivers.base.plugins import load
+from drivers.families import Sketched, SketchedAxis, families, layouts
 
-LAYOUTS = tuple(name.partition(":")[0] for name in OF_DRIVERS)
-MOTEUS_COUNTS = 100_000  # per turn of a controller's output shaft
+LAYOUTS = tuple(name.partition(":")[0] for name in layouts())
 GRAVITY = 9.81  # m/s^2
 MOVE_SHARE, FORCE_SHARE, SPEED_SHARE = 0.1, 0.2, 0.5  # the first move: of the travel, the rated force, the speed limit
 JERK_FREE_SPEED, JERK_FREE_ACCELERATION = 1.875, 5.7735  # peaks of a minimum-jerk move over d / T and d / T^2
@@ -41,14 +40,29 @@ class AxisSketch(NamedTuple):
 
 
 class Sketch(NamedTuple):
-    """A stage in a few words. layout: of LAYOUTS. dbc: name of the DBC file beside the rig file, for the layout dbc."""
+    """A stage in a few words. layout: of LAYOUTS."""
 
     name: str
     axes: tuple[AxisSketch, ...]
-    layout: str = "stage_fd"
+    layout: str = LAYOUTS[0]
     rate_hz: float = 1000.0
     watchdog_s: float = 0.01
-    dbc: str = ""
+
+    @property
+    def of_family(self) -> Sketched:
+        """What the family of its drives adds."""
+        family = next(f for f in families().values() if self.layout in {name.partition(":")[0] for name in f.layouts})
+        if not family.sketch:
+            return Sketched()
+        axes = [SketchedAxis(axis.name, axis.encoder, axis.force, axis.travel) for axis in self.axes]
+        added: Sketched = load(family.sketch)(self.name, axes, self.watchdog_s)
+        return added
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Texts of the files that belong beside the rig file, by name."""
+        added = self.of_family
+        return {f"{self.name}{added.ending}": added.file} if added.file else {}
 
 
 def rig_text(sketch: Sketch) -> str:
@@ -56,8 +70,14 @@ def rig_text(sketch: Sketch) -> str:
     names = ", ".join(f'"{axis.name}"' for axis in sketch.axes)
     brake = ", ".join(str(axis.vertical).lower() for axis in sketch.axes)
     move = [_rounded(MOVE_SHARE * axis.travel) for axis in sketch.axes]
-    noise = [_rounded(max(4.0 * axis.friction, 1e-3 * axis.force)) for axis in sketch.axes]
-    protocol = f"dbc:{sketch.dbc}" if sketch.layout == "dbc" else sketch.layout
+    added = sketch.of_family
+    protocol = ":".join([sketch.layout, *sketch.files])
+    lines = added.axes or [""] * len(sketch.axes)
+    encoders = added.encoders or [axis.encoder for axis in sketch.axes]
+    axes = [axis._replace(encoder=encoder) for axis, encoder in zip(sketch.axes, encoders, strict=True)]
+    coarser = [math.sqrt(axis.encoder / asked.encoder) for axis, asked in zip(axes, sketch.axes, strict=True)]
+    # Coarse counts make a filter slow, which costs phase: the more the force may change, the quicker it is.
+    noise = [_rounded(k * max(4.0 * axis.friction, 1e-3 * axis.force)) for k, axis in zip(coarser, axes, strict=True)]
     parts = [
         f"""\
 # Made by `hil new`. Try it: hil check {sketch.name}.toml; hil sim {sketch.name}.toml
@@ -65,7 +85,7 @@ def rig_text(sketch: Sketch) -> str:
 name = "{sketch.name}"
 rate_hz = {sketch.rate_hz:g}
 """,
-        *(_axis_text(axis, _gear(axis) if sketch.layout == "moteus" else "") for axis in sketch.axes),
+        *(_axis_text(axis, f"\n{line}" if line else "") for axis, line in zip(axes, lines, strict=True)),
         f"""\
 # What the drives do by themselves, by their data sheet. Their watchdog must be switched on.
 [drives]
@@ -91,11 +111,8 @@ channel = "can0"
 protocol = "{protocol}"
 """,
     ]
-    if sketch.layout == "dbc":
-        parts.append(_binding_text(sketch.axes))
-    if sketch.layout == "moteus":
-        nodes = _list([*range(1, len(sketch.axes) + 1)])
-        parts.append(f"[bus.moteus]\nnodes = {nodes}  # id.id of each\nwatchdog_s = {sketch.watchdog_s:g}\n")
+    if added.tables:
+        parts.append(added.tables)
     parts.append("""\
 # There is no [plant]: `hil sim` and `hil demo` emulate a stage that is exactly as the nominal model says. To see what
 # another one does: hil sim ... --set plant.mass_scale=1.2 --set plant.friction_scale=1.5
@@ -103,13 +120,7 @@ protocol = "{protocol}"
     return "\n".join(parts)
 
 
-def _gear(axis: AxisSketch) -> str:
-    """What a moteus makes of its torque, by the travel of a turn."""
-    turn = MOTEUS_COUNTS * axis.encoder
-    return f"\ngear = {_rounded(2.0 * math.pi / turn)!r}  # 2 pi over the {turn:g} of a turn of the output shaft"
-
-
-def _axis_text(axis: AxisSketch, gear: str) -> str:
+def _axis_text(axis: AxisSketch, added: str) -> str:
     length, force = ("rad", "N m") if axis.rotary else ("m", "N")
     mass = "kg m^2" if axis.rotary else "kg"
     end = _rounded(axis.travel / 2)
@@ -118,7 +129,7 @@ def _axis_text(axis: AxisSketch, gear: str) -> str:
 [axes.{axis.name}]
 kind = "{"rotary" if axis.rotary else "linear"}"
 encoder_resolution = {axis.encoder!r}  # {length} per count
-rated_force = {axis.force!r}  # {force}{gear}
+rated_force = {axis.force!r}  # {force}{added}
 
 [axes.{axis.name}.limits]  # {length}, {length}/s, {force}, {force}/s, {length}
 position = [{-end!r}, {end!r}]
@@ -152,72 +163,3 @@ def _rounded(value: float) -> float:
 
 def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(repr(value) for value in values)}]"
-
-
-def _binding_text(axes: tuple[AxisSketch, ...]) -> str:
-    """[bus.dbc] for the DBC file of `dbc_text`."""
-
-    def table(key: str, message: str, signal: str, scales: list[float] | None = None) -> str:
-        rows = [
-            f'    {{ message = "{message}_{axis.name}", signal = "{signal}"'
-            + (f", scale = {scales[number]!r}" if scales else "")
-            + " },"
-            for number, axis in enumerate(axes)
-        ]
-        return "\n".join([f"{key} = [", *rows, "]"])
-
-    checksums = [f'    {{ message = "{m}_{axis.name}", signal = "Checksum" }},' for m in _MESSAGES for axis in axes]
-    return "\n".join(
-        [
-            "# Which signal of the DBC file is what, one per axis; put your drives' names here.",
-            "# scale: encoder counts per unit of a position, N (N m) per unit of a torque.",
-            "[bus.dbc]",
-            table("position", "Feedback", "Position", [1.0] * len(axes)),
-            table("torque", "Demand", "Torque", [_rounded(axis.force / 100.0) for axis in axes]),
-            table("status", "Feedback", "State"),
-            table("enable", "Demand", "Enable"),
-            table("reset", "Demand", "Reset"),
-            table("command_counter", "Demand", "Counter"),
-            table("feedback_counter", "Feedback", "Counter"),
-            "\n".join(["checksum = [", *checksums, "]"]),
-            "",
-        ]
-    )
-
-
-_MESSAGES = ("Demand", "Feedback")
-
-
-def dbc_text(axes: tuple[AxisSketch, ...]) -> str:
-    """A DBC file of drives such as a supplier might describe: a command and an answer per axis, torque in per cent of
-    the rated force, position in counts.
-    """
-    if len(axes) > MAX_AXES:
-        raise ValueError(f"{len(axes)} axes: at most {MAX_AXES}")
-    lines = [
-        'VERSION ""',
-        "",
-        "NS_ :",
-        "",
-        "BS_:",
-        "",
-        f"BU_: Controller {' '.join(f'Drive_{a.name}' for a in axes)}",
-        "",
-    ]
-    for number, axis in enumerate(axes):
-        lines += [
-            f"BO_ {0x210 + number} Demand_{axis.name}: 6 Controller",
-            f' SG_ Torque : 7|16@0- (0.01,0) [-327.68|327.67] "%" Drive_{axis.name}',
-            f' SG_ Enable : 23|1@0+ (1,0) [0|1] "" Drive_{axis.name}',
-            f' SG_ Reset : 22|1@0+ (1,0) [0|1] "" Drive_{axis.name}',
-            f' SG_ Counter : 19|4@0+ (1,0) [0|15] "" Drive_{axis.name}',
-            f' SG_ Checksum : 47|8@0+ (1,0) [0|255] "" Drive_{axis.name}',
-            "",
-            f"BO_ {0x310 + number} Feedback_{axis.name}: 8 Drive_{axis.name}",
-            ' SG_ Position : 7|32@0- (1,0) [-2147483648|2147483647] "counts" Controller',
-            ' SG_ Counter : 35|4@0+ (1,0) [0|15] "" Controller',
-            ' SG_ State : 46|7@0+ (1,0) [0|127] "" Controller',
-            ' SG_ Checksum : 63|8@0+ (1,0) [0|255] "" Controller',
-            "",
-        ]
-    return "\n".join(lines)

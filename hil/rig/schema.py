@@ -7,13 +7,17 @@ sim_plant/config.py (the emulated stage). What is checked here is what concerns 
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, get_args, get_origin
 
 from pydantic import BaseModel, Field, model_validator
 
-from drivers.config import REQUIRED, STRICT, BusConfig, DrivesConfig, MoteusConfig, WireConfig, key
+from drivers.base.keys import REQUIRED, Table, key
+from drivers.base.plugins import load
+from drivers.base.toml_file import short
+from drivers.config import BusConfig, DrivesConfig, WireConfig
+from drivers.families import Circumstances, family_of
 from drivers.protocols.mounting import Mounting
-from drivers.toml_file import short
+from drivers.sensors.config import MAX_SENSORS, SensorConfig
 from hil.rig.plant import completed
 from hil.rig.tables import (
     AXIS_NAME,
@@ -26,6 +30,7 @@ from hil.rig.tables import (
     LawConfig,
     LimitsConfig,
     ModelConfig,
+    MotionConfig,
     SafetyConfig,
     TaskConfig,
     TelemetryConfig,
@@ -63,10 +68,9 @@ class RigError(Exception):
 LEAST_RING_SLOTS = 256
 
 
-class RigConfig(BaseModel):
+class RigConfig(Table):
     """A rig file: one stage, its drives, its bus, and how it is controlled."""
 
-    model_config = STRICT
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")] = key(
         REQUIRED, "name of the rig; its runtime directory and recordings are named after it"
     )
@@ -78,8 +82,12 @@ class RigConfig(BaseModel):
     drives: DrivesConfig = key(DrivesConfig(), "what the drives do by themselves")
     law: LawConfig = key(LawConfig(), "the control law")
     estimator: EstimatorConfig = key(EstimatorConfig(), "the Kalman filter of each axis")
+    motion: MotionConfig = key(MotionConfig(), "goals to a running rig")
     task: TaskConfig = key(TaskConfig(), "what the stage is to do once ACTIVE")
     bus: BusConfig = key(BusConfig(), "the CAN bus and its frame layout")
+    sensors: Annotated[dict[Annotated[str, Field(pattern=AXIS_NAME)], SensorConfig], Field(max_length=MAX_SENSORS)] = (
+        key({}, "nodes that measure something else than a position, by name", exclude_if=lambda sensors: not sensors)
+    )
     wire: WireConfig = key(WireConfig(), "the simulated bus of runs in virtual time")
     timing: TimingConfig = key(TimingConfig(), "what the control process asks of the kernel")
     safety: SafetyConfig = key(SafetyConfig(), "thresholds of the fault detectors")
@@ -102,6 +110,11 @@ class RigConfig(BaseModel):
         return [axis.mounting for axis in self.axes.values()]
 
     @property
+    def counts(self) -> list[float]:
+        """An encoder count of every axis, m (rad), in bus order."""
+        return [axis.encoder_resolution for axis in self.axes.values()]
+
+    @property
     def axis_names(self) -> list[str]:
         """Names in bus order."""
         return list(self.axes)
@@ -113,15 +126,22 @@ class RigConfig(BaseModel):
             *_segment_problems(self),
             *_task_problems(self),
             *_watchdog_problems(self),
-            *_wrap_problems(self),
-            *_period_problems(self),
+            *_sensor_problems(self),
+            *_family_problems(self),
         ]
         if problems:
             raise ValueError("; ".join(problems))
         return self.model_copy(update={"plant": completed(self.plant, self.axes)})
 
 
-_LISTS_OF_TABLES = ("cells", "modes", "cogging", "vibration")  # of [plant]; their entries name an axis
+def _is_list_of_tables(kind: object) -> bool:
+    entries = get_args(kind) if get_origin(kind) is list else ()
+    return any(isinstance(entry, type) and issubclass(entry, BaseModel) for entry in entries)
+
+
+_LISTS_OF_TABLES = tuple(  # of [plant]; their entries name an axis
+    name for name, field in PlantConfig.model_fields.items() if _is_list_of_tables(field.annotation)
+)
 
 
 def _length_problems(rig: RigConfig) -> list[str]:
@@ -181,13 +201,16 @@ def _path_problems(rig: RigConfig) -> list[str]:
     if task.kind == "raster":
         opposite = [begin + length for begin, length in zip(task.corner, task.size, strict=True)]
         table, rows = "task.corner and task.corner + task.size", [task.corner, opposite]
-    if task.repeat and timed and rows[0][1:] != rows[-1][1:]:
-        return [f"task.repeat = true: row {len(rows)} of {table} must have the positions of row 1"]
+    if task.repeat and timed:
+        counts = [rig.axes[name].encoder_resolution for name in task.axes]
+        if any(abs(b - a) > count for a, b, count in zip(rows[0][1:], rows[-1][1:], counts, strict=True)):
+            return [f"task.repeat = true: row {len(rows)} of {table} must have the positions of row 1, to a count"]
     for column, name in enumerate(task.axes, 1 if timed else 0):
         limits = rig.axes[name].limits
         for number, row in enumerate(rows, 1):
             where, value = f"{table}: row {number}, column {name}", row[column]
-            if not limits.position[0] <= value <= limits.position[1]:
+            half = 0.5 * rig.axes[name].encoder_resolution  # what rounds to the limit's own count is at the limit
+            if not limits.position[0] - half <= value <= limits.position[1] + half:
                 return [f"{where}: {value:.12g} is outside axes.{name}.limits.position = {limits.position}"]
             if timed and number > 1:
                 before = rows[number - 2]
@@ -197,50 +220,45 @@ def _path_problems(rig: RigConfig) -> list[str]:
     return []
 
 
-def _wrap_problems(rig: RigConfig) -> list[str]:
-    """An axis that turns by more than half a turn between two positions cannot be told from one that turns back."""
-    if rig.bus.dbc is None:
+def _family_problems(rig: RigConfig) -> list[str]:
+    """What the family of the rig's drives finds wrong with it."""
+    family = family_of(rig.bus.protocol)
+    if family is None or not family.problems:
         return []
-    period_s = max(rig.bus.dbc.feedback_period_s, rig.period_ns * 1e-9)
-    axes = zip(rig.bus.dbc.position, rig.axes.items(), strict=False)
-    wrapping = [(name, axis, item.wrap * axis.encoder_resolution) for item, (name, axis) in axes if item.wrap]
-    return [
-        f"bus.dbc.position: at axes.{name}.limits.speed the axis goes {axis.limits.speed * period_s:g} in the "
-        f"{period_s:g} s between two positions; it must be less than half of `wrap`, {turn / 2:g}"
-        for name, axis, turn in wrapping
-        if axis.limits.speed * period_s >= turn / 2
-    ]
+    facts = Circumstances(
+        rig.bus,
+        rig.period_ns * 1e-9,
+        rig.rate_hz,
+        rig.drives.watchdog_s,
+        rig.safety.disable_timeout_ticks,
+        {name: axis.limits.speed for name, axis in rig.axes.items()},
+        {name: axis.encoder_resolution for name, axis in rig.axes.items()},
+    )
+    found: list[str] = load(family.problems)(facts)
+    return found
 
 
-def _period_problems(rig: RigConfig) -> list[str]:
-    """Drives that tell their position, or their state, too seldom for this rate."""
-    binding, period_s = rig.bus.dbc, rig.period_ns * 1e-9
-    if binding is None:
-        return []
+def _sensor_problems(rig: RigConfig) -> list[str]:
+    """Two nodes of one name or identifier, and emulated sensors that the rig has not."""
     problems = []
-    if binding.feedback_period_s > 1.001 * period_s:
-        problems.append(
-            f"bus.dbc.feedback_period_s = {binding.feedback_period_s:g}: a position has to come in every tick; "
-            f"rate_hz = {rig.rate_hz:g} has to be {1 / binding.feedback_period_s:g} or less"
-        )
-    longest_s = rig.safety.disable_timeout_ticks * period_s
-    apart = {item.message for item in binding.status} - {item.message for item in binding.position}
-    if apart and binding.state_period_s >= longest_s:
-        problems.append(
-            f"bus.dbc.state_period_s = {binding.state_period_s:g}: a drive that is disabled has to say so within the "
-            f"{longest_s:g} s of safety.disable_timeout_ticks = {rig.safety.disable_timeout_ticks}"
-        )
+    users: dict[int, str] = {}
+    for name, sensor in rig.sensors.items():
+        if name in (*rig.axes, "host", "drives"):
+            problems.append(f"sensors.{name}: an axis, or another node of the bus, has this name; choose another")
+        other = users.setdefault(sensor.can_id, name)
+        if other != name:
+            problems.append(f"sensors.{name}.can_id = {sensor.can_id:#x}: it is the identifier of sensors.{other}, too")
+    for number, entry in enumerate(rig.plant.sensors):
+        where = f"plant.sensors, entry {number + 1}"
+        if entry.sensor not in rig.sensors:
+            there = ", ".join(rig.sensors) or "none"
+            problems.append(f"{where}: sensor = '{entry.sensor}': no such sensor; those of [sensors] are: {there}")
     return problems
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:
-    """Every drive would trip between any two commands, and no run could ever become ACTIVE; or another watchdog than
-    the one that drives are told.
-    """
+    """Every drive would trip between any two commands, and no run could ever become ACTIVE."""
     watchdog_s, period_s = rig.drives.watchdog_s, rig.period_ns * 1e-9
-    told = rig.bus.moteus or MoteusConfig()
-    if rig.bus.protocol == "moteus" and told.watchdog_s != watchdog_s:
-        return [f"bus.moteus.watchdog_s = {told.watchdog_s:g}: the drives are told another than drives.watchdog_s says"]
     if watchdog_s > period_s:
         return []
     return [

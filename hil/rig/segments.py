@@ -1,7 +1,7 @@
 """A rig on several CAN segments as rigs on one: for what is done on one bus at a time (bring-up, `hil bus`)."""
 
 from drivers.protocols.base import LayoutError
-from drivers.segments import segments_of
+from drivers.protocols.segments import segments_of
 from hil.rig.schema import RigConfig, RigError
 
 

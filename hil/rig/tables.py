@@ -4,14 +4,15 @@
 Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 """
 
-from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import Field, model_validator
 
-from drivers.config import REQUIRED, STRICT, key
-from drivers.plugins import Kind, known, unknown
+from drivers.base.keys import REQUIRED, Table, key
+from drivers.base.plugins import Kind, known, unknown
 from drivers.protocols.mounting import Mounting
+from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
+from hil.rig.motion_tables import MotionConfig as MotionConfig
 from hil.rig.task_file import MOST_ROWS, sample_problems
 from hil.rig.task_kinds import KIND, TASKS, is_users
 from sim_plant.config import NonNegative, Positive, Resolution
@@ -26,10 +27,9 @@ Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 
 
-class LimitsConfig(BaseModel):
+class LimitsConfig(Table):
     """[axes.NAME.limits]: what the gate and the fault detectors hold an axis to."""
 
-    model_config = STRICT
     position: Interval = key(REQUIRED, "least and greatest position", "m (rad)")
     speed: Positive = key(REQUIRED, "greatest speed", "m/s (rad/s)")
     force: Positive = key(REQUIRED, "greatest force; at most rated_force", "N (N m)")
@@ -41,12 +41,28 @@ class LimitsConfig(BaseModel):
         "of following_error",
         "m (rad)",
     )
+    standstill: Positive | None = key(
+        None,
+        "distance from where it came to rest at which an axis without torque is told to move; not stated: 30 um "
+        "(0.3 mrad) and four encoder counts",
+        "m (rad)",
+    )
+    switches: bool = key(
+        False,
+        "limit switches at both ends, read by the drive: one that closes stops the axis; no force goes beyond",
+    )
 
 
-class ModelConfig(BaseModel):
+class HomeConfig(Table):
+    """[axes.NAME.home]: what tells the axis its home position."""
+
+    by: Literal["switch", "limit"] = key(REQUIRED, "switch: the home switch; limit: the limit switch in `direction`")
+    direction: Literal[-1, 1] = key(-1, "in which the axis moves to find it", "1")
+
+
+class ModelConfig(Table):
     """[axes.NAME.model]: the nominal model of an axis, which the laws, the estimator and `hil check` calculate with."""
 
-    model_config = STRICT
     mass: Positive = key(REQUIRED, "moving mass (moment of inertia)", "kg (kg m^2)")
     coulomb: NonNegative = key(0.0, "Coulomb friction", "N (N m)")
     viscous: float = key(0.0, "viscous friction", "N s/m (N m s/rad)")
@@ -73,10 +89,9 @@ class ModelConfig(BaseModel):
         return self
 
 
-class PushConfig(BaseModel):
+class PushConfig(Table):
     """[axes.NAME.push]: the commissioning push before the first task (hil/cycle/commissioning.py)."""
 
-    model_config = STRICT
     force: Positive = key(REQUIRED, "force beyond what holds the axis against gravity; above coulomb", "N (N m)")
     distance: Positive = key(REQUIRED, "travel after which the push ends", "m (rad)")
     tolerance: float = key(
@@ -84,10 +99,9 @@ class PushConfig(BaseModel):
     )
 
 
-class AxisConfig(BaseModel):
+class AxisConfig(Table):
     """[axes.NAME]: one axis of the stage. The order of these tables is the order of the axes on the bus."""
 
-    model_config = STRICT
     kind: Literal["linear", "rotary"] = key("linear", "linear: metres and newtons; rotary: radians and newton metres")
     encoder_resolution: Resolution = key(REQUIRED, "length (angle) per encoder count", "m (rad)")
     rated_force: Positive = key(
@@ -103,8 +117,10 @@ class AxisConfig(BaseModel):
     push: PushConfig | None = key(
         None, "see by a small push that force and position have the stated sign and scale, before a task may run"
     )
+    home: HomeConfig | None = key(None, "switch that tells the axis its home position; while homing, it is no fault")
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
+    motion: AxisMotionConfig = key(AxisMotionConfig(), "what goals hold the axis to")
 
     @model_validator(mode="after")
     def _consistent(self) -> "AxisConfig":
@@ -113,6 +129,10 @@ class AxisConfig(BaseModel):
             raise ValueError(f"limits.position = {self.limits.position}: the first must be below the second")
         if self.limits.force > self.rated_force:
             raise ValueError(f"limits.force = {self.limits.force} exceeds rated_force = {self.rated_force}")
+        if problem := self.motion.problem(self.limits.speed, self.limits.force / self.model.mass):
+            raise ValueError(problem)
+        if self.home is not None and self.home.by == "limit" and not self.limits.switches:
+            raise ValueError('home.by = "limit" needs limits.switches = true')
         return self
 
     @property
@@ -121,10 +141,9 @@ class AxisConfig(BaseModel):
         return Mounting(self.direction, self.gear, round(self.offset / self.encoder_resolution))
 
 
-class LawConfig(BaseModel):
+class LawConfig(Table):
     """[law]: which control law, with which gains."""
 
-    model_config = STRICT
     name: str = key("pd-feedforward", "the law: its name, package.module:Class, or ./file.py:Class beside the rig file")
     gains: dict[str, Any] = key({}, "gains of the law `name`, one number or one per axis; they override tuned ones")
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
@@ -148,10 +167,9 @@ ESTIMATORS: dict[str, str] = {"motion-filter": "hil.control.estimator.motion_fil
 ESTIMATOR_KIND = Kind("estimator", "estimators", "estimator", "name", "hil.estimators", ESTIMATORS, ("reset", "update"))
 
 
-class EstimatorConfig(BaseModel):
+class EstimatorConfig(Table):
     """[estimator]: the Kalman filter on position, velocity and disturbance force, per axis; what else the law sees."""
 
-    model_config = STRICT
     name: str = key(
         "motion-filter",
         f"what tells the law position and velocity: {', '.join(ESTIMATORS)}; or an estimator of your own: its "
@@ -187,13 +205,12 @@ class EstimatorConfig(BaseModel):
         return self
 
 
-class InjectionConfig(BaseModel):
+class InjectionConfig(Table):
     """[task.injection]: the motion plan of the paper's section 2.1 over a row of cells.
 
     Positions are lists in the order of [axes].
     """
 
-    model_config = STRICT
     home: list[float] = key(REQUIRED, "q_a: where the plan begins and ends", "m (rad)")
     focal: list[float] = key(REQUIRED, "q_b: within the focal range, beside the first cell", "m (rad)")
     start: list[float] = key(REQUIRED, "q_s of the first cell: where the pipette starts to accelerate", "m (rad)")
@@ -212,10 +229,9 @@ class InjectionConfig(BaseModel):
 TWO_AXES = ("circle", "lissajous", "spiral", "raster")  # kinds of task that need exactly two
 
 
-class TaskConfig(BaseModel):
+class TaskConfig(Table):
     """[task]: what the stage is to do once ACTIVE."""
 
-    model_config = STRICT
     kind: str = key(
         "hold",
         f"the kind of motion: {', '.join(TASKS)}; or a task of your own: its registered name, package.module:Class, or "
@@ -240,6 +256,14 @@ class TaskConfig(BaseModel):
         [],
         "path: rows of time and positions in the order of `axes`; read from `file`, or made by a task of your own",
         "s, then m (rad)",
+    )
+    between: Literal["smooth", "blended", "linear"] = key(
+        "smooth",
+        "path: what lies between two rows. smooth: a cubic spline, which may go beyond them a little; blended: without "
+        "stopping, never beyond them; linear: at rest in every row. Two equal rows of an axis are always a rest",
+    )
+    beyond: NonNegative = key(
+        0.01, "path: most that an axis may go beyond two neighbouring rows, in its longest step from row to row", "1"
     )
     waypoints: list[list[float]] = key([], "waypoints, spline: positions in the order of `axes`", "m (rad)")
     speed: Positive = key(0.1, "waypoints, spline, raster: greatest speed of an axis", "m/s (rad/s)")
@@ -290,18 +314,16 @@ class TaskConfig(BaseModel):
     def _check_waypoints(self) -> None:
         if not self.axes or not 2 <= len(self.waypoints) <= MOST_ROWS:
             raise ValueError(f"kind = {self.kind!r} needs `axes` and from 2 to {MOST_ROWS} waypoints")
-        for number, (before, after) in enumerate(pairwise(self.waypoints), 2):
-            if self.kind == "spline" and before == after:
-                raise ValueError(f"waypoints: row {number} is row {number - 1} again; a spline does not stop")
+        if self.kind == "spline" and all(point == self.waypoints[0] for point in self.waypoints):
+            raise ValueError("waypoints: every row is row 1 again; a spline needs two points")
         for number, point in enumerate(self.waypoints, 1):
             if len(point) != len(self.axes):
                 raise ValueError(f"waypoints: row {number} has {len(point)} values for {len(self.axes)} axes")
 
 
-class TimingConfig(BaseModel):
+class TimingConfig(Table):
     """[timing]: what the control process asks of the kernel."""
 
-    model_config = STRICT
     realtime: bool = key(True, "real-time scheduling (SCHED_FIFO) for the control loop")
     priority: int = key(80, "its priority", "1", ge=1, le=99)
     cpu: int = key(-1, "the processor it stays on; -1: the last one this process may use", "1", ge=-1, le=1023)
@@ -315,10 +337,9 @@ class TimingConfig(BaseModel):
     )
 
 
-class TelemetryConfig(BaseModel):
+class TelemetryConfig(Table):
     """[telemetry]: ring, Zenoh and recording. Nothing listens beyond loopback unless `listen` says so."""
 
-    model_config = STRICT
     listen: list[str] = key(["tcp/127.0.0.1:7447"], "Zenoh endpoints the sidecar listens on")
     publish_hz: float = key(50.0, "batches of telemetry a second", "Hz", gt=0, le=1000)
     blackbox_s: float = key(
@@ -335,10 +356,9 @@ class TelemetryConfig(BaseModel):
     key: Annotated[str, Field(pattern=r"^[a-z0-9_-]+(/[a-z0-9_-]+)*$")] = key("hil", "prefix of all Zenoh keys")
 
 
-class SafetyConfig(BaseModel):
+class SafetyConfig(Table):
     """[safety]: thresholds of the fault detectors (hil/cycle/fault_monitor.py); docs/faults.md has the reactions."""
 
-    model_config = STRICT
     silent_stop_ticks: Ticks = key(3, "without an answer of an axis: damped stop", "ticks")
     silent_zero_ticks: Ticks = key(10, "without an answer of an axis: zero torque", "ticks")
     bad_frame_limit: Ticks = key(5, "damaged frames that are a fault (a leaky bucket)", "frames")

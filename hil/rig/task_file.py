@@ -12,8 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from drivers.text_file import UnsuitableFileError, read_bounded
-from drivers.toml_file import short
+from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.toml_file import short
 
 TIME = "time_s"
 MOST_ROWS = 20_000

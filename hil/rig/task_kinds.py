@@ -6,12 +6,15 @@ processes is the path itself, and no code of the user's runs in a tick.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from drivers import plugins
-from drivers.call_limit import FAILED, watch
-from drivers.plugins import Kind
+from drivers.base import plugins
+from drivers.base.guard import Guard
+from drivers.base.plugins import Kind
 from hil.rig.task_file import MOST_ROWS, Rows, sample_problems
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 _KINDS = "hil.control.trajectories.kinds"
 TASKS: dict[str, str] = {
@@ -48,7 +51,7 @@ class Task(ABC):
         self.axes = axes
 
     @abstractmethod
-    def samples(self) -> tuple[Any, Any]:
+    def samples(self) -> "tuple[ArrayLike, ArrayLike]":
         """Times, (n,) s, rising; and positions, (n, axes) m (rad): 2 to 20000 rows. Derivatives are made for you."""
 
 
@@ -64,19 +67,18 @@ def run_task(kind: str, source: str, axes: Sequence[str], parameters: Mapping[st
     """
     made = plugins.find(KIND, kind, source)
     plugins.check_parameters(KIND, kind, made, parameters, given=1)
-    file = plugins.code_file(made)
-    watch.begin()
-    try:
+    guard = Guard(KIND, kind, made)
+
+    def run() -> tuple[Any, Any]:
         times, positions = made(list(axes), **parameters).samples()
-    except FAILED as error:
-        raise ValueError(f"task.kind = {kind!r}: {plugins.where(error, file)}") from error
-    finally:
-        watch.within = False
+        return times, positions
+
+    times, positions = guard.call("", run)
     rows, problems = _rows(times, positions, len(axes))
     problems = problems or sample_problems(axes, rows)
     if problems:
         line = getattr(getattr(made.samples, "__code__", None), "co_firstlineno", 0)
-        raise ValueError(f"task.kind = {kind!r}: {file}:{line}: samples: {problems[0]}")
+        raise ValueError(guard.told(f"{guard.file}:{line}: samples", problems[0]))
     return rows
 
 

@@ -9,14 +9,12 @@ have written to. No failure here may stop a process: it costs time only.
 import contextlib
 import hashlib
 import json
-import os
-import stat
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from drivers.runtime import write_private
+from drivers.base.runtime import cache_folder, is_private, write_private
 
 MAX_ENTRIES = 200
 # ImportError: a package without its metadata. LookupError, TypeError: cached by another version, in another form.
@@ -27,7 +25,7 @@ def load(parameters: str) -> Any | None:
     """The cached design for these parameters (JSON); None where no valid entry exists."""
     with contextlib.suppress(*_CACHE_ERRORS):
         directory, key = _directory(), _key(parameters)
-        if _is_private(directory):
+        if is_private(directory):
             digest, _, text = _entry_path(directory, key).read_text(encoding="ascii").partition("\n")
             if digest == _digest(text):
                 entry = json.loads(text)
@@ -40,7 +38,7 @@ def store(parameters: str, design: Any) -> None:
     with contextlib.suppress(*_CACHE_ERRORS):
         directory, key = _directory(), _key(parameters)
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_private(directory):
+        if not is_private(directory):
             return
         text = json.dumps({"asked": key, "design": design})  # as earlier versions read it, too
         write_private(_entry_path(directory, key), f"{_digest(text)}\n{text}")
@@ -50,16 +48,8 @@ def store(parameters: str, design: Any) -> None:
 
 
 def _directory() -> Path:
-    """$CACHE_DIRECTORY (set by systemd), $XDG_CACHE_HOME/hil or ~/.cache/hil; the folder of designs in it."""
-    service = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0]
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return (Path(service) if service else Path(base) / "hil") / "designs"
-
-
-def _is_private(directory: Path) -> bool:
-    found = directory.lstat()
-    others_may_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not others_may_write
+    """The folder of designs."""
+    return cache_folder() / "designs"
 
 
 def _entry_path(directory: Path, key: str) -> Path:

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers import plugins
-from drivers.call_limit import FAILED, watch
+from drivers.base import plugins
+from drivers.base.call_limit import FAILED, watch
+from drivers.base.guard import Guard
 from hil.control.estimator.contract import Estimator, Measurement
 from hil.control.laws.base import Array, AxisLaws, Law, LawInputs, Model, axis_model
 from hil.control.number import Number
@@ -32,24 +33,19 @@ class _Maker:
         self._resolutions = [axis.encoder_resolution for axis in rig.axes.values()]
         self._made = plugins.find(ESTIMATOR_KIND, self._config.name, self._config.source)
         plugins.check_parameters(ESTIMATOR_KIND, self._config.name, self._made, self._config.parameters, given=3)
+        self._guard = Guard(ESTIMATOR_KIND, self._config.name, self._made)
 
     def make(self, axis: int, model: Model) -> Estimator:
         """A new one for an axis of the rig; model: of floats."""
-        watch.begin()
-        try:
-            made: Estimator = self._made(
-                model, self._period, self._resolutions[axis], **self._config.parameters_of(axis)
-            )
-            return made
-        except FAILED as error:
-            why = plugins.where(error, plugins.code_file(self._made))
-            raise ValueError(f"estimator.name = {self._config.name!r}: it cannot be made: {why}") from error
-        finally:
-            watch.within = False
+        own = self._config.parameters_of(axis)
+        made: Estimator = self._guard.call(
+            "it cannot be made", self._made, model, self._period, self._resolutions[axis], **own
+        )
+        return made
 
     def told(self, error: BaseException) -> str:
         """What went wrong, with file and line."""
-        return f"estimator {self._config.name}: {plugins.blame(error, self._made, 'update')}"
+        return self._guard.blamed(error, "update")
 
 
 class _Watched:
@@ -118,7 +114,7 @@ class EstimatedAxes:
         except FAILED as error:
             self._failure = self._maker.told(error)
         finally:
-            watch.within = False
+            watch.end()
         self._law.reset(position, force)
 
     def force(self, axes: Sequence[Any]) -> list[float]:
@@ -138,7 +134,7 @@ class EstimatedAxes:
         except FAILED as error:
             self._failure = self._maker.told(error)
         finally:
-            watch.within = False
+            watch.end()
 
 
 class EstimatedLaw(Law):
@@ -173,7 +169,7 @@ class EstimatedLaw(Law):
         except FAILED as error:
             raise ValueError(self._maker.told(error)) from error
         finally:
-            watch.within = False
+            watch.end()
         self._law.reset(position, force)
 
     def force(self, inputs: LawInputs) -> Array:
@@ -184,7 +180,7 @@ class EstimatedLaw(Law):
         except FAILED as error:
             raise ValueError(self._maker.told(error)) from error
         finally:
-            watch.within = False
+            watch.end()
         position, velocity = np.array(found).reshape(*self._shape, 2).transpose(-1, *range(len(self._shape)))
         inputs.position_estimate, inputs.velocity_estimate = position.copy(), velocity.copy()
         asked: Array = self._law.force(inputs)

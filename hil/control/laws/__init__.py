@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.plugins import where
-from drivers.toml_file import shown
+from drivers.base.plugins import where
+from drivers.base.toml_file import shown
 from hil.control.gain import Gain, declared
 from hil.control.law_registry import PACKAGE, is_built_in, law_class
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
@@ -111,7 +111,11 @@ def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
     if not issubclass(made, Law):
         raise ValueError(f"law.name = {shown(law.name)}: {made.__name__} does not inherit from hil.Law")
     learning = {} if is_built_in(law) and made.learns_repeats else LEARNING_GAINS
-    return _checked_gains(law, {**declared(made.GAINS), **learning}, n_axes)
+    try:
+        known = declared(made.GAINS)
+    except ValueError as error:
+        raise ValueError(f"law.name = {shown(law.name)}: {error}") from None
+    return _checked_gains(law, {**known, **learning}, n_axes)
 
 
 def _axis_gains(gains: dict[str, Any], axis: int) -> dict[str, Any]:

@@ -14,6 +14,8 @@ flexible mode inside the observer; a bias that is found.
   force acts. It is the tool that follows: the encoder goes ahead of the reference by what the spring bends under its
   acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
   soft, the loop then takes gains that are stable on any.
+- A change of the reference's acceleration makes the mode swing, too. To the weights that is noise while it rings: from
+  fast moves they would else learn a friction that is too stiff.
 - Where a weight hangs on the axis, its brake opens before the drive's force has come up over its lag, and throws it:
   a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make it too
   stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
@@ -40,6 +42,7 @@ from hil.control.number import Number, at_least, bounded, root, select
 
 TAKEN_OVER, SEEN, STARTED = 1, 2, 3  # ticks: the drive takes over; what that did is seen
 RINGING = 2.0  # times what the throw makes the mode swing by: noise to the weights
+SHAKEN = 20.0  # times what a change of the reference's acceleration does, which is known less well
 REST_PERIODS = 20.0  # until an axis counts as at rest
 MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as known
 STRETCH = 4.0  # s stays within this many times the coarsest reach
@@ -122,6 +125,7 @@ class PreslidingKalman(Law):
         self._rest_damping = model.mass * (2.0 * default("rest_damping") * omega)
         omega = soft_bandwidth * (1.0 / period)
         self._softness = 1.0 / (model.mass * (omega * omega))
+        self._shaken = SHAKEN * motion.swing * model.mass  # m per m/s^2
         self._integral = default("integral")
         self._slopes: Bank = slopes(finest + zero)
         coarsest = (finest + zero) * (RATIO * RATIO * RATIO * RATIO * RATIO)
@@ -303,7 +307,7 @@ class PreslidingKalman(Law):
         )  # fmt: skip
         self._acting = self._coming
         ringing = self._ringing
-        self._ringing = ringing * motion.fade
+        self._ringing = ringing * motion.fade + self._shaken * abs(self._acting[6] - acting[6])
         if not anywhere(learn > 0.0):
             return
         noise = self._noise + ringing * ringing

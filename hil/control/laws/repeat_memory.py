@@ -23,7 +23,7 @@ WORSE, CHANGED, USELESS = 1.21, 2.25, 1.21  # of mean squares
 MOST_HARM = 3.0
 SAMPLES = 7  # weighed 1, 2, 3, 4, 3, 2, 1
 # Periods that the observer's disturbance is behind: with 3, a rigid axis' learning would grow at 140 Hz; with 1,
-# that of an axis with a mode at 150 Hz, at 96 Hz (hil/control/learning_check.py).
+# that of an axis with a mode at 150 Hz, at 96 Hz (hil/analysis/learning_check.py).
 LAG = 2
 DELAY = 2 + SAMPLES // 2 + LAG  # ticks from the interval in which a force acts until what was missing in it is known
 LEAST_TICKS, MOST_TICKS = 2 * DELAY, 100_000  # of a repeat; a few megabytes an axis

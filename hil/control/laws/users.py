@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.call_limit import FAILED, watch
-from drivers.plugins import blame
+from drivers.base.call_limit import FAILED, watch
+from drivers.base.plugins import blame
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
 
@@ -40,7 +40,7 @@ class UserAxes:
         except FAILED as error:
             self.failure = told(self._name, self._laws[0], error)
         finally:
-            watch.within = False
+            watch.end()
 
     def _reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         if self._coupled:
@@ -64,7 +64,7 @@ class UserAxes:
             self.failure = told(self._name, self._laws[0], error)
             return [math.nan] * self._n
         finally:
-            watch.within = False
+            watch.end()
 
     @property
     def denominator_floors(self) -> int:
@@ -136,7 +136,7 @@ class OnArrays(Law):
         except FAILED as error:
             raise ValueError(told(self._name, self._inner, error)) from error
         finally:
-            watch.within = False
+            watch.end()
 
 
 class PerElement(Law):

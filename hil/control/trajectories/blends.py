@@ -1,4 +1,4 @@
-"""Waypoints passed without stopping: straight lines, and corners rounded within a stated distance of their point.
+"""Straight lines from rest to rest, and waypoints passed without stopping, at corners rounded within a stated distance.
 
 A corner is left and entered at the same speed: the velocity turns from one direction to the other by the smooth step
 3 u^2 - 2 u^3, so that it begins and ends b from the point where it lasts 2 b / v, with the peaks 1.5 v D / T of
@@ -8,10 +8,12 @@ adds a minimum-jerk move for what is left of the way. Acceleration is zero at ev
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import Final, NamedTuple
 
-from hil.control.trajectories.segments import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED, Segment, Values, quintic
+from hil.control.plans.axis_plan import AxisPlan, MotionLimits, Piece
+from hil.control.plans.ramps import Ramp
+from hil.control.trajectories.segments import Segment, Values, quintic, segment
 
 STEP_ACCELERATION: Final = 1.5  # peaks of the smooth step
 STEP_JERK: Final = 6.0
@@ -29,27 +31,103 @@ class _Line(NamedTuple):
     limits: Limits
 
 
-def blended(points: Sequence[Values], limits: Limits, blend: float, ns: Callable[[float], int]) -> list[Segment]:
+def lines(points: Sequence[Values], limits: Limits, blend: float, ns: Callable[[float], int]) -> list[Segment]:
     """From rest to rest through points (m, one a column; at least two, none twice in a row) within `limits` of every
-    axis, passing each within `blend` (m, above 0) of it.
+    axis, passing each within `blend` (m); where that is 0, or would take longer, from rest to rest in each.
 
     ns: seconds as ns, up to whole periods; all of it lasts whole periods, every corner at least one.
     """
-    lines = [_line(before, after, limits) for before, after in pairwise(points)]
-    cuts = [0.0, *(min(blend, SHARE * a.length, SHARE * b.length) for a, b in pairwise(lines)), 0.0]
-    free = [line.length - cuts[i] - cuts[i + 1] for i, line in enumerate(lines)]
-    speeds = _speeds(lines, cuts, free, limits, ns(0.0) * 1e-9)
-    times: list[float] = []
-    for i, line in enumerate(lines):
-        if i:
-            times.append(2.0 * cuts[i] / speeds[i])
-        times.append(_line_time(speeds[i], speeds[i + 1], free[i], line.limits))
-    total = math.fsum(times)
+    rests = [part for pair in pairwise(points) for part in _through(pair, limits, 0.0, ns)]
+    if blend <= 0.0 or len(points) == 2:
+        return rests
+    passed = _through(points, limits, blend, ns)
+    return passed if _duration(passed) <= _duration(rests) else rests
+
+
+def _duration(parts: Sequence[Segment]) -> int:
+    return sum([part.duration_ns for part in parts])
+
+
+def _through(points: Sequence[Values], limits: Limits, blend: float, ns: Callable[[float], int]) -> list[Segment]:
+    found = [_line(before, after, limits) for before, after in pairwise(points)]
+    cuts = [0.0, *(min(blend, SHARE * a.length, SHARE * b.length) for a, b in pairwise(found)), 0.0]
+    free = [line.length - cuts[i] - cuts[i + 1] for i, line in enumerate(found)]
+    speeds = _speeds(found, cuts, free, limits, ns(0.0) * 1e-9)
+    courses = [_course(speeds[i], speeds[i + 1], free[i], line.limits) for i, line in enumerate(found)]
+    corners = [2.0 * cuts[i] / speeds[i] if speeds[i] else 0.0 for i in range(1, len(found))]
+    total = math.fsum([*corners, *[course.ends for course in courses]])
     whole = ns(total)
-    slower = whole * 1e-9 / total  # at least 1, but for rounding
-    ends = [round(end * slower * 1e9) for end in accumulate(times)]
-    ends[-1] = whole
-    return _segments(points, lines, cuts, [speed / slower for speed in speeds], [0, *ends])
+    clock = _Clock(whole * 1e-9 / total)  # at least 1, but for rounding
+    parts: list[Segment] = []
+    for i, line in enumerate(found):
+        if i:
+            before = _passing(points[i], -cuts[i], found[i - 1], speeds[i] / clock.slower)
+            after = _passing(points[i], cuts[i], line, speeds[i] / clock.slower)
+            if length := clock.go(corners[i - 1]):
+                parts.append(quintic(length, before, after))
+        begin = [q + cuts[i] * u for q, u in zip(points[i], line.direction, strict=True)]
+        for piece in courses[i].pieces:
+            late = clock.late
+            if length := clock.go(piece.ends - piece.begins):
+                parts.append(_piece(length, piece, begin, line.direction, clock.slower, late))
+    last = parts[-1]
+    parts[-1] = Segment(last.duration_ns + whole - clock.now_ns, last.rows, last.still, last.phase)
+    return parts
+
+
+class _Clock:
+    """Durations one after another, in `slower` times the s that they state, rounded to ns without adding up. late: s by
+    which the rounded clock is ahead of the exact one.
+    """
+
+    def __init__(self, slower: float) -> None:
+        self.slower = slower
+        self.now_ns = 0
+        self.late = 0.0
+        self._exact = 0.0
+
+    def go(self, seconds: float) -> int:
+        """The ns that they take here."""
+        self._exact += seconds * self.slower
+        before, self.now_ns = self.now_ns, round(self._exact * 1e9)
+        self.late = self.now_ns * 1e-9 - self._exact
+        return self.now_ns - before
+
+
+def _passing(point: Values, away: float, line: _Line, speed: float) -> tuple[list[float], list[float], list[float]]:
+    place = [q + away * u for q, u in zip(point, line.direction, strict=True)]
+    return place, [speed * u for u in line.direction], [0.0] * len(place)
+
+
+def _piece(
+    length: int, piece: Piece, begin: Sequence[float], direction: Sequence[float], slower: float, late: float
+) -> Segment:
+    """A piece along a line, from `late` s after its exact beginning on: its jerk stays what it is, however short."""
+    s2 = slower * slower
+    c1, c2, c3 = piece.c1 / slower, piece.c2 / s2, piece.c3 / (s2 * slower)
+    d0 = piece.c0 + late * (c1 + late * (c2 + late * c3))
+    d1 = c1 + late * (2.0 * c2 + late * (3.0 * c3))
+    d2 = c2 + 3.0 * late * c3
+    rows = [(q + d0 * u, d1 * u, d2 * u, c3 * u, 0.0, 0.0) for q, u in zip(begin, direction, strict=True)]
+    return segment(length, rows, 0)
+
+
+def _course(begin: float, end: float, length: float, limits: Limits) -> AxisPlan:
+    """Along a line between two speeds that a ramp can join, as quickly as can be; m and m/s along it."""
+    held = MotionLimits(*limits, 0.0, length)
+    low, high = max(begin, end), limits[0]
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if Ramp(begin, 0.0, middle, held).way + Ramp(middle, 0.0, end, held).way <= length:
+            low = middle
+        else:
+            high = middle
+    first, last = Ramp(begin, 0.0, low, held), Ramp(low, 0.0, end, held)
+    plan = AxisPlan(0.0, begin, 0.0)
+    first.append(plan, low)
+    plan.push(0.0, (length - first.way - last.way) / low)
+    last.append(plan, end)
+    return plan
 
 
 def _line(before: Values, after: Values, limits: Limits) -> _Line:
@@ -64,10 +142,10 @@ def _scaled(limits: Limits, share: float) -> Limits:
     return limits[0] / share, limits[1] / share, limits[2] / share
 
 
-def _speeds(lines: list[_Line], cuts: list[float], free: list[float], limits: Limits, period: float) -> list[float]:
+def _speeds(found: list[_Line], cuts: list[float], free: list[float], limits: Limits, period: float) -> list[float]:
     """Speed at every point: what its corner allows, and what the lines can reach from either end."""
     speeds = [0.0]
-    for i, (a, b) in enumerate(pairwise(lines), 1):
+    for i, (a, b) in enumerate(pairwise(found), 1):
         allowed = min(a.limits[0], b.limits[0], 2.0 * cuts[i] / period)
         turn = max([abs(q - p) for p, q in zip(a.direction, b.direction, strict=True)])
         if turn > 0.0:
@@ -76,67 +154,21 @@ def _speeds(lines: list[_Line], cuts: list[float], free: list[float], limits: Li
             allowed = min(allowed, by_acceleration, by_jerk)
         speeds.append(allowed)
     speeds.append(0.0)
-    for i, line in enumerate(lines):
+    for i, line in enumerate(found):
         speeds[i + 1] = min(speeds[i + 1], _reach(speeds[i], free[i], line.limits))
-    for i in range(len(lines) - 1, -1, -1):
-        speeds[i] = min(speeds[i], _reach(speeds[i + 1], free[i], lines[i].limits))
+    for i in range(len(found) - 1, -1, -1):
+        speeds[i] = min(speeds[i], _reach(speeds[i + 1], free[i], found[i].limits))
     return speeds
 
 
 def _reach(speed: float, length: float, limits: Limits) -> float:
-    """The greatest speed that the smooth step alone reaches along a line."""
-    _, acceleration, jerk = limits
-    low, high = speed, math.sqrt(speed * speed + 2.0 * acceleration * length / STEP_ACCELERATION)
+    """The greatest speed that a ramp reaches along a line."""
+    held = MotionLimits(*limits, 0.0, length)
+    low, high = speed, max(speed, limits[0])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        seconds = 2.0 * length / (speed + middle) if middle > 0.0 else 0.0
-        if seconds > 0.0 and STEP_JERK * (middle - speed) <= jerk * seconds * seconds:
+        if Ramp(speed, 0.0, middle, held).way <= length:
             low = middle
         else:
             high = middle
     return low
-
-
-def _line_time(begin: float, end: float, length: float, limits: Limits) -> float:
-    """The least time for a line between two speeds that the smooth step can join."""
-    if begin + end == 0.0:
-        return rest_to_rest(length, limits)
-    low, high = 0.0, 2.0 * length / (begin + end)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if middle > 0.0 and _keeps(middle, begin, end, length, limits):
-            high = middle
-        else:
-            low = middle
-    return high
-
-
-def _keeps(seconds: float, begin: float, end: float, length: float, limits: Limits) -> bool:
-    step, left = abs(end - begin), (length - 0.5 * (begin + end) * seconds) / seconds
-    speed = max(begin, end) + PEAK_SPEED * left
-    acceleration = (STEP_ACCELERATION * step + PEAK_ACCELERATION * left) / seconds
-    jerk = (STEP_JERK * step + PEAK_JERK * left) / (seconds * seconds)
-    return speed <= limits[0] and acceleration <= limits[1] and jerk <= limits[2]
-
-
-def rest_to_rest(distance: float, limits: Limits) -> float:
-    """The least time, s, of a minimum-jerk move over a distance (m)."""
-    speed, acceleration, jerk = limits
-    by_speed = PEAK_SPEED * distance / speed
-    by_acceleration = (PEAK_ACCELERATION * distance / acceleration) ** 0.5
-    by_jerk = (PEAK_JERK * distance / jerk) ** (1.0 / 3.0)
-    return float(max(by_speed, by_acceleration, by_jerk))
-
-
-def _segments(
-    points: Sequence[Values], lines: list[_Line], cuts: list[float], speeds: list[float], ends: list[int]
-) -> list[Segment]:
-    """Line, corner, line, ..., line; ends: instants at which they meet, ns."""
-    states: list[tuple[list[float], list[float], list[float]]] = []
-    zero = [0.0] * len(points[0])
-    for i, line in enumerate(lines):
-        for point, away, speed in ((points[i], cuts[i], speeds[i]), (points[i + 1], -cuts[i + 1], speeds[i + 1])):
-            place = [q + away * u for q, u in zip(point, line.direction, strict=True)]
-            states.append((place, [speed * u for u in line.direction], zero))
-    lengths = [after - before for before, after in pairwise(ends)]
-    return [quintic(length, states[i], states[i + 1]) for i, length in enumerate(lengths) if length > 0]

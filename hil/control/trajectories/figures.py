@@ -8,13 +8,11 @@ import numpy as np
 from hil.control.laws.base import Array
 from hil.control.number import Number
 from hil.control.trajectories.base import Times, Trajectory
-from hil.control.trajectories.minimum_jerk import minimum_jerk
+from hil.control.trajectories.minimum_jerk import Motion, entered
 from sim_plant.physics.exact_trigonometry import TURN, sincos_turns, sincos_turns_array
 
 SECOND = 1_000_000_000  # ns
 INT64_LIMIT = 2**62
-
-Motion = tuple[Number, Number, Number]  # position, velocity, acceleration; or s and its derivatives
 
 
 class Oscillation:
@@ -81,8 +79,7 @@ class Figure(Trajectory):
         figure = self._derivatives(oscillation, sine, cosine)
         if t_ns >= self._approach_ns:
             return figure
-        s, ds, dds = minimum_jerk(t_ns / self._approach_ns)
-        return self._blend(axis, figure, s, ds, dds)
+        return entered(self._start[axis], figure, t_ns / self._approach_ns, self._per_second)
 
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
         oscillation = self._oscillations.get(axis)
@@ -92,8 +89,8 @@ class Figure(Trajectory):
         p, m = oscillation.cycle
         sine, cosine = sincos_turns_array((t_ns % m * p % m) / m + oscillation.offset)
         figure: tuple[Array, Array, Array] = self._derivatives(oscillation, sine, cosine)
-        s, ds, dds = minimum_jerk(np.minimum(t_ns, self._approach_ns) / self._approach_ns)
-        blended: tuple[Array, Array, Array] = self._blend(axis, figure, s, ds, dds)
+        u = np.minimum(t_ns, self._approach_ns) / self._approach_ns
+        blended: tuple[Array, Array, Array] = entered(self._start[axis], figure, u, self._per_second)
         done = t_ns >= self._approach_ns
         return (
             np.where(done, figure[0], blended[0]),
@@ -104,16 +101,6 @@ class Figure(Trajectory):
     @staticmethod
     def _derivatives(oscillation: Oscillation, sine: Number, cosine: Number) -> Motion:
         return oscillation.amplitude * cosine, -oscillation.speed * sine, -oscillation.acceleration * cosine
-
-    def _blend(self, axis: int, figure: Motion, s: Number, ds: Number, dds: Number) -> Motion:
-        start, rate = self._start[axis], self._per_second
-        away, velocity, acceleration = figure[0] - start, figure[1], figure[2]
-        s1, s2 = ds * rate, dds * (rate * rate)
-        return (
-            start + s * away,
-            s1 * away + s * velocity,
-            s2 * away + 2.0 * (s1 * velocity) + s * acceleration,
-        )
 
 
 def turns(phase_rad: float) -> float:

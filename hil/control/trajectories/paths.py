@@ -1,9 +1,8 @@
 """Paths through points: approached from wherever the stage rests, then followed as they were made beforehand.
 
-Samples in time become a cubic spline with continuous acceleration; its first and last pieces are quintics, so that it
-begins and ends at rest without a jump of the acceleration. Waypoints become minimum-jerk moves from rest to rest, lines
-with rounded corners (blends.py), or a spline through them whose time is scaled: each as quick as the limits on speed,
-acceleration and jerk of every axis allow.
+Samples in time are gone through as rows.py says. Waypoints become lines from rest to rest or with rounded corners
+(blends.py), or a spline through them whose time is scaled: each as quick as the limits on speed, acceleration and jerk
+of every axis allow. Points that are nearer to each other than an encoder count, in every axis, are one point.
 """
 
 import math
@@ -15,9 +14,10 @@ import numpy as np
 
 from hil.control.laws.base import Array
 from hil.control.trajectories.base import Times, Trajectory
-from hil.control.trajectories.blends import Limits, blended, rest_to_rest
-from hil.control.trajectories.minimum_jerk import minimum_jerk
-from hil.control.trajectories.segments import Segment, Segments, cubic, move, quintic, rest
+from hil.control.trajectories.blends import Limits, lines
+from hil.control.trajectories.minimum_jerk import entered, minimum_jerk
+from hil.control.trajectories.rows import along_rows
+from hil.control.trajectories.segments import Segment, Segments, move, rest
 from sim_plant.physics.exact_trigonometry import sincos_turns
 
 PER_TURN: Final = 64  # samples of a spiral
@@ -27,7 +27,8 @@ APPROACH, PATH = 0, 1
 
 
 class Path(Trajectory):
-    """`body` from its first point on, after a minimum-jerk approach to it; axes without a column in it stay at rest.
+    """`body` from its first point on, after a minimum-jerk approach to it; axes without a column in it stay at rest. A
+    body that repeats without a rest is blended in, as if it had gone on before.
 
     columns: of every axis, its place in the body, or -1.
     """
@@ -40,6 +41,10 @@ class Path(Trajectory):
         super().__init__(len(start))
         self._body, self._columns, self._start = body, list(columns), list(start)
         self._approach_ns = approach_ns
+        self._per_second = 1e9 / approach_ns
+        moves = [any(body.at(column, 0)[1:]) for column in columns if column >= 0]
+        around = body.repeat_ns or 1
+        self._ahead_ns = around - approach_ns % around if body.repeat_ns and any(moves) else -1  # of the body, at 0
         there = [body.at(column, 0)[0] if column >= 0 else start[axis] for axis, column in enumerate(columns)]
         self._approach = Segments(
             [move(approach_ns, start, there), rest(0, there)], repeat=False, phase_names=("approach",)
@@ -59,7 +64,16 @@ class Path(Trajectory):
         if column < 0:
             return self._start[axis], 0.0, 0.0
         if t_ns < self._approach_ns:
-            return self._approach.at(axis, t_ns)
+            if self._ahead_ns < 0:
+                return self._approach.at(axis, t_ns)
+            t_ns = t_ns if t_ns > 0 else 0
+            motion: tuple[float, float, float] = entered(
+                self._start[axis],
+                self._body.at(column, t_ns + self._ahead_ns),
+                t_ns / self._approach_ns,
+                self._per_second,
+            )
+            return motion
         return self._body.at(column, t_ns - self._approach_ns)
 
     def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
@@ -67,7 +81,12 @@ class Path(Trajectory):
         if column < 0:
             zero = np.zeros(t_ns.shape)
             return np.full(t_ns.shape, self._start[axis]), zero, zero
-        before = self._approach._axis_array(axis, t_ns)
+        if self._ahead_ns < 0:
+            before = self._approach._axis_array(axis, t_ns)
+        else:
+            u = np.minimum(t_ns, self._approach_ns) / self._approach_ns
+            motion = self._body._axis_array(column, t_ns + self._ahead_ns)
+            before = entered(self._start[axis], motion, u, self._per_second)
         after = self._body._axis_array(column, np.maximum(t_ns - self._approach_ns, 0))
         early = t_ns < self._approach_ns
         return (
@@ -89,58 +108,6 @@ class AlongPath:
         return Path(self.body, self.columns, start, self.approach_ns, self.settle_ns)
 
 
-def spline(rows: Sequence[Sequence[float]], *, repeat: bool, dwell_ns: int = 0) -> Segments:
-    """The cubic spline through rows of time (s, increasing) and positions (m, one a column), at rest at both ends; then
-    a rest of dwell_ns.
-    """
-    times = [round((row[0] - rows[0][0]) * 1e9) for row in rows]
-    lengths = [after - before for before, after in pairwise(times)]
-    columns = [[row[column] for row in rows] for column in range(1, len(rows[0]))]
-    speeds = [_spline_speeds(column, lengths) for column in columns]
-    parts = []
-    for index, length in enumerate(lengths):
-        if 0 < index < len(lengths) - 1:
-            pairs = zip(columns, speeds, strict=True)
-            parts.append(cubic(length, [(q[index], v[index], q[index + 1], v[index + 1]) for q, v in pairs]))
-        else:
-            begin, end = [_motion(columns, speeds, lengths, place) for place in (index, index + 1)]
-            parts.append(quintic(length, begin, end))
-    last = [column[-1] for column in columns]
-    if dwell_ns:
-        parts.append(rest(dwell_ns, last))
-    return _body(parts, last, repeat=repeat)
-
-
-def _motion(
-    columns: list[list[float]], speeds: list[list[float]], lengths_ns: list[int], place: int
-) -> tuple[list[float], list[float], list[float]]:
-    """Position, speed and acceleration of every column at one of the spline's points; at rest at either end."""
-    accelerations = [0.0] * len(columns)
-    if 0 < place < len(lengths_ns):
-        h = lengths_ns[place] * 1e-9
-        for column, (q, v) in enumerate(zip(columns, speeds, strict=True)):
-            accelerations[column] = (6.0 * (q[place + 1] - q[place]) / h - 4.0 * v[place] - 2.0 * v[place + 1]) / h
-    return [q[place] for q in columns], [v[place] for v in speeds], accelerations
-
-
-def _spline_speeds(q: Sequence[float], lengths_ns: Sequence[int]) -> list[float]:
-    """Speeds at the points that make the acceleration continuous, 0 at both ends: a tridiagonal system, solved from the
-    first row to the last and back (Thomas), so that every machine computes the same bits.
-    """
-    inverse = [1e9 / length for length in lengths_ns]
-    slopes = [(q[i + 1] - q[i]) * inverse[i] for i in range(len(inverse))]
-    upper, right = [0.0], [0.0]
-    for i in range(1, len(inverse)):
-        pivot = 2.0 * (inverse[i - 1] + inverse[i]) - inverse[i - 1] * upper[i - 1]
-        upper.append(inverse[i] / pivot)
-        known = 3.0 * (slopes[i - 1] * inverse[i - 1] + slopes[i] * inverse[i])
-        right.append((known - inverse[i - 1] * right[i - 1]) / pivot)
-    speeds = [0.0] * len(q)
-    for i in range(len(inverse) - 1, 0, -1):
-        speeds[i] = right[i] - upper[i] * speeds[i + 1]
-    return speeds
-
-
 def fitted_spline(
     points: Sequence[Sequence[float]], limits: Limits, ns: Callable[[float], int], dwell_ns: int, *, repeat: bool
 ) -> Segments:
@@ -149,16 +116,17 @@ def fitted_spline(
 
     Its time is the centripetal one (Lee, Computer-Aided Design 21(6), 1989), scaled as a whole. ns: as for `waypoints`.
     """
-    through = _closed(points) if repeat else list(points)
     times = [0.0]
-    for before, after in pairwise(through):
+    for before, after in pairwise(points):
         times.append(times[-1] + math.sqrt(math.dist(before, after)))
     shares = [time / times[-1] for time in times]
-    peaks = _peaks(spline([[UNSCALED_S * s, *q] for s, q in zip(shares, through, strict=True)], repeat=False))
+    around = repeat and not dwell_ns
+    unscaled = [[UNSCALED_S * s, *q] for s, q in zip(shares, points, strict=True)]
+    peaks = _peaks(along_rows(unscaled, repeat=around))
     speed, acceleration, jerk = [peak / limit for peak, limit in zip(peaks, limits, strict=True)]
     seconds = ns(UNSCALED_S * max(speed, acceleration**0.5, jerk ** (1.0 / 3.0))) * 1e-9
-    rows = [[seconds * s, *q] for s, q in zip(shares, through, strict=True)]
-    return spline(rows, repeat=repeat, dwell_ns=dwell_ns)
+    rows = [[seconds * s, *q] for s, q in zip(shares, points, strict=True)]
+    return along_rows(rows, repeat=repeat, dwell_ns=dwell_ns)
 
 
 def _peaks(body: Segments) -> tuple[float, float, float]:
@@ -178,8 +146,23 @@ def _peaks(body: Segments) -> tuple[float, float, float]:
     return float(speed.max()), float(acceleration.max()), float(most.max())
 
 
-def _closed(points: Sequence[Sequence[float]]) -> list[Sequence[float]]:
-    return [*points, points[0]] if list(points[-1]) != list(points[0]) else list(points)
+def apart(points: Sequence[Sequence[float]], counts: Sequence[float], *, repeat: bool) -> list[list[float]]:
+    """Points that lie further from the one before than `counts`, m by column, in some column; of what repeats the last
+    is the first, whether that was said or not.
+    """
+    kept = [list(points[0])]
+    for point in points[1:]:
+        if _differ(kept[-1], point, counts):
+            kept.append(list(point))
+    if repeat and len(kept) > 1:
+        if not _differ(kept[-1], kept[0], counts):
+            kept.pop()
+        kept.append(list(kept[0]))
+    return kept
+
+
+def _differ(before: Sequence[float], after: Sequence[float], counts: Sequence[float]) -> bool:
+    return any(abs(b - a) > count for a, b, count in zip(before, after, counts, strict=True))
 
 
 def raster_points(corner: Sequence[float], size: Sequence[float], lines: int) -> list[list[float]]:
@@ -198,24 +181,21 @@ def waypoints(
     points: Sequence[Sequence[float]], limits: Limits, ns: Callable[[float], int], dwell_ns: int, blend: float, *,
     repeat: bool,
 ) -> Segments:  # fmt: skip
-    """Through points (m, one a column) within (speed, acceleration, jerk) along every axis: from rest to rest, with a
-    rest of dwell_ns at each, or where `blend` (m) is above 0 past them at no more than that, with a rest at the end.
+    """Through points (m, one a column; none twice in a row) within (speed, acceleration, jerk) along every axis: from
+    rest to rest, with a rest of dwell_ns at each; where `blend` (m) is above 0 past them at no more than that, with a
+    rest at the end.
 
     ns: seconds as ns, up to whole periods. Points that repeat end where they begin.
     """
-    through = _closed(points) if repeat else list(points)
-    if blend > 0.0:
-        apart = [through[0], *(after for before, after in pairwise(through) if list(before) != list(after))]
-        around = blended(apart, limits, blend, ns) if len(apart) > 1 else []
-        return _body([*around, *([rest(dwell_ns, through[-1])] if dwell_ns else [])], through[-1], repeat=repeat)
     parts: list[Segment] = []
-    for before, after in pairwise(through):
-        distance = max([abs(b - a) for a, b in zip(before, after, strict=True)])
-        if distance > 0.0:
-            parts.append(move(ns(rest_to_rest(distance, limits)), before, after))
+    stops = [points] if blend > 0.0 else pairwise(points)
+    for stretch in stops:
+        if len(stretch) > 1:
+            parts += lines(stretch, limits, blend, ns)
         if dwell_ns:
-            parts.append(rest(dwell_ns, after))
-    return _body(parts, through[-1], repeat=repeat)
+            parts.append(rest(dwell_ns, stretch[-1]))
+    ending = [] if repeat and parts else [rest(0, points[-1])]
+    return Segments([*parts, *ending], repeat=repeat and bool(parts), phase_names=("path",))
 
 
 def spiral_samples(radius: float, turns: float, seconds: float, *, back: bool) -> list[list[float]]:
@@ -231,8 +211,3 @@ def spiral_samples(radius: float, turns: float, seconds: float, *, back: bool) -
     if back:
         rows += [[2.0 * seconds - row[0], *row[1:]] for row in rows[-2::-1]]
     return rows
-
-
-def _body(parts: list[Segment], last: Sequence[float], *, repeat: bool) -> Segments:
-    ending = [] if repeat and parts else [rest(0, last)]
-    return Segments([*parts, *ending], repeat=repeat and bool(parts), phase_names=("path",))

@@ -37,11 +37,12 @@ class Segment(NamedTuple):
 
 def quintic(duration_ns: int, begin: Sequence[Values], end: Sequence[Values], phase: int = 0) -> Segment:
     """The quintic that meets position, velocity and acceleration (m, m/s, m/s^2; each by axis) at both ends."""
-    rows = [_meet(duration_ns * NS, *ends) for ends in zip(*begin, *end, strict=True)]
+    rows = [meeting_row(duration_ns * NS, *ends) for ends in zip(*begin, *end, strict=True)]
     return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], phase)
 
 
-def _meet(t: float, p0: float, v0: float, a0: float, p1: float, v1: float, a1: float) -> Row:
+def meeting_row(t: float, p0: float, v0: float, a0: float, p1: float, v1: float, a1: float) -> Row:
+    """One axis' quintic of t s (above 0) between two motions: position, velocity and acceleration, m, m/s, m/s^2."""
     d = p1 - p0 - v0 * t - 0.5 * a0 * (t * t)
     v = v1 - v0 - a0 * t
     a = a1 - a0
@@ -57,14 +58,10 @@ def _row(c0: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> Ro
     return c0, c1, c2, c3, c4, c5, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5
 
 
-def cubic(duration_ns: int, ends: Sequence[tuple[float, float, float, float]]) -> Segment:
-    """The cubic that meets (position, velocity) at the beginning and at the end; by axis, m and m/s."""
-    rows = []
-    h = duration_ns * NS
-    for p0, v0, p1, v1 in ends:
-        slope = (p1 - p0) / h
-        rows.append(_row(p0, v0, (3.0 * slope - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * slope) / (h * h), 0.0, 0.0))
-    return Segment(duration_ns, rows, [not any(row[1:6]) for row in rows], 0)
+def cubic_row(h: float, p0: float, v0: float, p1: float, v1: float) -> Row:
+    """One axis' cubic of h s (above 0) between two positions and velocities, m and m/s."""
+    slope = (p1 - p0) / h
+    return _row(p0, v0, (3.0 * slope - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * slope) / (h * h), 0.0, 0.0)
 
 
 def segment(

@@ -5,11 +5,13 @@ more, at the second's end, stands for all the others (`times`).
 from collections.abc import Iterable
 from typing import Final
 
-from hil.cycle.event import Event
-from hil.cycle.event_table import Kind
+from hil.events.event import Event
+from hil.events.table import Kind
 
 TOLD: Final = 3  # alike events told one by one
 TOLD_OF: Final = {Kind.TICK_LATE: 1, Kind.TICKS_LOST: 1}  # a busy machine has them in every second
+
+_COUNTED: Final = (Kind.FAULT_SEEN, Kind.FAULT_LATCHED)  # their causes hold counts and ticks: alike without
 
 
 class _Tally:
@@ -32,7 +34,8 @@ class Tallies:
         """Those of them to be told now; the others are counted."""
         admitted = []
         for event in events:
-            tally = self._tallies.setdefault((event.kind, event.name, event.axis, event.cause), _Tally())
+            cause = "" if event.kind in _COUNTED else event.cause
+            tally = self._tallies.setdefault((event.kind, event.name, event.axis, cause), _Tally())
             if tally.told < TOLD_OF.get(event.kind, TOLD):
                 tally.told += 1
                 admitted.append(event)

@@ -4,8 +4,8 @@ Rules:
 - What follows from the records alone is told by `EventStream`, and nowhere else: lockstep, replay, sidecar and
   recordings give it the same records and get the same events. The control loop pays for none of it.
 - Every event carries what a person needs to act on it alone: tick, time, axis, measured value, limit, cause, what to do
-  next. The texts are those of event_table.py.
-- A storm is bounded and counted (event_storm.py).
+  next. The texts are those of table.py and of the faults' rows.
+- A storm is bounded and counted (storm.py).
 
 Theory of operation: the detectors leave what they measured in the record (fault_monitor.Evidence). The stream compares
 each record with the one before it; numpy finds the few ticks in which anything changed, and only those are looked at.
@@ -19,28 +19,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.bus.counters import BusState
-from hil.cycle.event import Event
-from hil.cycle.event_storm import Tallies
-from hil.cycle.event_table import (
-    FAULT_TEXTS,
-    GRANTS,
+from hil.cycle.fault_table import GRANTS, ROWS, Fault, Form, Row
+from hil.cycle.faults.row import OF_SENSOR
+from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.events.accuracy import AccuracyWatch, AxisModel, Loss, axis_models
+from hil.events.causes import Cause, History
+from hil.events.event import Event
+from hil.events.storm import Tallies
+from hil.events.table import (
     KINDS,
     REFUSED_ACTION,
-    FaultText,
     Kind,
     Severity,
     severity_of,
 )
-from hil.cycle.fault_table import Fault
-from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
-from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind
 
 _STOP, _RIG_OK, _ESTOP = 1, 8, 32  # bits of a record's flags
 _COMPARED = ("state", "fault", "faults_active", "flags")
 _ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N m"}
 _HELD = 64  # ticks `observe` collects
 _NAN: Final = math.nan
+_OF_ANSWERS: Final = (Fault.ENCODER_GAP, Fault.ENCODER_LOST, Fault.ENCODER_DEAD, Fault.BAD_FRAMES)
+_OF_MOTION: Final = (Fault.ENCODER_STUCK, Fault.FOLLOWING_ERROR, Fault.FILTER_DIVERGED, Fault.SPEED)
 _REACHED: Final = {
     (State.BOOT, State.CONNECTED): "the bus is up",
     (State.CONNECTED, State.READY): "every axis answers and is healthy",
@@ -66,17 +68,28 @@ class _Seen(NamedTuple):
 class EventStream:
     """Tells the events of one run from its records, in order.
 
-    axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. latched: the event of the
+    axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. sensors: name and unit of
+    every sensor. models: of every axis, for its accuracy to be watched; none: it is not. latched: the event of the
     fault that is latched now.
     """
 
-    def __init__(self, axes: Sequence[tuple[str, str]], period_ns: int) -> None:
+    def __init__(
+        self,
+        axes: Sequence[tuple[str, str]],
+        period_ns: int,
+        sensors: Sequence[tuple[str, str]] = (),
+        models: Sequence[AxisModel] = (),
+    ) -> None:
         self._axes = list(axes)
+        self._sensors = list(sensors)
+        self._watch = AccuracyWatch(models, max(period_ns, 1)) if models else None
         self._period_ns = max(period_ns, 1)
         self._window_ticks = max(1, round(1e9 / self._period_ns))
         self._tallies = Tallies()
         self._last = _Seen()
         self._pairs: set[tuple[int, int]] = set()  # fault and axis flagged in the last tick
+        self._history = History(len(self._axes))
+        self._first: Event | None = None  # what was seen first of all that is wrong now
         self._held: list[bytes] = []  # records of `observe`: as bytes 0.3 us each, into an array 1.5
         self.latched: Event | None = None
 
@@ -108,13 +121,21 @@ class EventStream:
             event = self._event(Kind.RECORDS_LOST, "ring", records[0], value=float(lost), limit=0.0)
             told += self.admit([event])
             self._last = self._last._replace(tick=-1)
-        for place in self._places(records).tolist():
+        self._history.begin(records)
+        losses = self._watch.take(records) if self._watch else []
+        places = self._places(records)
+        if losses:
+            places = np.union1d(places, [loss.at for loss in losses])
+        for place in places.tolist():
             record = records[place]
+            self._history.look(place)
             if place:
                 before = records[place - 1]
                 self._last = self._last._replace(tick=int(before["index"]))
             told += self._tallies.turn(int(record["index"]) // self._window_ticks)
             told += self.admit(self._look(record))
+            told += self.admit(self._accuracy(record, loss) for loss in losses if loss.at == place)
+        self._history.end()
         self._last = self._last._replace(tick=int(records["index"][-1]))
         told += self._tallies.turn(self._last.tick // self._window_ticks)
         return told
@@ -193,9 +214,14 @@ class EventStream:
                 pairs.add((int(fault), NO_AXIS))
                 measured = (0.0, 1.0) if fault in GRANTS else (_NAN, _NAN)
                 evidence = [*evidence, _Evidence(int(fault), NO_AXIS, *measured)]
-        for found in evidence:
-            if (found.fault, found.axis) not in self._pairs:
-                yield self._fault(Kind.FAULT_SEEN, record, found)
+        if all(fault in GRANTS for fault, _ in self._pairs):
+            self._first = None
+        fresh = [found for found in evidence if (found.fault, found.axis) not in self._pairs]
+        for found in self._of_all_axes(fresh):
+            event = self._fault(Kind.FAULT_SEEN, record, found)
+            if self._first is None and found.fault not in GRANTS:
+                self._first = event
+            yield self._following(event)
         for number, axis in sorted(self._pairs - pairs):
             if number in GRANTS:
                 yield self._fault(Kind.FAULT_CLEARED, record, _Evidence(number, axis, 1.0, 1.0))
@@ -204,6 +230,25 @@ class EventStream:
             event = self._event(Kind.FAULT_SEEN, "more in one tick than a record keeps", record)
             yield event._replace(times=unkept, cause="see the faults told beside it", action="as for those")
 
+    def _of_all_axes(self, evidence: "list[_Evidence]") -> "list[_Evidence]":
+        """Answers that all axes miss in one tick are one happening, of none of them."""
+        found: list[_Evidence] = []
+        for one in evidence:
+            alike = sum(other.fault == one.fault and other.axis != NO_AXIS for other in evidence)
+            whole = alike == len(self._axes) > 1 and one.axis != NO_AXIS and one.fault in _OF_ANSWERS
+            shared = one._replace(axis=NO_AXIS) if whole else one
+            if not whole or all(shared.fault != other.fault for other in found):
+                found.append(shared)
+        return found
+
+    def _following(self, event: Event) -> Event:
+        """With the fault that came first, within a window."""
+        first = self.latched or self._first
+        if first is None or event.name == first.name or event.tick - first.tick > self._window_ticks:
+            return event
+        whose = f" on {first.axis}" if first.axis else ""
+        return event._replace(cause=f"{event.cause}; after {first.name}{whose} at tick {first.tick}")
+
     def _latches(self, record: np.void, evidence: "list[_Evidence]", before: int, now: int) -> Iterator[Event]:
         if before and self.latched:
             when = self._event(Kind.FAULT_CLEARED, "", record)
@@ -211,8 +256,9 @@ class EventStream:
             yield cleared._replace(time_ns=when.time_ns, run_ns=when.run_ns, cause="an operator's reset")
             self.latched = None
         if now:
-            found = next((found for found in evidence if found.fault == now), _Evidence(now, NO_AXIS, _NAN, _NAN))
-            self.latched = self._fault(Kind.FAULT_LATCHED, record, found)
+            alike = self._of_all_axes([found for found in evidence if found.fault == now])
+            found = alike[0] if alike else _Evidence(now, NO_AXIS, _NAN, _NAN)
+            self.latched = self._following(self._fault(Kind.FAULT_LATCHED, record, found))
             yield self.latched
 
     def _command(self, record: np.void, command: "_Command") -> Event:
@@ -262,20 +308,46 @@ class EventStream:
 
     def _fault(self, kind: Kind, record: np.void, found: "_Evidence") -> Event:
         fault = Fault(found.fault)
-        text: FaultText = FAULT_TEXTS[fault]
-        named, unit = 0 <= found.axis < len(self._axes), text.unit
-        name, rotary = "", False
-        if named:
+        text = ROWS[fault]
+        cause = None if kind is Kind.FAULT_CLEARED else self._cause(fault, found.axis)
+        if cause and found.axis == NO_AXIS:
+            found = found._replace(axis=cause.axis)
+        unit, name, rotary = text.unit, "", False
+        if text.of_sensor:
+            if 0 <= found.axis < len(self._sensors):
+                name, own_unit = self._sensors[found.axis]
+                unit = own_unit if unit == OF_SENSOR else unit
+        elif 0 <= found.axis < len(self._axes):
             name, axis_kind = self._axes[found.axis]
             rotary = axis_kind == "rotary"
         event = self._event(kind, fault.name.lower(), record, found.value, found.limit)
         latched = kind is Kind.FAULT_LATCHED
         severity = event.severity if kind is Kind.FAULT_CLEARED else severity_of(fault, latched=latched)
-        event = event._replace(severity=severity, axis=name, measured=text.measured)
+        event = event._replace(severity=severity, axis=name, measured=_measured(text, found.value))
         unit = _ROTARY.get(unit, unit) if rotary else unit
         if kind is Kind.FAULT_CLEARED:
             return event._replace(unit=unit, cause="it is there again")
-        return event._replace(unit=unit, cause=text.cause, action=text.action.replace("AXIS", name or "NAME"))
+        why, action = (cause.text, cause.action) if cause else (text.cause, text.action)
+        return event._replace(unit=unit, cause=why, action=action.replace("AXIS", name or "NAME"))
+
+    def _cause(self, fault: Fault, axis: int) -> Cause | None:
+        """What the ticks before say of it; None where the fault's row says all that is known."""
+        if fault in _OF_ANSWERS:
+            return self._history.silence()
+        return self._history.frozen(axis) if fault in _OF_MOTION and axis != NO_AXIS else None
+
+    def _accuracy(self, record: np.void, loss: Loss) -> Event:
+        name, kind = self._axes[loss.axis]
+        unit = _ROTARY.get(loss.unit, loss.unit) if kind == "rotary" else loss.unit
+        event = self._event(Kind.ACCURACY_LOST, loss.signature, record, loss.value, loss.limit)
+        return event._replace(axis=name, measured=loss.measured, unit=unit, cause=loss.cause, action=loss.action)
+
+
+def _measured(row: Row, value: float) -> str:
+    """What the value is of; of a state, with the value or the word that it stands for."""
+    if row.form is not Form.STATE or math.isnan(value):
+        return row.measured
+    return row.measured.format(row.words[int(value)] if row.words else int(value))
 
 
 class _Evidence(NamedTuple):
@@ -315,4 +387,6 @@ def _changes(column: NDArray[Any], before: int) -> NDArray[np.bool_]:
 
 def stream_of(rig: dict[str, Any], period_ns: int) -> EventStream:
     """The stream for a rig as a run's description holds it (hil.rig.provenance.describe_run)."""
-    return EventStream([(name, str(axis["kind"])) for name, axis in rig["axes"].items()], period_ns)
+    axes = [(name, str(axis["kind"])) for name, axis in rig["axes"].items()]
+    sensors = [(name, str(sensor["unit"])) for name, sensor in rig.get("sensors", {}).items()]
+    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]))

@@ -3,7 +3,7 @@
 import math
 from typing import Any, NamedTuple
 
-from hil.cycle.event_table import KINDS, Kind, Severity
+from hil.events.table import KINDS, Kind, Severity
 
 
 class Event(NamedTuple):
@@ -34,7 +34,9 @@ class Event(NamedTuple):
     def text(self) -> str:
         """What happened, without when, why and what next."""
         words = f"{KINDS[self.kind].text}: {self.name}" + (f" on {self.axis}" if self.axis else "")
-        if self.measured and not (math.isnan(self.value) and math.isnan(self.limit)):
+        if self.measured and math.isnan(self.limit) and not math.isnan(self.value):  # so or not: no limit to it
+            words += f": {self.measured}"
+        elif self.measured and not math.isnan(self.limit):
             unit = f" {self.unit}" if self.unit else ""
             words += f": {self.measured} {self.value:.6g}{unit}, limit {self.limit:.6g}{unit}"
         return words + (f" ({self.times} times)" if self.times > 1 else "")

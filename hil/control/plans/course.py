@@ -1,0 +1,87 @@
+"""What the axes do one plan after another: a trajectory that goals change as it goes.
+
+Each axis has its own clock (ns since the course began) and its own plans. A new one begins in the motion that the one
+before it has there, so that position, velocity and acceleration stay continuous; the last few are kept for instants of
+samples from before that.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from hil.control.laws.base import Array
+from hil.control.plans.axis_plan import AxisPlan
+from hil.control.plans.pace import Pace, paced
+from hil.control.trajectories.base import Times, Trajectory
+
+KEPT: Final = 4
+NS: Final = 1e-9
+_ALWAYS: Final = -(1 << 60)  # ns
+
+
+class Stretch:
+    """From an instant on, ns: a plan of the axis, or a path at a pace that began at a path time, ns."""
+
+    __slots__ = ("begins", "pace", "path", "path_ns", "plan")
+
+    def __init__(
+        self, begins: int, plan: AxisPlan, path: Trajectory | None = None, pace: Pace | None = None, path_ns: int = 0
+    ) -> None:
+        self.begins = begins
+        self.plan = plan
+        self.path = path
+        self.pace = pace
+        self.path_ns = path_ns
+
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """Position, velocity and acceleration at an instant, ns."""
+        path, pace = self.path, self.pace
+        if path is not None:
+            if pace is not None:
+                return paced(path, axis, self.path_ns, pace, (t_ns - self.begins) * NS)
+            return path.at(axis, self.path_ns + t_ns - self.begins)
+        return self.plan.at((t_ns - self.begins) * NS)
+
+
+class Course(Trajectory):
+    """Begins at rest at `start`, m by axis, or along a path, whose time is the course's."""
+
+    phase_names: tuple[str, ...] = ("goals",)
+
+    def __init__(self, start: Sequence[float], path: Trajectory | None = None) -> None:
+        super().__init__(len(start))
+        self._stretches: list[list[Stretch]] = []
+        for axis, position in enumerate(start):
+            here = path.at(axis, 0)[0] if path is not None else position
+            first = Stretch(0 if path is not None else _ALWAYS, AxisPlan(here, 0.0, 0.0), path)
+            self._stretches.append([first])
+
+    def add(self, axis: int, stretch: Stretch) -> None:
+        """Takes the place of what the axis would have done from then on; not before what was added last."""
+        kept = self._stretches[axis]
+        kept.insert(0, stretch)
+        if len(kept) > KEPT:
+            kept.pop()
+
+    def replace(self, axis: int, stretch: Stretch) -> None:
+        """Takes the place of what was added last, which has not begun or begins at the same instant."""
+        self._stretches[axis][0] = stretch
+
+    def newest(self, axis: int) -> Stretch:
+        """What the axis does last."""
+        return self._stretches[axis][0]
+
+    def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
+        """See Trajectory."""
+        found = None
+        for stretch in self._stretches[axis]:
+            found = stretch
+            if t_ns >= stretch.begins:
+                break
+        assert found is not None
+        return found.at(axis, max(t_ns, found.begins))
+
+    def _axis_array(self, axis: int, t_ns: Times) -> tuple[Array, Array, Array]:
+        values = np.array([self.at(axis, instant) for instant in t_ns.ravel().tolist()]).reshape(-1, 3)
+        return tuple(values[:, k].reshape(t_ns.shape).copy() for k in range(3))  # type: ignore[return-value]

@@ -1,0 +1,56 @@
+"""Numbers of the faults. Made by `make docs` from the rows beside this file."""
+
+from enum import IntEnum
+
+
+class Fault(IntEnum):
+    """Number of a fault in records and telemetry; 0 is none."""
+
+    NONE = 0
+    ENCODER_GAP = 1
+    ENCODER_LOST = 2
+    ENCODER_DEAD = 3
+    BAD_FRAMES = 4
+    ENCODER_GLITCH = 5
+    ENCODER_JUMP = 6
+    ENCODER_STUCK = 7
+    FOLLOWING_ERROR = 8
+    TRAVEL_PLANNED = 9
+    TRAVEL = 10
+    SPEED_PLANNED = 11
+    SPEED = 12
+    NOT_FINITE = 13
+    FILTER_DIVERGED = 14
+    DRIVE_FAULT = 15
+    DRIVE_WATCHDOG = 16
+    DRIVE_DISABLED = 17
+    ENABLE_TIMEOUT = 18
+    ENCODER_FAULT = 19
+    BUS_PASSIVE = 20
+    BUS_OFF = 21
+    NO_ACK = 22
+    TRANSMIT_REFUSED = 23
+    TRANSMIT_BLOCKED = 24
+    INTERFACE_DOWN = 25
+    RECEIVE_FLOOD = 26
+    OVERRUN = 27
+    OVERRUN_BURST = 28
+    OVERRUN_LONG = 29
+    HEARTBEAT_LOST = 30
+    REALTIME_DENIED = 31
+    RECORDER_LOST = 32
+    RIG_CHANGED = 33
+    DRIVE_STAYS_ENABLED = 34
+    AXIS_NOT_AS_STATED = 35
+    OSCILLATION = 36
+    LIMIT_SWITCH = 37
+    FOREIGN_COMMAND = 38
+    ANSWERS_DIFFER = 39
+    STAMP = 40
+    STAMP_GLITCH = 41
+    STANDSTILL = 42
+    AXIS_MOVED = 43
+    SENSOR_SILENT = 44
+    SENSOR_STUCK = 45
+    SENSOR_RANGE = 46
+    SENSOR_SEQUENCE = 47

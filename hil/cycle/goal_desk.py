@@ -1,0 +1,309 @@
+"""The goal desk: takes goals while the rig is ACTIVE, and turns each into plans of the axes it is for.
+
+Rules:
+- The plan in hand ends at rest inside the fence. A new one replaces it, for all axes of its goal or for none, and only
+  where it keeps fence, speed, acceleration and jerk; else the old one goes on and the goal is refused, with a reason.
+- A plan begins in the motion of the setpoint in force where the coming force begins to act, and takes effect in the
+  frame of the tick that takes the goal.
+- From a path (the task) a goal first stops along the path.
+- Nothing here is trusted by gate or monitors, and nothing a goal holds can raise.
+
+Theory of operation: the setpoints follow a `Course` (hil/control/plans/course.py) as long as goals move the axes, and a
+mere position where they are at rest, so that no goal costs nothing.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from hil.control.plans.axis_plan import AxisPlan, MotionLimits
+from hil.control.plans.course import Course, Stretch
+from hil.control.plans.moves import halt, jog, knot, move
+from hil.control.plans.pace import MOST_RATE, Pace, change_rate
+from hil.control.plans.together import State, line, moves
+from hil.control.trajectories import Trajectory
+from hil.cycle.axes import Axes
+from hil.cycle.goal import LINE, MOST_GOALS, MOST_JOG_S, RELATIVE, Goal, GoalKind, MotionWord, Refusal
+from hil.cycle.sampling import Sampling
+
+JOG_S: Final = 0.1  # that a jog lasts which does not say for how long
+JOG_WAY: Final = 0.1  # of the travel, at most, in one jog
+INWARD: Final = 0.2  # of speed and acceleration, from outside the fence
+_WORDS: dict[int, MotionWord] = {
+    GoalKind.MOVE: MotionWord.MOVE,
+    GoalKind.JOG: MotionWord.JOG,
+    GoalKind.KNOT: MotionWord.STREAM,
+    GoalKind.HALT: MotionWord.MOVE,
+}
+
+
+class GoalDesk:
+    """word: what the axes do. handled: the goals of this tick, each with what refused it. number: of the goal taken
+    last. limited: knots that were brought within the limits. superseded, refused: goals without effect, so far.
+    """
+
+    def __init__(
+        self, axes: Axes, sampling: Sampling, limits: Sequence[MotionLimits], paths: Sequence[float], interrupt: bool
+    ) -> None:
+        """paths: accelerations that a change of a path's rate may take, m/s^2 by axis. interrupt: goals end a task."""
+        self._axes, self._sampling, self._limits = axes, sampling, list(limits)
+        self._hard = [
+            MotionLimits(li.speed, most, li.jerk, li.low, li.high) for li, most in zip(limits, paths, strict=True)
+        ]
+        self._interrupt = interrupt
+        self.word = MotionWord.NONE
+        self.handled: list[tuple[Goal, int]] = []
+        self.number = self.limited = self.superseded = self.refused = 0
+        self._course: Course | None = None
+        self._path: Trajectory | None = None
+        self._ends_ns = -1  # of the path's time
+        self._knot_ns = [0] * len(limits)  # when the last knot of a stream was due, on the course's clock
+        self._knot_speed = [0.0] * len(limits)
+
+    def begin(self, path: Trajectory | None, word: MotionWord) -> None:
+        """The setpoints have begun to follow `path`; None: they hold."""
+        self._course, self._path, self.word = None, path, word
+        duration = None if path is None else path.duration_ns
+        self._ends_ns = -1 if duration is None else duration
+
+    def leave(self) -> None:
+        """The axes are no longer ours to move."""
+        self._course = self._path = None
+        self.word = MotionWord.NONE
+
+    def refuse(self, goals: Sequence[Goal]) -> None:
+        """All of a tick, in a state that takes none."""
+        self.handled = [(goal, int(Refusal.NOT_ACTIVE)) for goal in goals[:MOST_GOALS]]
+        self.refused += len(goals)
+
+    def advance(self, goals: Sequence[Goal], begin_path: Callable[[list[float]], Trajectory | None]) -> None:
+        """One tick in ACTIVE. begin_path: the task's plan from rest at positions; None: it may not begin there."""
+        if goals:
+            self._take(goals, begin_path)
+        if self._course is not None:
+            self._watch_course(self._course)
+        elif self._path is not None and 0 <= self._ends_ns <= self._axes.setpoints.task_ns:
+            self._path, self.word = None, MotionWord.HOLD
+
+    def _watch_course(self, course: Course) -> None:
+        """Once all axes have come to rest, also where the samples are, the setpoints merely hold again."""
+        setpoints = self._axes.setpoints
+        for axis, instant in enumerate(self._sampling.instants):
+            stretch = course.newest(axis)
+            since = instant - setpoints.origin[axis] - stretch.begins
+            if stretch.path is not None or since < 0 or since * 1e-9 < stretch.plan.ends:
+                return
+        self._course = self._path = None
+        self.word = MotionWord.HOLD
+        setpoints.hold([course.newest(axis).plan.target for axis in range(len(self._limits))])
+
+    def _take(self, goals: Sequence[Goal], begin_path: Callable[[list[float]], Trajectory | None]) -> None:
+        """The newest of each kind, in order of arrival."""
+        newest = {goal.kind: place for place, goal in enumerate(goals)}
+        kept = [goal for place, goal in enumerate(goals) if newest[goal.kind] == place][-MOST_GOALS:]
+        self.superseded += len(goals) - len(kept)
+        for goal in kept:
+            refusal = self._begin_path(begin_path) if goal.kind == GoalKind.PATH else self._act(goal)
+            self.handled.append((goal, int(refusal)))
+            if refusal is Refusal.NONE:
+                self.number = goal.number
+            else:
+                self.refused += 1
+
+    def _begin_path(self, begin_path: Callable[[list[float]], Trajectory | None]) -> Refusal:
+        if self.word is not MotionWord.HOLD or self._course is not None:
+            return Refusal.NO_PATH
+        path = begin_path([x.end.position for x in self._axes.inputs])
+        if path is None:
+            return Refusal.NO_PATH
+        self._axes.setpoints.follow(path, list(self._sampling.starts))
+        self._update()
+        self.begin(path, MotionWord.PATH)
+        return Refusal.NONE
+
+    def _act(self, goal: Goal) -> Refusal:
+        axes = self._chosen(goal)
+        refusal = self._wrong(goal, axes)
+        if refusal is not Refusal.NONE:
+            return refusal
+        course = self._on_course()
+        if goal.kind == GoalKind.RATE:
+            return self._change_rate(course, goal.speed)
+        refusal = self._stop_along_path(course)
+        if refusal is Refusal.NONE:
+            refusal = self._plan(course, goal, axes)
+        return refusal
+
+    def _chosen(self, goal: Goal) -> list[int]:
+        n = len(self._limits)
+        mask = goal.mask or (1 << n) - 1
+        return [axis for axis in range(n) if mask >> axis & 1] if 0 <= mask < 1 << n else []
+
+    def _wrong(self, goal: Goal, axes: list[int]) -> Refusal:
+        """What a goal says that cannot be, whatever the axes do."""
+        known = goal.kind in _WORDS or goal.kind == GoalKind.RATE
+        if not axes or not known or goal.flags & ~(RELATIVE | LINE):
+            return Refusal.UNKNOWN
+        if not all(math.isfinite(value) for value in (goal.speed, *goal.position, *goal.velocity)):
+            return Refusal.NOT_FINITE
+        if goal.kind == GoalKind.RATE:
+            if self._path is None:
+                return Refusal.NO_PATH
+            return Refusal.NONE if 0.0 <= goal.speed <= MOST_RATE else Refusal.NOT_FINITE
+        if self.word is MotionWord.TASK and not self._interrupt:
+            return Refusal.TASK
+        if not 0.0 < goal.speed <= 1.0 or not 0 <= goal.due_ns < 1 << 40:
+            return Refusal.NOT_FINITE
+        return Refusal.NONE if 0 <= goal.valid_ns <= MOST_JOG_S * 1e9 else Refusal.NOT_FINITE
+
+    # the course ---------------------------------------------------------------------------------------------------
+
+    def _on_course(self) -> Course:
+        """What the setpoints follow from here on; it begins as what they do now."""
+        if self._course is None:
+            setpoints = self._axes.setpoints
+            self._course = Course([x.end.position for x in self._axes.inputs], self._path)
+            origin = list(self._sampling.starts) if self._path is None else list(setpoints.origin)
+            setpoints.follow(self._course, origin)
+        return self._course
+
+    def _commits(self) -> list[int]:
+        """Where the coming force begins to act, ns on the course's clock, by axis."""
+        origin = self._axes.setpoints.origin
+        return [start - begun for start, begun in zip(self._sampling.starts, origin, strict=True)]
+
+    def _update(self) -> None:
+        self._axes.setpoints.update(self._sampling.instants, self._sampling.starts)
+
+    def _change_rate(self, course: Course, wanted: float) -> Refusal:
+        path = self._path
+        assert path is not None
+        commits = self._commits()
+        here = [self._path_time(course, axis, at) for axis, at in enumerate(commits)]
+        rate, slope = here[0][1], here[0][2]
+        pace = change_rate(path, [place for place, _, _ in here], rate, slope, wanted, self._hard)
+        if pace is None:
+            self._update()
+            return Refusal.LIMITS
+        self._set_pace(course, path, pace, commits, [place for place, _, _ in here])
+        if wanted == 0.0:
+            self.word = MotionWord.PAUSED
+        elif self.word is MotionWord.PAUSED:
+            self.word = MotionWord.PATH
+        self._update()
+        return Refusal.NONE
+
+    def _set_pace(
+        self, course: Course, path: Trajectory, pace: Pace, commits: Sequence[int], places: Sequence[int]
+    ) -> None:
+        for axis, (at, place) in enumerate(zip(commits, places, strict=True)):
+            rest = AxisPlan(path.at(axis, place)[0], 0.0, 0.0)
+            course.add(axis, Stretch(at, rest, path, pace, place))
+
+    def _path_time(self, course: Course, axis: int, at: int) -> tuple[int, float, float]:
+        """Path time, ns, its rate and slope at an instant of the course."""
+        stretch = course.newest(axis)
+        if stretch.pace is None:
+            return stretch.path_ns + at - stretch.begins, 1.0, 0.0
+        gone, rate, slope = stretch.pace.at((at - stretch.begins) * 1e-9)
+        return stretch.path_ns + int(gone * 1e9), rate, slope
+
+    def _stop_along_path(self, course: Course) -> Refusal:
+        """A path ends along itself; plans begin where it has come to rest."""
+        path = self._path
+        if path is None:
+            return Refusal.NONE
+        refusal = self._change_rate(course, 0.0)
+        if refusal is not Refusal.NONE:
+            return refusal
+        for axis in range(len(self._limits)):
+            stretch = course.newest(axis)
+            assert stretch.pace is not None
+            begins = stretch.begins + math.ceil(stretch.pace.ends * 1e9) + 1
+            course.add(axis, Stretch(begins, AxisPlan(course.at(axis, begins)[0], 0.0, 0.0)))
+        self._path, self.word = None, MotionWord.MOVE
+        return Refusal.NONE
+
+    # plans --------------------------------------------------------------------------------------------------------
+
+    def _plan(self, course: Course, goal: Goal, axes: list[int]) -> Refusal:
+        """New plans for the axes of a goal; nothing changes where one of them may not be."""
+        commits = self._commits()
+        begins = [max(commits[axis], course.newest(axis).begins) for axis in axes]
+        states = [course.at(axis, at) for axis, at in zip(axes, begins, strict=True)]
+        limits = [self._limits_at(axis, state[0]) for axis, state in zip(axes, states, strict=True)]
+        limited = self.limited
+        plans, refusal = self._made(course, goal, axes, begins, states, limits)
+        if refusal is Refusal.NONE and not all(p.keeps(li) for p, li in zip(plans, limits, strict=True)):
+            refusal = Refusal.LIMITS
+        if refusal is Refusal.NONE:
+            for axis, at, plan in zip(axes, begins, plans, strict=True):
+                if course.newest(axis).begins == at:
+                    course.replace(axis, Stretch(at, plan))
+                else:
+                    course.add(axis, Stretch(at, plan))
+            self.word = _WORDS[goal.kind]
+        else:
+            self.limited = limited
+        self._update()
+        return refusal
+
+    def _limits_at(self, axis: int, position: float) -> MotionLimits:
+        """Outside the fence: inwards alone, and slowly."""
+        li = self._limits[axis]
+        if li.low <= position <= li.high:
+            return li
+        low, high = min(li.low, position), max(li.high, position)
+        return MotionLimits(li.speed * INWARD, li.acceleration * INWARD, li.jerk, low, high)
+
+    def _made(
+        self, course: Course, goal: Goal, axes: list[int], begins: list[int], states: list[State],
+        limits: list[MotionLimits],
+    ) -> tuple[list[AxisPlan], Refusal]:  # fmt: skip
+        if goal.kind == GoalKind.HALT:
+            return [halt(*state, li) for state, li in zip(states, limits, strict=True)], Refusal.NONE
+        slowed = [li.slowed(goal.speed) for li in limits]
+        if goal.kind == GoalKind.JOG:
+            return [
+                self._jog(goal, axis, state, li) for axis, state, li in zip(axes, states, slowed, strict=True)
+            ], Refusal.NONE
+        if goal.kind == GoalKind.KNOT:
+            found = zip(axes, begins, states, slowed, strict=True)
+            return [self._knot(goal, axis, at, state, li) for axis, at, state, li in found], Refusal.NONE
+        targets = []
+        for axis in axes:
+            target = goal.position[axis]
+            if goal.flags & RELATIVE:
+                target += course.newest(axis).plan.target
+            if not self._limits[axis].low <= target <= self._limits[axis].high:
+                return [], Refusal.FENCE
+            targets.append(target)
+        # A goal that asks for less than what is in force slows down within what the axis has.
+        chosen = [low if abs(s[1]) <= low.speed else li for low, li, s in zip(slowed, limits, states, strict=True)]
+        planned = line if goal.flags & LINE else moves
+        return planned(states, targets, chosen), Refusal.NONE
+
+    def _jog(self, goal: Goal, axis: int, state: State, li: MotionLimits) -> AxisPlan:
+        wanted = max(-li.speed, min(li.speed, goal.velocity[axis]))
+        seconds = goal.valid_ns * 1e-9 or JOG_S
+        if wanted != 0.0:
+            seconds = min(seconds, JOG_WAY * (li.high - li.low) / abs(wanted))
+        return jog(*state, wanted, seconds, self._limits_at(axis, state[0]))
+
+    def _knot(self, goal: Goal, axis: int, at: int, state: State, li: MotionLimits) -> AxisPlan:
+        """Through the knot, with the acceleration that the speeds of this one and the one before mean; where its hull
+        does not prove the limits, a move to its place.
+        """
+        place = max(li.low, min(li.high, goal.position[axis]))
+        speed = max(-li.speed, min(li.speed, goal.velocity[axis]))
+        due = at + goal.due_ns
+        after = (due - self._knot_ns[axis]) * 1e-9
+        streams = self.word is MotionWord.STREAM and after > 0.0
+        bend = (speed - self._knot_speed[axis]) / after if streams else 0.0
+        bend = max(-li.acceleration, min(li.acceleration, bend))
+        self._knot_ns[axis], self._knot_speed[axis] = due, speed
+        exact = place == goal.position[axis] and speed == goal.velocity[axis]
+        made = knot(*state, (place, speed, bend), goal.due_ns * 1e-9, li)
+        if made is None or not exact:
+            self.limited += 1
+        return made if made is not None else move(*state, place, self._limits_at(axis, state[0]))

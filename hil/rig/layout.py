@@ -1,0 +1,35 @@
+"""The host's side of a rig's frame layout, if it can carry what the rig asks of it."""
+
+from pathlib import Path
+
+from drivers.protocols import host_protocol
+from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError
+from hil.rig.schema import RigConfig
+from hil.rig.sensors import check_sensors
+
+LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
+
+
+def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
+    """Raises LayoutError (a ValueError) or OSError for a layout that the rig cannot have, naming the key."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+    for key, demanded in demands(rig):
+        if missing := demanded & ~layout.tells:
+            raise LayoutError(
+                f"bus.protocol = {rig.bus.protocol!r}: its answers have no bit for {DriveStatus(missing).name}, which "
+                f"{key} needs. Change the layout (stage_fd has these bits) or leave the key out"
+            )
+    check_sensors(rig, layout)
+    return layout
+
+
+def demands(rig: RigConfig) -> list[tuple[str, int]]:
+    """What the rig asks drives to tell beyond themselves: the key that asks, and DriveStatus bits."""
+    found = []
+    for name, axis in rig.axes.items():
+        if axis.limits.switches:
+            found.append((f"axes.{name}.limits.switches = true", int(LIMITS)))
+        if axis.home is not None and axis.home.by == "switch":
+            found.append((f'axes.{name}.home.by = "switch"', int(DriveStatus.HOME)))
+    return found
