@@ -1,63 +1,59 @@
 """The control service: one pure control cycle and the shells that run it live, in lockstep, or from a recording.
 
-What Python programs use of it is listed in `__all__`, and loaded when it is first asked for: `import hil` itself loads
-nothing. Everything else may change from one version to the next.
+What Python programs use of it is listed in the stub beside this file (hil/__init__.pyi), which type checkers and
+editors read, and loaded when it is first asked for: `import hil` itself loads nothing. Everything else may change from
+one version to the next.
 """
 
 import os
+import sys
+from importlib.machinery import PathFinder
 
 # Nothing in hil calls BLAS (bit determinism forbids it). One thread, set before numpy is imported, saves each process
 # 40 MB and an idle thread beside the real-time loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-_PUBLIC = {
-    "Command": "drivers.protocols.base",
-    "DriveSide": "drivers.protocols.frame_layout",
-    "DriveStatus": "drivers.protocols.base",
-    "Estimator": "hil.control.estimator.contract",
-    "Event": "hil.runs",
-    "Frame": "drivers.frame",
-    "FrameLayout": "drivers.protocols.frame_layout",
-    "Gain": "hil.control.gain",
-    "HostSide": "drivers.protocols.frame_layout",
-    "Knob": "hil.control.gain",
-    "Law": "hil.control.laws.base",
-    "LawInputs": "hil.control.laws.base",
-    "Measurement": "hil.control.estimator.contract",
-    "Message": "drivers.protocols.base",
-    "Model": "hil.control.laws.base",
-    "Plant": "sim_plant.user_stage",
-    "Recording": "hil.runs",
-    "RecordingError": "hil.telemetry.recorder",
-    "Reference": "hil.control.laws.base",
-    "Reject": "drivers.protocols.base",
-    "Rig": "hil.runs",
-    "RigError": "hil.rig.schema",
-    "Run": "hil.runs",
-    "Sample": "drivers.protocols.base",
-    "Simulation": "hil.runs",
-    "Task": "hil.rig.task_kinds",
-    "Wiring": "drivers.config",
-    "LiveRig": "hil.connection",
-    "NoGatewayError": "hil.connection",
-    "NoSidecarError": "hil.connection",
-    "connect": "hil.connection",
-    "accept_law": "hil.studies.acceptance.law",
-    "load_rig": "hil.runs",
-    "load_run": "hil.runs",
-    "replay": "hil.runs",
-    "simulate": "hil.runs",
-}
-__all__ = sorted(_PUBLIC)
+
+def _public() -> dict[str, str]:
+    """Modules by public name. The stub is the one list of them; its lines read `from MODULE import NAME as NAME`."""
+    homes: dict[str, str] = {}
+    with open(os.path.join(os.path.dirname(__file__), "__init__.pyi"), encoding="utf-8") as stub:
+        for line in stub:
+            if line.startswith("from "):
+                _, module, _, name, *_ = line.split()
+                homes[name] = module
+    return homes
+
+
+def _refuse_shadows() -> None:
+    """Raises ImportError where a folder of the same name hides one of the two packages that come with this one."""
+    home = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    for name in ("drivers", "sim_plant"):
+        loaded = sys.modules.get(name)
+        spec = loaded.__spec__ if loaded else PathFinder.find_spec(name)
+        if spec is None or spec.origin is None:
+            continue
+        found, own = os.path.dirname(os.path.realpath(spec.origin)), os.path.join(home, name)
+        if found != own and os.path.isdir(own):
+            raise ImportError(
+                f"{found} hides the package '{name}' of hil, which has the same name: rename that folder, or start "
+                f"Python where it is not the first that is found (hil's own is {own})"
+            )
+
+
+_refuse_shadows()
 
 
 def __getattr__(name: str) -> object:
-    if name not in _PUBLIC:
+    if name == "__all__":
+        value: object = sorted(_public())
+    elif name.startswith("_") or (home := _public().get(name)) is None:
         raise AttributeError(f"module 'hil' has no attribute {name!r}")
-    value = getattr(__import__("importlib").import_module(_PUBLIC[name]), name)
+    else:
+        value = getattr(__import__("importlib").import_module(home), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({*globals(), *_public()})

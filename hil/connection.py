@@ -5,27 +5,28 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.cycle.event import Event as Happened
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
-from hil.cycle.task_loading import task_document
 from hil.cycle.tick import CommandKind
+from hil.events.event import Event as Happened
 from hil.live.mapped_file import Closing
+from hil.live.task_loading import task_document
 from hil.operate.command import at_hand
+from hil.operate.moving import motion
 from hil.rig.file import build_rig, task_of_file
-from hil.runs import Event
+from hil.runs.api import Event
+from hil.runs.columns import Columns
+from hil.runs.mover import Mover
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.command_client import NoGatewayError, Verdict
 from hil.telemetry.event_codec import decode
 
 FIRST_S = 5.0
-_CHANGE = (("state", State), ("fault", Fault))
 
 
 class LiveRig(Closing):
@@ -47,7 +48,7 @@ class LiveRig(Closing):
         """The next status, of ten a second: state, fault, positions, forces, lateness. Raises NoSidecarError."""
         return self._client.wait_status(timeout_s)
 
-    def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[dict[str, NDArray[Any]]]:
+    def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[Columns]:
         """Every tick from now on, in batches of columns as hil.Run.columns has them: (ticks,) or (ticks, n_axes).
 
         Rounded as docs/recording.md says; scheduled_ns and now_ns count from the control process's slot 0. Without end.
@@ -55,7 +56,7 @@ class LiveRig(Closing):
         none comes for that long.
         """
         while True:
-            yield self._client.wait_ticks(timeout_s)
+            yield cast(Columns, self._client.wait_ticks(timeout_s))
 
     def events(self, timeout_s: float = FIRST_S) -> Iterator[Event]:
         """Every change of the state and of the latched fault from now on; the first is the state as it is.
@@ -67,7 +68,7 @@ class LiveRig(Closing):
             yield from _changes(columns, last)
 
     def log(self, timeout_s: float = FIRST_S) -> list[Happened]:
-        """Events whole (hil.cycle.event.Event): tick, axis, measured value, limit, cause, what to do next.
+        """Events whole (hil.events.event.Event): tick, axis, measured value, limit, cause, what to do next.
 
         The first call gives all the sidecar keeps, later ones what has come since, and do not wait. Raises
         NoSidecarError.
@@ -86,8 +87,8 @@ class LiveRig(Closing):
         raise TimeoutError(f"{self.name} is {status.state}, fault {status.fault}, not {state}, after {timeout_s:g} s")
 
     def command(self, action: str) -> Verdict:
-        """Ask the control process: activate, stop, reset, home, estop, shutdown or heartbeat; its verdict. Another task
-        goes by `load_task`.
+        """Ask the control process: activate, activate_hold, stop, reset, home, estop, shutdown or heartbeat; its
+        verdict. Another task goes by `load_task`.
 
         accepted: whether it did; reason: why not; state: after it. Raises ValueError for another word, NoGatewayError
         where nobody takes it; `hil estop` then still stops the rig.
@@ -99,9 +100,9 @@ class LiveRig(Closing):
             return client.command(kinds[action])
 
     def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
-        """Load another task while the rig is at rest (READY): a CSV or NPZ file with a path, a TOML file with a table
-        [task], or such a table; overrides: task.key=value. It is checked from where the stage stands, and lasts until
-        the control process ends.
+        """Load another task while the rig is at rest, READY or held for goals. task: a CSV or NPZ file with a path, a
+        TOML file with a table [task], or such a table. overrides: task.key=value. It is checked from where the stage
+        stands, and lasts until the control process ends. Held, a rig takes paths through points alone.
 
         Raises RigError for what is no task of this rig, NoGatewayError as `command`.
         """
@@ -115,6 +116,10 @@ class LiveRig(Closing):
         with at_hand(self.name) as client:  # only now: who says nothing for long loses the connection
             return client.load_task(document)
 
+    def motion(self, *, take: bool = False) -> Mover:
+        """Move it: as `hil.motion`, of this rig."""
+        return motion(self.name, take=take)
+
     def close(self) -> None:
         """Leave; the rig goes on."""
         self._client.close()
@@ -125,11 +130,11 @@ def connect(name: str, endpoint: str | None = None) -> LiveRig:
     return LiveRig(name, endpoint)
 
 
-def _changes(columns: dict[str, NDArray[Any]], last: dict[str, int]) -> Iterator[Event]:
+def _changes(columns: Columns, last: dict[str, int]) -> Iterator[Event]:
     """Where state or fault are other than the tick before; last: what they were, kept up to date."""
     found = []
-    for name, kind in _CHANGE:
-        values = columns[name].astype(np.int64)
+    for name, kind, column in (("state", State, columns["state"]), ("fault", Fault, columns["fault"])):
+        values = column.astype(np.int64)
         before = np.concatenate([[last.get(name, -1)], values[:-1]])
         for place in np.flatnonzero(values != before).tolist():
             value = kind(int(values[place]))

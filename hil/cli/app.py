@@ -7,11 +7,12 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from drivers.base.runtime import RuntimeDirectoryError
+from drivers.base.text_file import printable
 from drivers.protocols.base import LayoutError
-from drivers.runtime import RuntimeDirectoryError
-from drivers.text_file import printable
 from hil.cli.commands import Entry, add_commands, first_word, load
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
+from hil.cli.help_text import in_words, present_spelling
 from hil.rig.former_keys import show_former_keys
 from hil.rig.provenance import control_path
 from hil.rig.schema import RigError
@@ -20,50 +21,79 @@ from sim_plant.config import PlantError
 
 UNPARSED = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
-COMMANDS: dict[str, Entry] = {
-    "demo": Entry(
-        "hil.operate.demo:demo", "Emulated stage, control, telemetry and live view together, as real processes"
-    ),
-    "sim": Entry("hil.virtual.commands:sim", "Run a rig in lockstep: exact virtual time, the same bytes every time"),
-    "check": Entry(
-        "hil.studies.acceptance.command:check", "Does the traffic fit, is the loop stable; --law: may this law run?"
-    ),
-    "run": Entry("hil.cli.app:run_directly", "The control process", UNPARSED),
-    "emulate": Entry("hil.virtual.commands:emulate", "The plant on the bus, when there is no stage"),
-    "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish, record and take commands for a control process"),
-    "monitor": Entry("hil.operate.monitor:monitor", "Watch a rig in the terminal"),
-    "events": Entry("hil.operate.events:events", "What happened: of a running rig, or of a recording"),
-    "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a rig in a browser"),
-    "command": Entry("hil.operate.command:command", "Activate, stop, reset or emergency-stop a running rig"),
-    "new": Entry("hil.operate.new:new", "Write a rig file for a stage of your own"),
-    "explain": Entry("hil.operate.explain:explain", "What a key of the rig file means: unit, range, default"),
-    "estop": Entry(
-        "hil.operate.estop:estop", "Stop a rig now, by its name alone: needs nothing but its control process"
-    ),
-    "doctor": Entry("hil.operate.doctor:doctor", "What this machine grants, and what to do about it"),
-    "faults": Entry(
-        "hil.studies.fault_campaign.command:faults", "Every fault in every state, phase and axis, in lockstep"
-    ),
-    "reproduce": Entry("hil.studies.paper.command:reproduce", "Check the paper's claims"),
-    "compare": Entry("hil.studies.compare.command:compare", "All control laws on the same task"),
-    "tune": Entry("hil.studies.tune.command:tune", "Find gains for a law and write them to the rig file"),
-    "sweep": Entry("hil.studies.sweep.command:sweep", "Thousands of plants with seeded parameters"),
-    "evidence": Entry("hil.studies.evidence.command:evidence", "Accuracies over drawn stages: median and 95 %"),
-    "replay": Entry("hil.virtual.commands:replay", "Feed a recording to a new cycle and compare every torque frame"),
-    "learnt": Entry("hil.virtual.learnt:learnt", "Keep what a run's law has learnt over its repeats"),
-    "plot": Entry("hil.studies.run_views:plot", "Draw a run: setpoint, following error, force over time"),
-    "report": Entry("hil.studies.run_views:report", "A run as one HTML file: figures, pictures, events, law, rig"),
-    "export": Entry("hil.studies.run_views:export", "A run's columns as CSV, NPZ or Parquet"),
-    "diff": Entry("hil.studies.run_views:diff", "What is otherwise in a second run"),
-    "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save what a killed control process left behind"),
-    "recover": Entry("hil.telemetry.recover:command", "Make a recording that a crash cut short whole again"),
-    "drives": Entry("hil.operate.drives:drives", "Bring up the drives of a rig: who is there, and why not; jog"),
-    "drive": Entry("hil.operate.drive:drive", "An emulated CiA 402 drive by its EDS, for anybody's master"),
-    "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
-    "bench": Entry("hil.operate.bench.command:bench", "Measurements of this machine, against a reference"),
-    "install": Entry("hil.operate.install:install", "Put the systemd units and a rig file in place"),
-    "uninstall": Entry("hil.operate.install:uninstall", "Remove what `hil install` put in place"),
+COMMANDS: dict[str, dict[str, Entry]] = {
+    "Start": {
+        "demo": Entry("hil.operate.demo:demo", "Run an emulated stage, live on this computer, and watch it"),
+        "sim": Entry("hil.virtual.commands:sim", "Run a rig in virtual time: the same result every time"),
+        "rigs": Entry("hil.operate.rigs:rigs", "List the rig files that come with hil, and the rigs that run here"),
+        "new": Entry("hil.operate.new:new", "Write a rig file for your own stage"),
+        "check": Entry(
+            "hil.studies.acceptance.command:check",
+            "Check a rig: bus load, stability, margins; with --law, whether a law is fit to run",
+        ),
+        "explain": Entry("hil.operate.explain:explain", "Explain a key of the rig file: meaning, unit, range, default"),
+        "doctor": Entry("hil.operate.doctor:doctor", "Check this computer: real-time rights, CAN, what to change"),
+    },
+    "Connect": {
+        "drives": Entry("hil.operate.drives:drives", "Find and configure the drives of a rig, and jog one axis"),
+        "bus": Entry("hil.operate.bus:bus", "Watch, record or play back a CAN bus"),
+        "identify": Entry("hil.identify.command:identify", "Identify mass, friction and resonance of the axes"),
+        "drive": Entry("hil.operate.drive:drive", "Emulate a CiA 402 drive from its EDS file"),
+    },
+    "Move": {
+        "move": Entry("hil.operate.move:move", "Move axes of a running rig: hil move microscope x=1mm"),
+        "jog": Entry("hil.operate.move:jog", "Move axes of a running rig at a speed for a time"),
+        "stream": Entry("hil.operate.move:stream", "Move axes of a running rig through timed rows as they come"),
+        "command": Entry("hil.operate.command:command", "Activate, stop, reset or home a running rig, or load a task"),
+        "estop": Entry("hil.operate.estop:estop", "Stop a running rig at once; needs only its name"),
+    },
+    "Look": {
+        "monitor": Entry("hil.operate.monitor:monitor", "Watch a running rig in the terminal"),
+        "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a running rig in a browser"),
+        "runs": Entry("hil.runs.listing:runs", "List the runs of a folder: rig, law, how each ended, accuracy, notes"),
+        "events": Entry("hil.runs.events:events", "List what happened in a running rig or in a recording"),
+        "plot": Entry("hil.runs.views:plot", "Draw a run: set-point, following error, force"),
+        "report": Entry("hil.runs.views:report", "Write a run as one HTML page"),
+        "export": Entry("hil.runs.views:export", "Write a run's signals as CSV, NPZ or Parquet"),
+        "diff": Entry("hil.runs.views:diff", "Compare two runs"),
+        "share": Entry(
+            "hil.runs.share:share", "Pack a run into one file for somebody else, without the source of laws"
+        ),
+    },
+    "Test": {
+        "accuracy": Entry("hil.operate.accuracy:accuracy", "Measure positioning accuracy by ISO 230-2"),
+        "faults": Entry("hil.studies.fault_campaign.command:faults", "Inject every fault in every state, and judge"),
+        "replay": Entry("hil.virtual.replay_command:replay", "Run a recording's frames again and compare every torque"),
+        "bench": Entry("hil.operate.bench.command:bench", "Measure this computer, or your CAN adapter and drives"),
+    },
+    "Study": {
+        "compare": Entry("hil.studies.compare.command:compare", "Compare control laws on one task"),
+        "tune": Entry("hil.studies.tune.command:tune", "Search gains for a law and write them into the rig file"),
+        "sweep": Entry("hil.studies.sweep.command:sweep", "Simulate thousands of stages with drawn parameters"),
+        "evidence": Entry("hil.studies.evidence.command:evidence", "Print accuracies over drawn stages"),
+        "learnt": Entry("hil.virtual.learnt:learnt", "Keep what a learning law has learnt in a run"),
+        "reproduce": Entry("hil.studies.paper.command:reproduce", "Check the paper's claims"),
+    },
+    "Serve": {
+        "run": Entry("hil.cli.app:run_directly", "Run the control process of a rig", UNPARSED),
+        "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish and record a control process, take its commands"),
+        "emulate": Entry("hil.virtual.commands:emulate", "Emulate the stage and its drives on the bus"),
+        "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save the last ticks of a killed control process"),
+        "recover": Entry("hil.telemetry.recover:command", "Repair a recording that a crash cut short"),
+        "install": Entry("hil.operate.install:install", "Install a rig file and its systemd units"),
+        "uninstall": Entry("hil.operate.install:uninstall", "Remove what `hil install` installed"),
+    },
 }
+OVERVIEW = """hil controls a cell-injection stage over CAN: it reads encoders, commands forces and records every tick.
+Without hardware it controls an emulated stage.
+
+Begin with:
+
+    hil demo              watch an emulated stage for 20 s
+    hil new stage.toml    describe your own stage
+    hil check stage.toml  check it before anything moves
+
+`hil COMMAND --help` explains one command. RIG is a rig file, or the name of one that came with hil (`hil rigs`)."""
 
 
 def run_directly(context: typer.Context) -> None:
@@ -87,9 +117,10 @@ def _options(
 
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line with `wanted` loaded and all others as lines of help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
-    app.callback(help=__doc__)(_options)
-    add_commands(app, COMMANDS, wanted)
+    app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+    app.callback(help=OVERVIEW)(_options)
+    for group, entries in COMMANDS.items():
+        add_commands(app, entries, wanted, group)
     return app
 
 
@@ -112,8 +143,11 @@ def run(app: typer.Typer) -> None:
     file or folder that was named cannot be read or written.
     """
     show_former_keys()
+    sys.argv[1:], told = present_spelling(sys.argv[1:])
+    for line in told:
+        print(f"hil: {line}", file=sys.stderr)
     try:
-        app()
+        in_words(typer.main.get_command(app))()
     except RigError as error:
         _fail(EXIT_CONFIG, *error.problems)
     except (PlantError, LayoutError) as error:

@@ -17,14 +17,16 @@ class Entry(NamedTuple):
     settings: dict[str, Any] | None = None  # click's context settings
 
 
-def add_commands(group: typer.Typer, entries: Mapping[str, Entry], wanted: str | None) -> None:
-    """Add every entry to a group: the one named `wanted` loaded, all others as lines of help."""
+def add_commands(
+    group: typer.Typer, entries: Mapping[str, Entry], wanted: str | None, heading: str | None = None
+) -> None:
+    """Add every entry to a group: the one named `wanted` loaded, all others as lines of help below a heading."""
     for name, entry in entries.items():
         command: Callable[..., Any] | typer.Typer = load(entry.target) if name == wanted else _not_loaded
         if isinstance(command, typer.Typer):
-            group.add_typer(command, name=name, help=entry.help)
+            group.add_typer(command, name=name, help=entry.help, rich_help_panel=heading)
         else:
-            group.command(name, help=entry.help, context_settings=entry.settings)(command)
+            group.command(name, help=entry.help, context_settings=entry.settings, rich_help_panel=heading)(command)
 
 
 def first_word(words: list[str]) -> str | None:

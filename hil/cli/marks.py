@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 class Mark(NamedTuple):
     """An event over time. place: of its tick in the run's columns. label: short. line: all of it, as
-    hil.cycle.event.Event.line has it. axis: its name, or empty for all. colour, style: as matplotlib names them.
+    hil.events.event.Event.line has it. axis: its name, or empty for all. colour, style: as matplotlib names them.
     """
 
     place: int

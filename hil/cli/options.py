@@ -1,21 +1,44 @@
 """Arguments and options that several commands share."""
 
+import difflib
+import errno
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.rig.shipped import by_name
+from hil.cli.output import writable
+from hil.rig.shipped import by_name, names
 
 
 def shipped_rig(rig: Path | None) -> Path | None:
-    """A rig file's path, where one of the shipped rigs was named instead."""
-    return rig if rig is None else by_name("rigs", rig)
+    """A rig file's path, where one of the shipped rigs was named instead. Raises FileNotFoundError for a bare name that
+    is neither, with the nearest shipped name.
+    """
+    return rig if rig is None else _found("rigs", rig)
 
 
 def shipped_scenario(scenario: Path | None) -> Path | None:
-    """A scenario file's path, where one of the shipped scenarios was named instead."""
-    return None if scenario is None else by_name("scenarios", scenario)
+    """A scenario file's path, where one of the shipped scenarios was named instead; errors as for a rig."""
+    return None if scenario is None else _found("scenarios", scenario)
+
+
+def named_axes(text: str, axes: Sequence[str]) -> list[str]:
+    """The axes that --axes names, comma-separated; all where it names none. Raises typer.BadParameter."""
+    wanted = [name.strip() for name in text.split(",") if name.strip()] or list(axes)
+    if unknown := [name for name in wanted if name not in axes]:
+        raise typer.BadParameter(f"--axes {unknown[0]}: the axes are {', '.join(axes)}")
+    return wanted
+
+
+def _found(kind: str, path: Path) -> Path:
+    found = by_name(kind, path)
+    if len(found.parts) == 1 and not found.exists():
+        near = difflib.get_close_matches(found.stem, names(kind), n=1)
+        hint = f"did you mean {near[0]}?" if near else f"hil comes with {', '.join(names(kind))}"
+        raise FileNotFoundError(errno.ENOENT, f"no such file; {hint}", str(path))
+    return found
 
 
 RigFile = Annotated[
@@ -32,4 +55,7 @@ Scheduler = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a key of the rig file: key.path=value")
+]
+JsonTarget = Annotated[
+    str, typer.Option("--json", metavar="PATH", callback=writable, help="write the result as JSON; - for stdout")
 ]

@@ -31,6 +31,10 @@ class Tracked(Protocol):
     """A run to draw, from lockstep or from a recording. Arrays (ticks, n_axes); NaN where there is nothing."""
 
     @property
+    def time(self) -> NDArray[np.float64]:
+        """When each tick was due, s from the first, (ticks,); ticks may be missing."""
+
+    @property
     def setpoint(self) -> NDArray[np.float64]:
         """Setpoint at the samples' instants, m."""
 
@@ -63,11 +67,11 @@ def tracking_picture(
         for axis in range(n_axes):
             panels = [figure.add_subplot(grid[row, axis]) for row in range(3)]
             _axis_panels(panels, rig, run, axis)
-            _mark(panels, rig, [mark for mark in marks if mark.axis in ("", rig.axis_names[axis])])
+            _mark(panels, run.time, [mark for mark in marks if mark.axis in ("", rig.axis_names[axis])])
         if lateness is not None:
             panel = figure.add_subplot(grid[3, :])
-            _line(panel, rig, lateness * 1e6, "tick lateness, µs", "C4")
-            _mark([panel], rig, marks)
+            _line(panel, rig, run.time, lateness * 1e6, "tick lateness, µs", "C4")
+            _mark([panel], run.time, marks)
         figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
         if words := _latched_words(marks, 40 * max(n_axes, 2)):
             figure.supxlabel(words, x=0.01, ha="left", fontsize=7, color="red", family="monospace")
@@ -90,15 +94,15 @@ def _axis_panels(panels: Sequence[Axes], rig: RigConfig, run: Tracked, axis: int
     name, config = list(rig.axes.items())[axis]
     long, to_long, short, to_short, force_unit = _UNITS[config.kind]
     panels[0].set_title(name, fontweight="bold")
-    _line(panels[0], rig, run.setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
-    _line(panels[1], rig, run.error[:, axis] * to_short, f"following error, {short}", "C3")
-    _line(panels[2], rig, run.force[:, axis], f"force, {force_unit}", "C2")
+    _line(panels[0], rig, run.time, run.setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
+    _line(panels[1], rig, run.time, run.error[:, axis] * to_short, f"following error, {short}", "C3")
+    _line(panels[2], rig, run.time, run.force[:, axis], f"force, {force_unit}", "C2")
 
 
-def _mark(panels: Sequence[Axes], rig: RigConfig, marks: Sequence[Mark]) -> None:
+def _mark(panels: Sequence[Axes], time: NDArray[np.float64], marks: Sequence[Mark]) -> None:
     """A line through every panel at each mark; its label in the first."""
     for mark in marks:
-        at = mark.place / rig.rate_hz
+        at = float(time[min(mark.place, len(time) - 1)]) if len(time) else 0.0
         for panel in panels:
             panel.axvline(at, color=mark.colour, linestyle=mark.style, alpha=0.7)
         if mark.latched:
@@ -116,18 +120,18 @@ def _latched_words(marks: Sequence[Mark], width: int) -> str:
     return "\n".join([*shown, *more])
 
 
-def _line(panel: Axes, rig: RigConfig, values: NDArray[np.float64], label: str, colour: str) -> None:
-    """Draw values over time, thinned to their envelope."""
-    ticks = len(values)
-    size = max(1, -(-ticks // _BUCKETS))
-    padded = np.full(size * -(-ticks // size) if ticks else 0, np.nan)
-    padded[:ticks] = values
-    buckets = padded.reshape(-1, size)
-    seen = ~np.isnan(buckets).all(axis=1)
-    low = np.full(len(buckets), np.nan)
-    high = low.copy()
-    low[seen], high[seen] = np.nanmin(buckets[seen], axis=1), np.nanmax(buckets[seen], axis=1)
-    time = (np.arange(len(buckets)) * size + (size - 1) / 2) / rig.rate_hz
-    panel.plot(np.repeat(time, 2), np.stack((low, high), axis=1).ravel(), color=colour)
+def _line(
+    panel: Axes, rig: RigConfig, time: NDArray[np.float64], values: NDArray[np.float64], label: str, colour: str
+) -> None:
+    """Draw values over time, thinned to their envelope; where ticks are missing or hold nothing, the line is broken."""
+    slots = np.rint((time - time[:1]) * rig.rate_hz).astype(np.int64)
+    total = int(slots.max(initial=-1)) + 1
+    count = min(total, _BUCKETS)
+    low, high = np.full(count, np.nan), np.full(count, np.nan)
+    buckets = slots * count // max(total, 1)
+    np.fmin.at(low, buckets, values)
+    np.fmax.at(high, buckets, values)
+    middle = ((np.arange(count) + 0.5) * total / max(count, 1) - 0.5) / rig.rate_hz
+    panel.plot(np.repeat(middle, 2), np.stack((low, high), axis=1).ravel(), color=colour)
     panel.set_ylabel(label)
     panel.set_xlabel("s")

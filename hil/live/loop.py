@@ -20,14 +20,15 @@ from typing import Final, NamedTuple
 
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
-from hil.cycle.note import Note
+from hil.cycle.goal import Goal, GoalKind, MotionWord
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
 from hil.cycle.tick import CommandKind, LoadedTask, OperatorCommand, Tick
+from hil.events.notes import Note, NoteWriter
+from hil.live.goal_page import GoalPage
 from hil.live.journal import Journal
 from hil.live.mailbox import Mailbox
 from hil.live.miss_ledger import MissLedger
-from hil.live.notes import NoteWriter
 from hil.live.pacing import Pacer, run_signal_handlers, sleeper
 from hil.live.realtime import Claim
 from hil.live.ring import RingWriter
@@ -64,6 +65,7 @@ class Parts(NamedTuple):
     port: Port
     ring: RingWriter
     mailbox: Mailbox
+    goals: GoalPage
     stop_line: StopLine
     timing: TimingRecorder
     claim: Claim
@@ -87,7 +89,7 @@ class ControlLoop:
         self.ticks = 0
         self.parts = parts
         rig = parts.cycle.rig
-        self._cycle, self._port, self._ring, self._mailbox, self._stop_line, self._timing, *_ = parts
+        self._cycle, self._port, self._ring, self._mailbox, self._goals, self._stop_line, self._timing, *_ = parts
         self._clock = stage_clock
         self.cpu_clock: Callable[[], int] = time.thread_time_ns
         alone = threading.active_count() == 1
@@ -106,12 +108,13 @@ class ControlLoop:
         self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
         self._intake: TaskIntake | None = None
         self._task_number = parts.mailbox.task_posted
+        self._pause: tuple[Goal, ...] = ()  # of a path whose client is gone: for the next tick
         self._plan_chores(rig.period_ns)
         self._stop_ticks = round((rig.safety.stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
 
     def _plan_chores(self, period_ns: int) -> None:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)
-        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus, self._look_for_task)
+        chores = (self._tell_alive, self._look_at_rig, self._take_stock, self._recover_bus, self._look_at_pages)
         self._chore_ticks = ticks = max(len(chores), round(interval * 1e9 / period_ns))
         self._chores = {(number + 1) * ticks // len(chores) - 1: chore for number, chore in enumerate(chores)}
 
@@ -151,6 +154,7 @@ class ControlLoop:
         commands = mailbox.poll()
         if commands:
             self._before_commands(commands)
+        goals = self._goals.poll(woke)
         tick = Tick(
             pacer.index,
             pacer.scheduled_ns,
@@ -163,6 +167,7 @@ class ControlLoop:
             rig_ok=self._rig_ok,
             estop=estop,
             task=self._task if commands else None,
+            goals=goals or self._pause,
         )
         result = self._cycle.step(tick, frames)
         if commands:
@@ -172,6 +177,10 @@ class ControlLoop:
             port.send(frame)
         sent_ns = time.monotonic_ns()
         self._ring.append(result.record)
+        if goals:
+            self._goals.answer(self._cycle.supervisor.goals.handled)
+        if self._pause:
+            self._pause = ()
         if estop:
             self._stop_line.latched(self._cycle.state.name, pacer.index)
         self._measure(began, sending, clock(), sent_ns)
@@ -214,6 +223,10 @@ class ControlLoop:
         """To systemd and on the stop page. Only from here: whoever hears it knows that ticks are being run."""
         state = self._cycle.state
         self._stop_line.tell(state.name, self.pacer.index)
+        self.parts.ring.mend()
+        self._mailbox.mend()
+        self._goals.mend()
+        self._stop_line.tell_mended(self.parts.ring.mended + self._mailbox.mended + self._goals.mended)
         notes = self.parts.notes
         if state not in TORQUE_STATES:  # writing may wait
             notes.write(self._cycle, self.pacer.index, self.pacer.now_ns)
@@ -228,6 +241,11 @@ class ControlLoop:
         self.parts.notifier.send(*lines)
         self._told = state, notes.told
 
+    def _look_at_pages(self) -> None:
+        """A task that was sent, and who moves the rig."""
+        self._look_for_task()
+        self._look_at_lease()
+
     def _look_for_task(self) -> None:
         number = self._mailbox.task_posted
         if number != self._task_number:
@@ -235,13 +253,20 @@ class ControlLoop:
             self._intake = TaskIntake(self.parts.task_file, number, self._cycle.rig)
 
     def _take_task_in(self, intake: TaskIntake) -> None:
-        """A piece of a task's file, while no axis is under torque."""
-        if self._cycle.state in TORQUE_STATES:
+        """A piece of a task's file, while no axis moves under torque."""
+        if self._cycle.state in TORQUE_STATES and not self._cycle.supervisor.at_rest:
             return
         intake.work()
         if intake.done:
             self._task, self._intake = intake.task, None
             self._mailbox.answer_task(intake.number, ready=intake.task is not None)
+
+    def _look_at_lease(self) -> None:
+        """Outside ACTIVE nobody moves the rig. A path whose client is gone pauses; every other plan ends by itself."""
+        if self._cycle.state is not State.ACTIVE:
+            self._goals.revoke()
+        elif self._cycle.supervisor.goals.word is MotionWord.PATH and self._goals.lost(self.pacer.now_ns):
+            self._pause = (Goal(0, GoalKind.RATE, speed=0.0),)
 
     def _look_at_rig(self) -> None:
         self._rig_ok = self.parts.rig_file.unchanged()
@@ -274,6 +299,8 @@ class ControlLoop:
         handled = self._cycle.commands.handled
         if any(c.kind == CommandKind.LOAD_TASK for c, _ in handled):
             self._task = None  # whatever became of it
+        if self._cycle.state is not State.ACTIVE:
+            self._goals.revoke()
         self.stop = self.stop or any(c.kind == CommandKind.SHUTDOWN and accepted for c, accepted in handled)
 
     def _before_commands(self, commands: tuple[OperatorCommand, ...]) -> None:

@@ -14,17 +14,16 @@ reached. The file also carries a time (monotonic ns): when the recorder last gav
 """
 
 import fcntl
-import mmap
 import os
 import struct
 import zlib
 from pathlib import Path
 from typing import Final
 
-from drivers.runtime import open_private
+from drivers.base.shared_map import shortened, unmap
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.tick import CommandKind, OperatorCommand
-from hil.live.mapped_file import Closing, lay_out
+from hil.live.mapped_file import Closing, create_page, map_page, replaced
 
 MAGIC = 0x3130584F424C4948  # "HILBOX01"
 SLOTS = 64
@@ -59,31 +58,18 @@ class Mailbox(Closing):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._fd = open_private(self.path, os.O_RDWR)
-        except OSError as error:
-            raise MailboxError(f"{self.path}: {error.strerror}") from None
-        if os.fstat(self._fd).st_size != SIZE:
-            os.close(self._fd)
-            raise MailboxError(f"{self.path}: not a mailbox")
-        self._map = mmap.mmap(self._fd, SIZE)
+            self._fd, self._map = map_page(self.path, SIZE, MAGIC, "mailbox")
+        except ValueError as error:
+            raise MailboxError(str(error)) from None
         self._words = memoryview(self._map).cast("Q")
-        if self._words[_MAGIC] != MAGIC:
-            self.close()
-            raise MailboxError(f"{self.path}: not a mailbox")
         self._taken = self._words[_TAKEN]
-        self._damaged = 0
+        self._damaged = self._beat = self.mended = 0
 
     @classmethod
     def create(cls, path: str | os.PathLike[str]) -> "Mailbox":
         """A new, empty mailbox in place of any older one: no command outlives the process it was meant for."""
         path = Path(path)
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        fd, temporary = lay_out(path, SIZE)
-        try:
-            os.pwrite(fd, struct.pack("<Q", MAGIC), 0)
-        finally:
-            os.close(fd)
-        os.replace(temporary, path)
+        create_page(path, SIZE, MAGIC)
         return cls(path)
 
     # ---- the control process's end
@@ -120,7 +106,16 @@ class Mailbox(Closing):
 
     def recorder_ok(self, now_ns: int) -> bool:
         """The sidecar's recorder gave a sign of life within the last second."""
-        return 0 <= now_ns - self._words[_RECORDER_NS] < RECORDER_TIMEOUT_NS
+        beat = self._words[_RECORDER_NS]
+        if beat != 0:  # else no recorder has begun, or the file was cut short: then the last sign counts
+            self._beat = beat
+        return 0 <= now_ns - self._beat < RECORDER_TIMEOUT_NS
+
+    def mend(self) -> None:
+        """Write the head anew where the file was cut short or overwritten."""
+        if shortened(self._map) or self._words[_MAGIC] != MAGIC:
+            self.mended += 1
+            self._words[_MAGIC] = MAGIC
 
     @property
     def task_posted(self) -> int:
@@ -172,14 +167,11 @@ class Mailbox(Closing):
     @property
     def replaced(self) -> bool:
         """Another mailbox took this one's place (a restarted control process)."""
-        try:
-            return os.stat(self.path).st_ino != os.fstat(self._fd).st_ino
-        except FileNotFoundError:
-            return True
+        return replaced(self.path, self._fd)
 
     def close(self) -> None:
         """Unmap the file, which stays."""
         if not self._map.closed:
             self._words.release()
-            self._map.close()
+            unmap(self._map)
             os.close(self._fd)

@@ -28,13 +28,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.runtime import open_private
+from drivers.base.runtime import open_private
+from drivers.base.shared_map import map_shared, shortened, unmap
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
-from hil.live.file_lock import is_locked, try_lock
-from hil.live.mapped_file import Closing, lay_out
+from hil.live.file_lock import is_locked, try_lock, unlock
+from hil.live.mapped_file import Closing, lay_out, replaced
 
 MAGIC = b"HILRING1"
-VERSION = 3  # of header and record
+VERSION = 4  # of header and record
 PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
 
@@ -99,7 +100,8 @@ class RingWriter(Closing):
         self._slots = self._view[header.data_offset :]
         self._size = slots * RECORD_SIZE
         self._offset = 0
-        self.written = 0
+        self.written = self.mended = 0
+        self._head = bytes(self._map[: header.data_offset])
         self._record: np.void | None = None
         self._sources: list[memoryview] = []  # the bytes in use, by the number of frames received
         self._counts = memoryview(b"")
@@ -117,6 +119,13 @@ class RingWriter(Closing):
         self.written += 1
         self._words[_WRITE_INDEX] = self.written
 
+    def mend(self) -> None:
+        """Write the head anew where the file was cut short or overwritten; what slots held is lost."""
+        if shortened(self._map) or self._map[: len(MAGIC)] != MAGIC:
+            self.mended += 1
+            self._map[: len(self._head)] = self._head
+            self._words[_WRITE_INDEX] = self.written
+
     def _bind(self, record: np.void) -> None:
         source = np.frombuffer(record, np.uint8).data
         self._sources = [source[:used] for used in _USED]
@@ -130,8 +139,8 @@ class RingWriter(Closing):
             self._record = None
             for view in (self._words, self._slots, self._view):
                 view.release()
-            self._map.close()
-            os.close(self._fd)
+            unmap(self._map)
+            unlock(self._fd)
 
 
 def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[int, mmap.mmap]:
@@ -140,7 +149,7 @@ def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[in
     size = data_offset + slots * RECORD_SIZE
     fd, temporary = lay_out(path, size)
     try:
-        ring = mmap.mmap(fd, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        ring = map_shared(fd, size)
         run_id = int.from_bytes(os.urandom(8), "little")
         header = _Header(
             MAGIC,
@@ -159,7 +168,7 @@ def _create(path: Path, slots: int, period_ns: int, metadata: bytes) -> tuple[in
         try_lock(fd)
         _replace(path, temporary)
     except BaseException:
-        os.close(fd)
+        unlock(fd)
         temporary.unlink(missing_ok=True)
         raise
     return fd, ring
@@ -186,7 +195,7 @@ def _replace(path: Path, temporary: Path) -> None:
                     os.replace(temporary, path)
                     return
         finally:
-            os.close(old)
+            unlock(old)
 
 
 def _pid(fd: int) -> int:
@@ -236,7 +245,7 @@ class RingReader(Closing):
             raise RingError("truncated")
         self.slots, self.period_ns, self.pid, self.run_id = header.slots, header.period_ns, header.pid, header.run_id
         self.started_ns = header.started_ns
-        return mmap.mmap(self._fd, size, mmap.MAP_SHARED, mmap.PROT_READ)
+        return map_shared(self._fd, size, mmap.PROT_READ)
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -272,10 +281,7 @@ class RingReader(Closing):
     @property
     def replaced(self) -> bool:
         """Another ring took this one's place under the path (a restarted control process)."""
-        try:
-            return os.stat(self.path).st_ino != os.fstat(self._fd).st_ino
-        except FileNotFoundError:
-            return True
+        return replaced(self.path, self._fd)
 
     def read(self, limit: int = 512, fields: Sequence[str] = ()) -> Batch:
         """Copy out up to `limit` records that were not read before. Never blocks; the batch may be empty.
@@ -310,6 +316,6 @@ class RingReader(Closing):
         """Unmap the file."""
         if self._fd >= 0:
             self._words, self._slots = self._words[:0].copy(), self._slots[:0].copy()  # nothing may hold the map
-            self._map.close()
+            unmap(self._map)
             os.close(self._fd)
             self._fd = -1

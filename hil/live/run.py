@@ -16,16 +16,17 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from drivers.base.runtime import RuntimeDirectoryError, stop_signals
 from drivers.bus.port import Port, PortError, open_port
 from drivers.protocols.base import HostProtocol, echo_ids
-from drivers.runtime import RuntimeDirectoryError, stop_signals
+from hil.analysis.feasibility import unit_questions
+from hil.analysis.stability import refuse_unstable
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_UNAVAILABLE
-from hil.control.feasibility import unit_questions
-from hil.control.stability import refuse_unstable
+from hil.events.notes import NoteWriter
+from hil.live.goal_page import GoalPage
 from hil.live.journal import Journal
 from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
-from hil.live.notes import NoteWriter
 from hil.live.realtime import claim
 from hil.live.ring import RingError, RingWriter
 from hil.live.runtime_paths import runtime_paths
@@ -143,11 +144,27 @@ def control_loop(
         ring = RingWriter(files.ring, rig.ring_slots, period_ns=rig.period_ns, metadata=metadata)
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)
+        goals = GoalPage.create(files.goals)
+        stack.callback(goals.close)
         timing = TimingRecorder(files.timing, rig.period_ns, realtime_ok=held.verdict.ok, verdict=verdict)
         notes = NoteWriter(files.notes)
         print(f"hil run: {rig.name} at {rig.rate_hz:g} Hz on {', '.join(rig.bus.channels)}; {verdict}", flush=True)
         yield ControlLoop(
-            Parts(cycle, port, ring, mailbox, stop_line, timing, held, rig_file, notifier, notes, files.task, journal),
+            Parts(
+                cycle,
+                port,
+                ring,
+                mailbox,
+                goals,
+                stop_line,
+                timing,
+                held,
+                rig_file,
+                notifier,
+                notes,
+                files.task,
+                journal,
+            ),
             stage_clock,
         )
 

@@ -2,13 +2,14 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
-from drivers.runtime import make_private, open_private, read_private, runtime_dir
-from hil.live.file_lock import try_lock
+from drivers.base.runtime import make_private, open_private, read_private, runtime_dir
+from hil.live.file_lock import try_lock, unlock
 
+Attached = TypeVar("Attached")
 DEMO_PREFIX = "demo-"  # of the private runtime directories that demos make
 
 
@@ -23,15 +24,27 @@ class RuntimePaths(NamedTuple):
     access: Path  # what of the sidecar is open to whom, as JSON, for `hil doctor`
     timing: Path  # what hil/live/timing_record.py keeps of the loop
     emulator: Path  # what the drives of an emulated stage are at, as JSON (sim_plant/process.py)
-    notes: Path  # what the cycle says in words (hil/live/notes.py)
+    notes: Path  # what the cycle says in words (hil/events/notes.py)
     task: Path  # another task for the control process (hil/live/task_file.py)
+    goals: Path  # goals for the control process (hil/live/goal_page.py)
 
 
 def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
     """The rig's files below that runtime directory; makes nothing."""
     directory = runtime / rig_name
-    names = ("ring", "mailbox", "commands", "endpoint", "access.json", "timing", "emulator.json", "notes", "task")
-    return RuntimePaths(directory, *(directory / name for name in names))
+    ends = (
+        "ring",
+        "mailbox",
+        "commands",
+        "endpoint",
+        "access.json",
+        "timing",
+        "emulator.json",
+        "notes",
+        "task",
+        "goals",
+    )
+    return RuntimePaths(directory, *(directory / name for name in ends))
 
 
 class AlreadyServedError(Exception):
@@ -57,7 +70,7 @@ def sole(paths: RuntimePaths, kind: str) -> Iterator[None]:
             raise AlreadyServedError(f"another {kind} serves this rig already (it holds {path})")
         yield
     finally:
-        os.close(fd)
+        unlock(fd)
 
 
 class Known(NamedTuple):
@@ -81,8 +94,13 @@ def known_sidecars(rig: str | None = None) -> list[Known]:
     return known
 
 
-def command_directories(rig: str) -> list[Path]:
-    """Where a sidecar of that rig may take commands: in the directories of demos, and at last in the rig's own."""
+def nearest(rig: str, attach: Callable[[Path], Attached], absent: type[Exception]) -> Attached:
+    """What `attach` makes of the first directory in which it does not raise `absent`: of those in which the sidecar of
+    a demo of that rig takes commands, and at last of the rig's own.
+    """
     base = runtime_dir()
-    demos = [path for path in sorted(base.glob(f"{DEMO_PREFIX}*/{rig}")) if (path / "commands").exists()]
-    return [*demos, base / rig]
+    for directory in sorted(base.glob(f"{DEMO_PREFIX}*/{rig}")):
+        if (directory / "commands").exists():
+            with contextlib.suppress(absent):
+                return attach(directory)
+    return attach(base / rig)

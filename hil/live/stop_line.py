@@ -3,14 +3,14 @@
 Its lock is also what keeps a second control process of the same rig from starting.
 """
 
-import mmap
 import os
 import struct
 import time
 from typing import Final
 
-from drivers.runtime import open_private
-from hil.live.file_lock import try_lock
+from drivers.base.runtime import open_private
+from drivers.base.shared_map import map_shared, shortened, unmap
+from hil.live.file_lock import try_lock, unlock
 from hil.live.mapped_file import Closing
 from hil.live.stop_page import (
     ALIVE_AT,
@@ -20,6 +20,7 @@ from hil.live.stop_page import (
     LATCHED_STATE,
     MAGIC,
     MAGIC_WORD,
+    MENDED,
     NAME,
     NAME_BYTES,
     PID,
@@ -44,14 +45,17 @@ class StopLine(Closing):
         try:
             os.posix_fallocate(self._fd, 0, SIZE)  # else a full file system would be a SIGBUS in some later tick
             os.pwrite(self._fd, bytes(SIZE), 0)  # no press outlives the process it was meant for
-            self._map = mmap.mmap(self._fd, SIZE, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+            self._map = map_shared(self._fd, SIZE)
         except OSError as error:
-            os.close(self._fd)
+            unlock(self._fd)
             raise OSError(error.errno, error.strerror, self.path) from None
         self._words = memoryview(self._map).cast("Q")
+        self._seen = self.mended = 0
+        self._write_head()
+
+    def _write_head(self) -> None:
         self._words[PID] = os.getpid()
         self._words[MAGIC_WORD] = MAGIC
-        self._seen = 0
 
     def pressed(self) -> bool:
         """True once for every press since the last call. One comparison."""
@@ -59,13 +63,20 @@ class StopLine(Closing):
         if word == self._seen:
             return False
         self._seen = word
-        return True
+        return word != 0  # which no press writes: the file was cut short
 
     def tell(self, state: str, index: int) -> None:
         """A sign of life. state: its name. index: of the tick."""
+        if shortened(self._map) or self._words[MAGIC_WORD] != MAGIC:  # or it was overwritten
+            self.mended += 1
+            self._write_head()
         self._write_state(STATE, state)
         self._words[INDEX] = index
         self._words[ALIVE_AT] = time.monotonic_ns()
+
+    def tell_mended(self, others: int) -> None:
+        """How often this file was mended, and others of the rig's."""
+        self._words[MENDED] = self.mended + others
 
     def latched(self, state: str, index: int) -> None:
         """What the tick that read a press recorded."""
@@ -83,8 +94,8 @@ class StopLine(Closing):
         """Unmap and unlock; the file stays. Idempotent."""
         if not self._map.closed:
             self._words.release()
-            self._map.close()
-            os.close(self._fd)
+            unmap(self._map)
+            unlock(self._fd)
 
 
 def _own(path: str) -> int:
@@ -93,11 +104,11 @@ def _own(path: str) -> int:
         fd = open_private(path, os.O_RDWR | os.O_CREAT)
         if not try_lock(fd):
             pid = struct.unpack("<Q", os.pread(fd, 8, 8 * PID).ljust(8, b"\0"))[0]
-            os.close(fd)
+            unlock(fd)
             raise RigInUseError(f"{path}: another control process is running this rig (pid {pid})")
         try:
             if os.stat(path).st_ino == os.fstat(fd).st_ino:
                 return fd
         except FileNotFoundError:
             pass
-        os.close(fd)  # it was removed between the two calls
+        unlock(fd)  # it was removed between the two calls

@@ -14,7 +14,7 @@ import stat
 import struct
 import time
 
-from drivers.runtime_path import named_directory, runtime_path, trusted_owner
+from drivers.base.runtime_path import named_directory, runtime_path, trusted_owner
 from hil.live.file_lock import is_locked
 
 NAME = "stop"
@@ -23,6 +23,7 @@ MAGIC = 0x31304F54534C4948  # "HILSTO01"
 
 # u64 words; those of the control process and those of the pressers lie on separate cache lines
 MAGIC_WORD, PID = 0, 1
+MENDED = 3  # how often a shared file of the rig was cut short or overwritten, and mended
 ALIVE_AT, INDEX, STATE = 8, 9, 10  # a few times a second: monotonic ns, tick, state's name (16 bytes)
 LATCHED_AT, LATCHED_INDEX, LATCHED_STATE = 16, 17, 18  # of the newest press: monotonic ns, tick, state after it
 PRESSED, PRESSER_UID, PRESSER_PID = 32, 33, 34  # monotonic ns of the newest press, 0: never; who says to have pressed
@@ -36,9 +37,12 @@ class Status:
     """What a page says. alive: a control process holds it."""
 
     def __init__(self, fd: int) -> None:
-        words = struct.unpack_from(f"<{SIZE // 8}Q", os.pread(fd, SIZE, 0).ljust(SIZE, b"\0"))
+        raw = os.pread(fd, SIZE, 0).ljust(SIZE, b"\0")
+        words = struct.unpack_from(f"<{SIZE // 8}Q", raw)
         self.valid = words[MAGIC_WORD] == MAGIC
-        self.alive = self.valid and is_locked(fd)
+        cut = struct.pack("<Q", MAGIC).startswith(raw[:8].rstrip(b"\0"))  # short: the loop will write its head anew
+        self.alive = (self.valid or cut) and is_locked(fd)
+        self.mended = words[MENDED]
         self.pid, self.alive_at, self.index = words[PID], words[ALIVE_AT], words[INDEX]
         self.state = _text(words[STATE : STATE + 2])
         self.latched_at, self.latched_index = words[LATCHED_AT], words[LATCHED_INDEX]
@@ -90,7 +94,7 @@ def open_page(path: str) -> "Page | None":
         return None
     found = os.fstat(fd)
     ours = found.st_uid == os.geteuid() or os.geteuid() == 0
-    if stat.S_ISREG(found.st_mode) and ours and found.st_size >= SIZE and Status(fd).alive:
+    if stat.S_ISREG(found.st_mode) and ours and Status(fd).alive:
         return Page(fd, path)
     os.close(fd)
     return None

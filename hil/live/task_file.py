@@ -1,7 +1,7 @@
 """How another task reaches the control process: planned elsewhere, taken in by small pieces between ticks.
 
 Rules:
-- The sidecar plans; the control process only reads numbers, PIECES segments a tick, while no axis is under torque.
+- The sidecar plans; the control process only reads numbers, PIECES segments a tick, while no axis moves under torque.
 - Nothing in the file, whatever its bytes, can raise in the control process: what is damaged is not taken.
 
 Layout: a header (magic, number of the task, length of the head, segments, columns), the head (JSON), the segments
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.runtime import open_private
+from drivers.base.runtime import open_private
 from hil.control.trajectories import plan_task
 from hil.control.trajectories.injection import OverCells
 from hil.control.trajectories.paths import AlongPath
@@ -139,7 +139,7 @@ class TaskIntake:
             words = self._head["over"]
             return OverCells(words["home"], words["focal"], words["approach_ns"], words["settle_ns"], self._segments)
         task = TaskConfig.model_validate(self._head["task"])
-        return plan_task(task, self._rig.axis_names, self._rig.period_ns)
+        return plan_task(task, self._rig.axis_names, self._rig.period_ns, self._rig.counts)
 
     def _end(self) -> None:
         self.done = True

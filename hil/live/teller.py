@@ -15,12 +15,14 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from hil.cycle.event import Event
+from hil.events.event import Event
+from hil.events.sources import RingEvents
 from hil.live.ring import RingError, RingReader
-from hil.live.ring_events import RingEvents
+from hil.live.stop_page import NAME, Status
 
 POLL_S = 0.05
 _NICENESS = 5
+_SHARED = ("ring", "mailbox", NAME)
 
 
 def print_events(events: Iterable[Event]) -> None:
@@ -50,6 +52,40 @@ def _await_ring(path: Path, pid: int) -> RingReader | None:
         time.sleep(POLL_S)
 
 
+class _Files:
+    """Watches the files that the control process shares: whether somebody has removed, replaced or cut one."""
+
+    def __init__(self, directory: Path) -> None:
+        self._paths = [directory / name for name in _SHARED]
+        self._seen = [self._file(path) for path in self._paths]
+        self._page = os.open(directory / NAME, os.O_RDONLY | os.O_CLOEXEC)
+        self._mended = 0
+
+    def look(self) -> None:
+        """Say what has changed since the last look."""
+        for place, path in enumerate(self._paths):
+            now = self._file(path)
+            if now != self._seen[place]:
+                how = "removed" if now is None else "replaced"
+                _say(f"{path} was {how}; the loop and the stop line go on, and keep the old one: restart hil run")
+                self._seen[place] = now
+        mended = Status(self._page).mended
+        if mended != self._mended:
+            _say(f"a file in {self._paths[0].parent} was cut short or overwritten; it was mended, and the loop goes on")
+            self._mended = mended
+
+    @staticmethod
+    def _file(path: Path) -> tuple[int, int] | None:
+        with contextlib.suppress(OSError):
+            found = os.stat(path)
+            return found.st_dev, found.st_ino
+        return None
+
+
+def _say(text: str) -> None:
+    print(f"{'<4>' if _is_journal(2) else ''}hil run: {text}", file=sys.stderr, flush=True)
+
+
 def _stay_away(pid: int) -> None:
     """Off the cores that the control process has for itself, and behind whoever has something to do."""
     with contextlib.suppress(OSError):
@@ -65,12 +101,14 @@ def main(ring: str, notes: str, parent: str) -> None:
         return
     with reader, contextlib.suppress(OSError):  # nobody listens any more
         _stay_away(int(parent))
-        told = RingEvents(reader, Path(notes))
+        told, files = RingEvents(reader, Path(notes)), _Files(Path(ring).parent)
         alive = True
         while alive:
             alive = reader.writer_alive  # before the look at the ring: what was written last is then there
             while len((batch := reader.read()).records):
                 print_events(told.tell(batch))
+            if alive:
+                files.look()
             time.sleep(POLL_S * alive)
         print_events(told.close())
 

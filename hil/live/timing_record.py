@@ -19,7 +19,8 @@ from librt.vecs import vec
 from mypy_extensions import i64
 from numpy.typing import NDArray
 
-from drivers.runtime import read_private
+from drivers.base.runtime import read_private
+from drivers.base.shared_map import map_shared
 from hil.live.mapped_file import lay_out
 
 STAGES = ("read", "estimate", "control", "gate", "send")
@@ -181,7 +182,7 @@ class TimingRecorder:
 def _create(path: Path) -> mmap.mmap:
     fd, temporary = lay_out(path, _LAYOUT.itemsize)
     try:
-        mapped = mmap.mmap(fd, _LAYOUT.itemsize, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        mapped = map_shared(fd, _LAYOUT.itemsize)
     finally:
         os.close(fd)
     os.replace(temporary, path)

@@ -5,8 +5,8 @@ import os
 import stat
 from pathlib import Path
 
-from drivers.text_file import UnsuitableFileError, read_bounded
-from drivers.toml_file import LARGEST
+from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.toml_file import LARGEST
 
 
 class WatchedFile:

@@ -21,18 +21,19 @@ from drivers.bus.any_bus import open_bus
 from drivers.bus.local_bus import from_message
 from drivers.bus.port import PortError, resolve_interface
 from drivers.config import BusConfig
+from drivers.families.dbc.words import dbc_reader
 from drivers.frame import REMOTE
 from drivers.protocols.base import LayoutError
 from drivers.protocols.dbc_codec import load_dbc
-from drivers.protocols.frame_text import Reader, dbc_reader, layout_reader
+from drivers.protocols.frame_text import Reader, layout_reader
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
-from hil.operate.candump_log import TraceError
-from hil.operate.trace_file import read_trace
-from hil.operate.traces import open_writer, suffix_of
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.rig.segments import rig_on
+from hil.runs.candump_log import TraceError
+from hil.runs.trace_file import read_trace
+from hil.runs.traces import open_writer, suffix_of
 
 REFRESH_HZ = 4
 POLL_S = 0.1
@@ -49,6 +50,7 @@ RigOption = Annotated[
 ]
 ChannelOption = Annotated[str, typer.Option("--channel", "-c", help="such as can0")]
 SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after this time; otherwise at Ctrl-C")]
+_ANY_GAP = float(2**31)  # s between two frames, which is waited for; python-can would cut it to a minute
 
 
 @bus.command()
@@ -139,7 +141,7 @@ def play(
     trouble = ""
     with _open(config) as member, contextlib.suppress(KeyboardInterrupt):
         try:
-            for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0):
+            for message in can.MessageSync(_at_speed(read_trace(file), speed), gap=0.0, skip=_ANY_GAP):
                 try:
                     member.send(message)
                     sent += 1

@@ -13,12 +13,13 @@ from rich.table import Table
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
 from drivers.config import KERNEL_INTERFACES
 from drivers.frame import EXTENDED
+from hil.analysis.feasibility import start_notes, task_problems
+from hil.analysis.learning_check import check_learning
+from hil.analysis.stability import StabilityReport, check_stability
+from hil.analysis.task_figures import excursion_notes, excursion_problems, excursions_json, task_figures
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
-from hil.control.feasibility import start_notes, task_problems
 from hil.control.law_registry import law_class
-from hil.control.learning_check import check_learning
-from hil.control.stability import StabilityReport, check_stability
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
 from hil.rig.bus_load import (
     analyse_rig,
@@ -31,7 +32,7 @@ from hil.rig.bus_load import (
 )
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
-from hil.rig.plant_notes import encoder_notes
+from hil.rig.plant_notes import encoder_notes, law_notes
 from hil.rig.schema import RigConfig, RigError
 from sim_plant.user_stage import stage_problems
 
@@ -55,7 +56,14 @@ def check_rig(
     console = Console(stderr=json_path == "-")
     warnings = layout_warnings(rig, rig_file.parent)
     layout = [*feedback_notes(rig, rig_file.parent), *emulation_notes(rig)]
-    for note in [*encoder_notes(rig), *estimator_notes(rig), *layout, *interface_notes(rig), *warnings]:
+    for note in [
+        *encoder_notes(rig),
+        *law_notes(rig),
+        *estimator_notes(rig),
+        *layout,
+        *interface_notes(rig),
+        *warnings,
+    ]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
     parts = messages_by_segment(rig, rig_file.parent)
@@ -67,7 +75,8 @@ def check_rig(
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
-        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig)]
+        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig), *excursion_problems(rig)]
+        figures = task_figures(rig)
         stability = check_stability(rig, lowest_rate=True)
         corners = findings(rig, measured, frd) if stability.stable else []
         learning = check_learning(rig)
@@ -79,6 +88,9 @@ def check_rig(
         console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
     for finding in learning:
         console.print(finding.note(), soft_wrap=True, markup=False)
+    units = {name: "m" if axis.kind == "linear" else "rad" for name, axis in rig.axes.items()}
+    for note in [*figures.notes(units), *excursion_notes(rig)]:
+        console.print(note, soft_wrap=True, markup=False)
     for note in start_notes(rig):
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
@@ -86,6 +98,7 @@ def check_rig(
     found += stage_problems(rig.plant, rig.axis_names)
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     document["warnings"] = warnings
+    document["task"] = figures.as_json() | {"excursions": excursions_json(rig)}
     document["corners"] = [corner.as_json() for corner in corners]
     document["learning"] = [finding.as_json() for finding in learning]
     if json_path:

@@ -7,9 +7,9 @@ from typing import Any
 
 from rich.table import Table
 
+from hil.analysis.frequency_response import LoopResponse, loop_response, measured_finding
+from hil.analysis.loop_corners import CornerFinding, check_corners
 from hil.cli.output import write_json
-from hil.control.frequency_response import LoopResponse, loop_response, measured_finding
-from hil.control.loop_corners import CornerFinding, check_corners
 from hil.rig.schema import RigConfig, RigError
 
 

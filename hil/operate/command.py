@@ -4,6 +4,7 @@ On the rig's machine through the sidecar's Unix socket, as the rig's user or roo
 without anybody's help. From elsewhere (--connect) over TLS, where the sidecar allows it.
 """
 
+import contextlib
 import signal
 import sys
 import time
@@ -13,10 +14,12 @@ from typing import Annotated
 
 import typer
 
+from hil.analysis.task_figures import excursion_notes
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.cycle.task_loading import task_document
+from hil.cli.options import shipped_rig
 from hil.cycle.tick import CommandKind
-from hil.live.runtime_paths import command_directories
+from hil.live.runtime_paths import nearest
+from hil.live.task_loading import task_document
 from hil.operate.estop import stop_rig
 from hil.rig.file import load_rig, task_of_file
 from hil.rig.schema import RigConfig
@@ -28,6 +31,7 @@ class Action(StrEnum):
     """What can be asked for on the command line."""
 
     ACTIVATE = "activate"
+    ACTIVATE_HOLD = "activate-hold"
     STOP = "stop"
     RESET = "reset"
     ESTOP = "estop"
@@ -38,7 +42,10 @@ class Action(StrEnum):
 
 
 def command(
-    rig: Annotated[Path, typer.Argument(help="rig file", show_default=False)],
+    rig: Annotated[
+        Path,
+        typer.Argument(metavar="RIG", help="rig file, or the name of a running or shipped rig", show_default=False),
+    ],
     action: Annotated[Action, typer.Argument(help="what to ask for", show_default=False)],
     file: Annotated[
         Path | None, typer.Argument(help="load-task: CSV or NPZ with a path, or TOML with a table [task]")
@@ -53,10 +60,13 @@ def command(
     hold: Annotated[bool, typer.Option(help="keep sending the operator's heartbeat until Ctrl-C, then stop")] = False,
 ) -> None:
     """Exit status 0: the control process took it; 1: refused, with the reason; 69: nobody to ask."""
-    config = load_rig(rig)
+    config = config_of(rig)
     if (action is Action.LOAD_TASK) != (file is not None):
         raise typer.BadParameter("load-task, and nothing else, takes a file", param_hint="FILE")
     task = task_of_file(config, file, overrides or ()) if file else None
+    if task:
+        for note in excursion_notes(config.model_copy(update={"task": task})):
+            print(note, file=sys.stderr)
     if connect and credentials is None:
         raise typer.BadParameter("commands from elsewhere need --credentials", param_hint="--connect")
     if action is Action.ESTOP and not connect:
@@ -78,15 +88,20 @@ def command(
         raise typer.Exit(1)
 
 
+def config_of(rig: Path) -> RigConfig:
+    """The rig of a file, of the running rig of that name, or of a shipped one. Raises RigError, FileNotFoundError."""
+    if rig.exists() or len(rig.parts) > 1:
+        return load_rig(rig)
+    with contextlib.suppress(NoGatewayError), at_hand(str(rig)) as client:
+        return client.rig()
+    found = shipped_rig(rig)
+    assert found is not None
+    return load_rig(found)
+
+
 def at_hand(rig: str) -> CommandClient:
     """A connection to the sidecar of that rig on this machine, a demo's first. Raises NoGatewayError."""
-    *others, ordinary = command_directories(rig)
-    for directory in others:
-        try:
-            return local_client(directory)
-        except NoGatewayError:
-            continue
-    return local_client(ordinary)
+    return nearest(rig, local_client, NoGatewayError)
 
 
 def _ask(client: CommandClient, action: Action) -> bool:

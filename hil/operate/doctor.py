@@ -15,13 +15,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.runtime import RuntimeDirectoryError, read_private, runtime_dir
+from drivers.base.runtime import RuntimeDirectoryError, read_private, runtime_dir
 from hil.cli.processes import worker_pool
 from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
 from hil.operate.adapters import NET, USB, Plugged, adapter_of, make_interface, plugged, set_up
 from hil.operate.machine import machine_facts
 from hil.rig.schema import TimingConfig
+from sim_plant.native import library
 
 ARPHRD_CAN = "280"  # <linux/if_arp.h>, as /sys/class/net/*/type shows it
 BUSY_DEVICE = 1000  # interrupts since the machine started; a device with fewer is idle
@@ -79,6 +80,7 @@ def examine() -> list[Finding]:
         tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
         tool_finding("strace", "the benchmarks (make bench) count system calls with it: apt install strace"),
         tool_finding("cc", "the compiled build and the benchmarks need it: apt install gcc"),
+        stage_finding(),
     ]
 
 
@@ -289,6 +291,16 @@ def in_memory(path: Path) -> bool:
     if ctypes.CDLL(None).statfs(os.fsencode(path), ctypes.byref(found)):
         return False
     return found.type in (0x01021994, 0x858458F6)  # TMPFS_MAGIC, RAMFS_MAGIC of <linux/magic.h>
+
+
+def stage_finding() -> Finding:
+    """What computes the emulated stage."""
+    kernel, lacking = library.found()
+    if kernel:
+        return Finding("emulated stage", "ok", f"computed by its native kernel, {kernel.path}")
+    first = "" if library.compiler() else "apt install gcc, then "
+    advice = f"{first}{sys.executable} -m sim_plant.native"
+    return Finding("emulated stage", "note", f"computed in Python, some ten times slower: {lacking}", advice)
 
 
 def tool_finding(name: str, advice: str, which: Callable[[str], str | None] = shutil.which) -> Finding:

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import typer
 from pydantic import ValidationError
 
+from drivers.base.runtime import RuntimeDirectoryError
 from drivers.bus.any_bus import joined
 from drivers.bus.port import PortError, resolve_interface
-from drivers.runtime import RuntimeDirectoryError
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, invalid_words, stated_bus
 from sim_plant.config import EmulatedDriveConfig
@@ -35,7 +35,10 @@ def drive(
     bitrate: BitrateOption = 1_000_000,
     options: OptionsOption = None,
     *,
-    rated_torque: Annotated[float, typer.Option(min=1e-6, max=1e6, help="of its motor, N m; what 6076h says")] = 1.0,
+    rated_torque: Annotated[
+        float | None,
+        typer.Option(min=1e-6, max=1e6, help="of its motor, N m; what 6076h says [the file's 6076h, else 1]"),
+    ] = None,
     counts: Annotated[int, typer.Option(min=1, max=2**31 - 1, help="of its encoder, per turn")] = 4096,
     inertia: Annotated[float, typer.Option(min=1e-12, max=1e6, help="of its motor, kg m^2")] = 1e-4,
     friction: Annotated[float, typer.Option(min=1e-12, max=1e6, help="viscous, N m s/rad")] = 1e-3,

@@ -8,13 +8,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from drivers.config import Cia402Config
-from drivers.protocols.canopen.eds import Eds, EdsError, object_name, read_eds
-from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
-from drivers.protocols.stage_common import MAX_AXES
+from drivers.eds.reader import Eds, EdsError, object_name, read_eds
+from drivers.families.cia402.config import Cia402Config
+from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
+from drivers.protocols.common import MAX_AXES
 from hil.cli.exit_status import EXIT_FILE
-from hil.cli.options import Overrides, shipped_rig
-from hil.cli.output import writable, write_json
+from hil.cli.options import JsonTarget, Overrides, shipped_rig
+from hil.cli.output import write_json
 from hil.operate.bringup.command import JogAsked, bring_up
 
 _REFUSED = 1  # exit status
@@ -45,9 +45,7 @@ def drives(
         Path | None, typer.Option(exists=True, dir_okay=False, help="--jog: read held keys from this pipe", hidden=True)
     ] = None,
     overrides: Overrides = None,
-    json_file: Annotated[
-        str | None, typer.Option("--json", help="write the answer here; - for standard output", callback=writable)
-    ] = None,
+    json_file: JsonTarget = "",
 ) -> None:
     """Bring up the drives of RIG: who is on the bus, how each took its configuration, what it sends; --jog moves one.
 
@@ -74,6 +72,7 @@ def _offline(
     period_ns = round(1e9 / rate_hz)
     places = [Axis(number, axes, node + number, node, None, period_ns, DRIVE_HEARTBEAT_MS) for number in range(axes)]
     plan = plan_drives(files, places, settings)[0]
+    plan.warnings += files[0].bitrate_notes()
     if json_file:
         write_json(as_document(plan, files[0]), json_file)
     if json_file != "-":

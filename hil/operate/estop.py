@@ -7,7 +7,7 @@ import os
 import sys
 import time
 
-from drivers.runtime_path import named_directory
+from drivers.base.runtime_path import named_directory
 from hil.live.stop_page import Page, Status, live_pages
 
 OK, NOT_STOPPED, NOBODY, HUNG = 0, 1, 69, 70  # exit status; hil/cli/exit_status.py

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.rig.provenance import control_path
+from sim_plant.native import library
 
 
 def _first_line(path: str) -> str | None:
@@ -39,5 +40,6 @@ def machine_facts() -> dict[str, Any]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "control_path": control_path(),
+        "stage": "native" if library.kernel() else "python",
         "load_1min": os.getloadavg()[0],
     }

@@ -1,16 +1,12 @@
 """`hil monitor`: a rig in the terminal, over Zenoh, from any machine that reaches the sidecar."""
 
-import os
-import select
+import math
 import sys
-import termios
 import time
-import tty
 from collections import deque
 from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -23,6 +19,7 @@ from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import metres
 from hil.operate.estop import stop_rig
+from hil.operate.keys import Keys
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
@@ -64,6 +61,8 @@ def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
     if dead := silence(status, age_s):
         text.append(f"{dead}; it was ", style="bold red")
     text.append(status.state or "-", style="dim" if dead else _STATE_STYLES.get(status.state, "yellow"))
+    if status.motion not in ("", "NONE"):
+        text.append(f" {status.motion.lower()}", style="dim" if dead else "")
     if status.fault not in ("", "NONE"):
         text.append(f"  fault {status.fault}", style="bold red")
     if status.faults_active:
@@ -94,7 +93,7 @@ def axis_rows(status: pb.Status) -> Table:
         table.add_row(
             Text(name),
             Text(f"{position * 1e3:+.6f} m{unit}"),
-            Text(f"{setpoint * 1e3:+.6f} m{unit}"),
+            Text("-" if math.isnan(setpoint) else f"{setpoint * 1e3:+.6f} m{unit}"),  # no task is followed
             metres(error, "linear" if unit == "m" else "rotary"),
             f"{force:+.4f} {'N' if unit == 'm' else 'N m'}",
             drive_words(drive),
@@ -132,6 +131,8 @@ def banner(status: pb.Status, events: Sequence[pb_events.Event]) -> Text:
     """The fault that is latched: when, which axis, measured, limit, cause, what to do next; empty where none is."""
     if status.fault in ("", "NONE"):
         return Text()
+    if status.HasField("latched"):
+        return Text(status.latched.line, style="bold white on red")
     latched = [
         event for event in events if event.kind == pb_events.Event.FAULT_LATCHED and event.name == status.fault.lower()
     ]
@@ -215,32 +216,6 @@ class Newest:
         return time.monotonic() - self._heard_s
 
 
-class Keys(AbstractContextManager["Keys"]):
-    """Single keys from a terminal, without waiting for them."""
-
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self._before: list[Any] | None = None
-
-    def __enter__(self) -> "Keys":
-        if os.isatty(self._fd):
-            self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._before:
-            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
-
-    def within(self, seconds: float) -> str:
-        """The next key that comes within that time; empty where none does."""
-        if self._before is None:
-            time.sleep(seconds)
-            return ""
-        ready, _, _ = select.select([self._fd], [], [], seconds)
-        return os.read(self._fd, 1).decode(errors="replace") if ready else ""
-
-
 def _watch(client: RigClient, console: Console) -> None:
     if not console.is_terminal:
         _watch_lines(client, console)
@@ -251,7 +226,7 @@ def _watch(client: RigClient, console: Console) -> None:
         while True:
             if (newest.look() or newest.age_s > STALE_S) and newest.status:
                 live.update(view(newest.status, newest.age_s, list(newest.events)), refresh=True)
-            if keys.within(POLL_S) == STOP_KEY and newest.status:
+            if STOP_KEY in keys.within(POLL_S) and newest.status:
                 stop_rig(newest.status.rig)  # what it prints appears above the picture
 
 

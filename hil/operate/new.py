@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.rig.scaffold import LAYOUTS, AxisSketch, Sketch, dbc_text, rig_text
+from hil.rig.scaffold import LAYOUTS, AxisSketch, Sketch, rig_text
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.tables import AXIS_NAME, MAX_AXES
 
@@ -21,7 +21,7 @@ def new(
     file: Annotated[Path, typer.Argument(help="the rig file to write, for example my-stage.toml", show_default=False)],
     *,
     axes: Annotated[str | None, typer.Option(help="their names, in bus order [x,y]")] = None,
-    layout: Annotated[str | None, typer.Option(help=f"frame layout: {', '.join(LAYOUTS)} [stage_fd]")] = None,
+    layout: Annotated[str | None, typer.Option(help=f"frame layout: {', '.join(LAYOUTS)} [{LAYOUTS[0]}]")] = None,
     mass: Annotated[str | None, typer.Option(help="moving mass, kg (kg m^2); one, or one per axis [0.5]")] = None,
     travel: Annotated[str | None, typer.Option(help="from end to end, m (rad); one, or one per axis [0.05]")] = None,
     encoder: Annotated[str | None, typer.Option(help="m (rad) per count; one, or one per axis [1e-7]")] = None,
@@ -55,9 +55,8 @@ def new(
                 f"axis {axis.name}: gravity and friction take {abs(axis.gravity) + axis.friction:.3g} of its rated "
                 f"{axis.force:g} N; more than half is left for no control"
             )
-    dbc = f"{name}.dbc" if chosen == "dbc" else ""
-    sketch = _runnable(Sketch(name, sketched, chosen, rate or 0.0, watchdog, dbc), (rate,) if rate else RATES_HZ)
-    written = {file: rig_text(sketch)} | ({file.with_name(dbc): dbc_text(sketched)} if dbc else {})
+    sketch = _runnable(Sketch(name, sketched, chosen, rate or 0.0, watchdog), (rate,) if rate else RATES_HZ)
+    written = {file: rig_text(sketch)} | {file.with_name(beside): text for beside, text in sketch.files.items()}
     for path in written:
         if path.exists():
             raise typer.BadParameter(f"{path}: exists already; it is left as it is")
@@ -74,8 +73,8 @@ def _runnable(sketch: Sketch, rates_hz: Sequence[float]) -> Sketch:
     """
     problems: list[str] = []
     with TemporaryDirectory(prefix="hil-new-") as folder:
-        if sketch.dbc:
-            (Path(folder) / sketch.dbc).write_text(dbc_text(sketch.axes), encoding="utf-8")
+        for beside, text in sketch.files.items():
+            (Path(folder) / beside).write_text(text, encoding="utf-8")
         for rate_hz in rates_hz:
             candidate = sketch._replace(rate_hz=rate_hz)
             problems = _problems(candidate, Path(folder))
@@ -86,8 +85,8 @@ def _runnable(sketch: Sketch, rates_hz: Sequence[float]) -> Sketch:
 
 def _problems(sketch: Sketch, folder: Path) -> list[str]:
     """What `hil check` would find, and whether a run can begin."""
-    from drivers.toml_file import parse_toml
-    from hil.control.stability import check_stability
+    from drivers.base.toml_file import parse_toml
+    from hil.analysis.stability import check_stability
     from hil.rig.bus_load import analyse_rig, problems
     from hil.rig.file import build_rig
     from hil.virtual.sim import usable

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from drivers.runtime import RuntimeDirectoryError, make_private
+from drivers.base.runtime import RuntimeDirectoryError, make_private
 from hil.cli.processes import worker_pool
 from hil.rig.provenance import control_path
 from hil.rig.schema import RigError

@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 from zenoh.handlers import RingChannel
 
-from drivers.toml_file import short
+from drivers.base.toml_file import short
 from hil.live.mapped_file import Closing
 from hil.live.runtime_paths import known_sidecars
 from hil.rig.schema import MAX_AXES
@@ -75,6 +75,8 @@ def printable(status: M) -> M:
                 setattr(status, field.name, _line(value))
             else:
                 value[:] = [_line(text) for text in value]
+        elif isinstance(value, Message):
+            printable(value)
     return status
 
 

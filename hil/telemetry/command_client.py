@@ -5,6 +5,7 @@ its place, that says anything else is caught. From elsewhere the reply carries t
 """
 
 import contextlib
+import errno
 import os
 import socket
 import time
@@ -14,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 from google.protobuf.message import DecodeError
 
-from drivers.runtime import make_private
+from drivers.base.runtime import make_private
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
@@ -93,7 +94,7 @@ class CommandClient(Closing):
         """The rig that the control process runs; from elsewhere it is not known. Raises NoGatewayError, RigError."""
         if self._ring is not None:
             with contextlib.suppress(RingError), RingReader(self._ring) as reader:
-                return build_rig(dict(reader.metadata["rig"]))
+                return build_rig(dict(reader.metadata["rig"]), carried=True)
         raise NoGatewayError("no control process whose rig could be read")
 
     def silent(self) -> str:
@@ -186,7 +187,9 @@ def local_client(directory: Path) -> CommandClient:
         return CommandClient(connection, b"", ring)
     except OSError as error:
         connection.close()
-        raise NoGatewayError(f"{path}: {error.strerror or error}: is the sidecar running, as this user?") from None
+        nobody = error.errno in (errno.ENOENT, errno.ECONNREFUSED)
+        why = "no sidecar listens there" if nobody else error.strerror or error
+        raise NoGatewayError(f"{path}: {why}; `hil sidecar {directory.name}` starts one, as this user") from None
     except NoGatewayError:
         connection.close()
         raise

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
+from hil.cycle.goal import Goal
 from hil.cycle.record import FRAME, MAX_RECEIVED
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import (
@@ -26,6 +27,7 @@ Records = NDArray[np.void]
 Bytes = NDArray[np.uint8]
 
 _CRC_BYTES = 4
+_GOAL = ("number", "kind", "mask", "flags", "due_ns", "valid_ns", "position", "velocity", "speed", "lease", "refusal")
 _DATA_BYTES: int = FRAME.fields["data"][0].shape[0]  # type: ignore[index]
 
 
@@ -51,7 +53,22 @@ def encode(records: Records, n_axes: int, *, first: int = 0, lost: int = 0) -> p
     for place in np.flatnonzero(records["n_commands"]):
         for kind, accepted, sequence, expires_ns in records["commands"][place][: records["n_commands"][place]].tolist():
             message.commands.add(kind=kind, accepted=bool(accepted), sequence=sequence, expires_ns=expires_ns)
+    message.goal_count.extend(records["n_goals"].tolist())
+    for place in np.flatnonzero(records["n_goals"]):
+        for goal in records["goals"][place][: records["n_goals"][place]]:
+            message.goals.add(**{name: goal[name].tolist() for name in _GOAL})
     return message
+
+
+def _taken_goal(goal: pb.TakenGoal) -> Goal:
+    """Raises ValueError for one that no cycle can have been given."""
+    if len(goal.position) != 4 or len(goal.velocity) != 4:
+        raise ValueError("a goal without four positions and velocities")
+    p, v = goal.position, goal.velocity
+    return Goal(
+        goal.number, goal.kind, goal.mask, goal.flags, goal.due_ns, goal.valid_ns,
+        (p[0], p[1], p[2], p[3]), (v[0], v[1], v[2], v[3]), goal.speed, goal.lease,
+    )  # fmt: skip
 
 
 def _differences(values: NDArray[Any]) -> NDArray[Any]:
@@ -128,6 +145,10 @@ def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
         raise ValueError("its columns differ in length, or are too long")
     if sum(message.command_count) != len(message.commands):
         raise ValueError(f"{len(message.commands)} commands, {sum(message.command_count)} counted")
+    goal_count = message.goal_count or [0] * ticks
+    if len(goal_count) != ticks or sum(goal_count) != len(message.goals):
+        raise ValueError(f"{len(message.goals)} goals, {sum(goal_count)} counted")
+    goals = iter(message.goals)
     index, scheduled_ns = _sums(message.index), _sums(message.scheduled_ns)
     now_ns = (scheduled_ns + np.array(message.lateness_ns, np.int64)).tolist()
     ports = _sums(np.reshape(message.port, (-1, N_PORT))).view(np.uint64).tolist()
@@ -136,6 +157,7 @@ def recorded_ticks(message: pb.Cycle) -> Iterator[RecordedTick]:
     for place, (number, due_ns) in enumerate(zip(index.tolist(), scheduled_ns.tolist(), strict=True)):
         taken = [next(commands) for _ in range(message.command_count[place])]
         tick = tick_of((number, due_ns, now_ns[place]), ports[place], taken, message.flags[place])
+        tick.goals = tuple(_taken_goal(next(goals)) for _ in range(goal_count[place]))
         inputs = [next(received) for _ in range(message.received_count[place])]
         outputs = [next(sent) for _ in range(message.sent_count[place])]
         yield RecordedTick(message.first + place, tick, inputs, outputs)

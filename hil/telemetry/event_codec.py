@@ -1,7 +1,7 @@
 """Events to protobuf messages and back."""
 
-from hil.cycle.event import Event
-from hil.cycle.event_table import Kind, Severity
+from hil.events.event import Event
+from hil.events.table import Kind, Severity
 from hil.telemetry import events_pb2 as pb
 
 _TEXTS = ("name", "axis", "measured", "unit", "cause", "action")

@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from hil.cycle.event import Event
-from hil.cycle.event_storm import Tallies
-from hil.cycle.event_table import KINDS, REFUSED_ACTION, Kind, Severity
+from hil.events.event import Event
+from hil.events.sources import RingEvents
+from hil.events.storm import Tallies
+from hil.events.table import KINDS, REFUSED_ACTION, Kind, Severity
 from hil.live.ring import Batch, RingReader
-from hil.live.ring_events import RingEvents
 from hil.live.teller import print_events
 from hil.telemetry import events_pb2 as pb
 from hil.telemetry.event_codec import encode
@@ -37,13 +37,14 @@ class EventLog:
         self.recorder: RunRecorder | None = None  # of the run that is followed
         self._errors = 0  # of the recorder, that were told
         self._run: RingEvents | None = None
+        self.latched: pb.Event | None = None  # of the fault that is latched now, whatever storm has followed it
 
     def follow(self, reader: RingReader, published: int, recorder: RunRecorder | None) -> None:
         """A control process. published: ticks an earlier sidecar came to; what those told is kept, for who joins late,
         and neither published nor recorded again.
         """
         self._run = RingEvents(reader, self._notes, begin=None if published else 0)
-        self._errors, self.recorder = 0, None
+        self._errors, self.recorder, self.latched = 0, None, None
         reader.next = min(max(reader.written - reader.slots + _EARLIER, 0), published)  # none that is being overwritten
         while reader.next < published:
             batch = reader.read(min(_EARLIER, published - reader.next))
@@ -87,7 +88,13 @@ class EventLog:
 
     def _keep(self, events: Iterable[Event]) -> list[pb.Event]:
         offset_ns = time.time_ns() - time.monotonic_ns()
-        fresh = [encode(event, self._told + place, offset_ns) for place, event in enumerate(events)]
+        fresh: list[pb.Event] = []
+        for event in events:
+            fresh.append(encode(event, self._told + len(fresh), offset_ns))
+            if event.kind is Kind.FAULT_LATCHED:
+                self.latched = fresh[-1]
+            elif event.kind is Kind.FAULT_CLEARED and self.latched and event.name == self.latched.name:
+                self.latched = None
         self._told += len(fresh)
         self._kept.extend(fresh)
         return fresh

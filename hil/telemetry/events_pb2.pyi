@@ -27,6 +27,7 @@ class Event(_message.Message):
         RECORDS_LOST: _ClassVar[Event.Kind]
         DRIVE: _ClassVar[Event.Kind]
         LAW: _ClassVar[Event.Kind]
+        ACCURACY_LOST: _ClassVar[Event.Kind]
     UNKNOWN_KIND: Event.Kind
     STATE: Event.Kind
     FAULT_SEEN: Event.Kind
@@ -43,6 +44,7 @@ class Event(_message.Message):
     RECORDS_LOST: Event.Kind
     DRIVE: Event.Kind
     LAW: Event.Kind
+    ACCURACY_LOST: Event.Kind
     class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN_SEVERITY: _ClassVar[Event.Severity]

@@ -14,8 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.toml_file import short
-from hil.control.feasibility import violations
+from drivers.base.toml_file import short
+from hil.analysis.feasibility import violations
+from hil.cycle.goal import MotionWord
+from hil.cycle.limits import axis_limits, motion_limits
+from hil.cycle.rest_watch import SETTLED_S
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live import stop_page
@@ -44,7 +47,7 @@ class Gateway:
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
     counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
-    words (hil/live/notes.py). task: where the file of another task goes.
+    words (hil/events/notes.py). task: where the file of another task goes.
     """
 
     def __init__(
@@ -233,27 +236,52 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
     also = f"; {silent}" if silent else ""
     if late_ns > 0 and kind is not CommandKind.ESTOP:
         return f"stale: expired {late_ns * 1e-6:.1f} ms before the tick that took it"
-    if kind in (CommandKind.ACTIVATE, CommandKind.HOME) and state is State.READY:
+    if kind in (CommandKind.ACTIVATE, CommandKind.ACTIVATE_HOLD, CommandKind.HOME) and state is State.READY:
         flags = int(record["flags"])
         missing = {
             RECORDER_OK: "no recorder is alive",
             REALTIME_OK: "the kernel did not grant real time (timing.allow_degraded)",
             RIG_OK: "the rig file has changed since the start",
         }
-        reasons = [text for bit, text in missing.items() if not flags & bit]
+        reasons = [text for bit, text in missing.items() if not flags & bit] + _moving(rig, record)
         if not reasons and kind is CommandKind.ACTIVATE:
             reasons = _infeasible(rig, record)
         missing_heartbeat = "no operator heartbeat" if rig.safety.heartbeat_s else "the task cannot begin here"
         return "refused: " + (" and ".join(reasons) or missing_heartbeat)
-    if kind is CommandKind.LOAD_TASK and state is State.READY:
+    if kind is CommandKind.LOAD_TASK and (state is State.READY or record["motion"] == MotionWord.HOLD):
         return "refused: the task cannot begin where the axes stand"
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
-        return f"refused in {state.name}: the cause of the fault is still there{also}"
+        moving = " and ".join(_moving(rig, record))
+        cause = f"the cause of the fault is still there, or an axis moved in the last {SETTLED_S:g} s"
+        return f"refused in {state.name}: {moving or cause}{also}"
     return f"{kind.name} is not possible in state {state.name}{also}"
+
+
+def _moving(rig: RigConfig, record: np.void) -> list[str]:
+    """The axes that move although they have no torque."""
+    rest = [limits.rest_window / SETTLED_S for limits in axis_limits(rig)]
+    speeds = record["velocity_estimate"].tolist()
+    return [
+        f"{name} moves at {abs(speed):.3g} {'rad/s' if axis.kind == 'rotary' else 'm/s'}: it has to rest first"
+        for (name, axis), speed, least in zip(rig.axes.items(), speeds, rest, strict=False)
+        if abs(speed) > least
+    ]
 
 
 def _infeasible(rig: RigConfig, record: np.void) -> list[str]:
     """The first limit that the task would break from where the axes stood."""
     start = record["position"][: len(rig.axes)].tolist()
     found = violations(rig, start)
-    return [f"the task cannot begin here: {found[0].text()}"] if found else []
+    return [f"the task cannot begin here: {found[0].text()}{_way_back(rig, start)}"] if found else []
+
+
+def _way_back(rig: RigConfig, start: list[float]) -> str:
+    """What brings axes back inside that rest beyond their travel; empty where none does."""
+    places = []
+    for (name, axis), fence, at in zip(rig.axes.items(), motion_limits(rig), start, strict=True):
+        low, high = axis.limits.position
+        if not low <= at <= high:
+            inside = 0.01 * (fence.high - fence.low)
+            places.append(f"{name}={fence.low + inside if at < low else fence.high - inside:.4g}")
+    move = f"hil command {rig.name} activate-hold && hil move {rig.name} {' '.join(places)}"
+    return f"; to bring it back: {move}" if places else ""

@@ -22,15 +22,15 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
-from hil.cycle.event import Event
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, Tick
+from hil.events.event import Event
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
 from hil.telemetry import cycle_codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.event_codec import encode
-from hil.telemetry.recording import RUN_ATTACHMENT, RecordingError
+from hil.telemetry.recording import RUN_ATTACHMENT, TOPICS, RecordingError
 from hil.telemetry.tick_codec import TickEncoder
 from hil.telemetry.tick_schema import TICK, TickSchema
 
@@ -60,6 +60,15 @@ class _Compression:
 
 _compression = _Compression()
 mcap.writer.zstandard = _compression  # type: ignore[assignment,attr-defined]
+
+
+def described_topic(writer: Writer, topic: str, schema: TickSchema) -> tuple[int, dict[str, str]]:
+    """Register a topic's schema; its number, and what more its channel says."""
+    if topic == "tick":
+        return writer.register_schema(TICK, "protobuf", schema.files.SerializeToString()), schema.metadata
+    kind = MESSAGES[topic]
+    descriptors = build_file_descriptor_set(kind).SerializeToString()
+    return writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors), {}
 
 
 class Recorder:
@@ -97,17 +106,17 @@ class Recorder:
 
     def _begin(self, metadata: dict[str, Any]) -> None:
         self._writer.start(profile="hil", library=f"hil {metadata.get('version', '')}")
-        now = time.time_ns()
-        self._writer.add_attachment(now, now, RUN_ATTACHMENT, "application/json", json.dumps(metadata).encode())
+        self._description = json.dumps(metadata).encode()
+        self._describe()
         self._writer.add_metadata("hil", {key: str(metadata.get(key, "")) for key in _SUMMARY_KEYS})
-        schema = self.encoder.schema
-        number = self._writer.register_schema(TICK, "protobuf", schema.files.SerializeToString())
-        self._channels["tick"] = self._writer.register_channel("tick", "protobuf", number, schema.metadata)
-        for topic, kind in MESSAGES.items():
-            descriptors = build_file_descriptor_set(kind).SerializeToString()
-            number = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", number)
+        for topic in TOPICS:
+            schema, more = described_topic(self._writer, topic, self.encoder.schema)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema, more)
         self._to_disk()
+
+    def _describe(self) -> None:
+        now = time.time_ns()
+        self._writer.add_attachment(now, now, RUN_ATTACHMENT, "application/json", self._description)
 
     def ticks(self, records: cycle_codec.Records, messages: Sequence[bytes], *, first: int, lost: int) -> None:
         """Append ticks, at least one. messages: their Tick messages. first: ring index. lost: missing before them."""
@@ -172,6 +181,9 @@ class Recorder:
         """End the chunk."""
         _compression.level = HASTY if self.hurried else DENSE
         self._writer.flush()  # type: ignore[no-untyped-call]
+        if self._next and self._description:  # once more behind the first ticks: one hole does not take both
+            self._describe()
+            self._description = b""
         if self._file is not None:
             self.size = self._file.tell()
             if not self._held:

@@ -1,25 +1,25 @@
-"""Reads recordings (recorder.py), of today's layout and the earlier one, cut short or damaged or not."""
+"""Reads recordings (recorder.py), of today's layout and the earlier one, cut short or damaged or not.
+
+What is damaged is left out; `Gaps` counts which ticks that took.
+"""
 
 import json
 import re
-import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import zstandard
-from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel
 from mcap.records import Message as McapMessage
 
-from drivers.text_file import UnsuitableFileError, printable
+from drivers.base.text_file import UnsuitableFileError, printable
 from hil.rig.file import document_hash
-from hil.telemetry.mcap_items import BombError, mcap_items
+from hil.telemetry.mcap_items import BombError, McapItems
 
 RUN_ATTACHMENT = "run.json"
+# Of every recorder, in the order of their channels, which begin with 1: for a file whose own list is damaged.
+TOPICS = ("tick", "cycle", "status", "commands", "events")
 _PART = re.compile(r"\.part-\d+$")
-# What a file that ends anywhere, or has any bit wrong, can cause: a length may be beyond all bounds.
-DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, OverflowError, MemoryError)
 
 
 class RecordingError(Exception):
@@ -34,17 +34,71 @@ class Recorded(NamedTuple):
     data: bytes
 
 
+def topic_of(channel: int) -> str:
+    """The topic that a recorder gives a channel, where the file's own list of them is damaged; empty for others."""
+    return TOPICS[channel - 1] if 0 < channel <= len(TOPICS) else ""
+
+
+class Gap(NamedTuple):
+    """Ticks that are missing. after: ring index of the last one before them, -1 where there is none."""
+
+    after: int
+    ticks: int
+
+
+class Gaps:
+    """Which ticks are missing, by the ring indices of those that are there."""
+
+    def __init__(self) -> None:
+        self.found: list[Gap] = []
+        self._next: int | None = None
+
+    def add(self, first: int, ticks: int, lost: int, *, damaged: bool) -> None:
+        """Ticks in their order. first: ring index. lost: missing before them, as the recorder knew. damaged: something
+        in the file before them is.
+        """
+        if self._next is None:
+            self._next = 0 if damaged else max(0, first - lost)
+        if first > self._next:
+            self.found.append(Gap(self._next - 1, first - self._next))
+        self._next = max(self._next, first + ticks)
+
+    @property
+    def ticks(self) -> int:
+        """How many are missing in all."""
+        return sum(gap.ticks for gap in self.found)
+
+
+def loss_text(gaps: Sequence[Gap], period_s: float, *, damaged: bool, most: int = 5) -> str:
+    """What is missing, in ticks and seconds, for people; empty where nothing is. most: gaps that are named."""
+    if not gaps:
+        return "the file is damaged or was cut short; what it lost behind its last whole chunk is not known" * damaged
+    total = sum(gap.ticks for gap in gaps)
+    named = [
+        f"{gap.ticks} after tick {gap.after}" if gap.after >= 0 else f"the first {gap.ticks}" for gap in gaps[:most]
+    ]
+    more = f", and {len(gaps) - most} more gaps" if len(gaps) > most else ""
+    why = "the file is damaged or was cut short" if damaged else "the recorder could not keep up"
+    return f"{total} ticks ({total * period_s:.3f} s) are missing: {', '.join(named)}{more}; {why}"
+
+
 def part_path(path: Path, number: int) -> Path:
     """Where part `number` (2, 3, ...) of the recording is that `path` is a part of."""
     return path.with_name(f"{_PART.sub('', path.name.removesuffix('.mcap'))}.part-{number}.mcap")
+
+
+def first_part(path: Path) -> Path:
+    """Where the first file of the recording is that `path` is a later part of; `path` itself where it is none."""
+    stem = path.name.removesuffix(".mcap")
+    return path.with_name(f"{_PART.sub('', stem)}.mcap") if _PART.search(stem) else path
 
 
 class Recording:
     """Reads a recording from front to end, cut short or damaged or not, and on through the parts that follow it.
 
     path: the file. metadata: what its `run.json` holds. truncated: set once iteration has met the end of a file that
-    was cut short, or a chunk whose checksum does not hold. parts: files met by iteration. Raises RecordingError when
-    the file is none.
+    was cut short, or a record that is damaged, which it leaves out. parts: files met by iteration. Raises
+    RecordingError when the file is none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,7 +111,7 @@ class Recording:
         for item in self._items(path):
             if isinstance(item, Attachment) and item.name == RUN_ATTACHMENT:
                 return self._described(path, item.data)
-            if isinstance(item, McapMessage):
+            if isinstance(item, McapMessage) and not self.truncated:
                 break
         raise RecordingError(f"{path}: not a recording of a control process")
 
@@ -79,17 +133,19 @@ class Recording:
         return {key: printable(value) if isinstance(value, str) else value for key, value in metadata.items()}
 
     def _items(self, path: Path) -> Iterator[Any]:
+        items = McapItems(path)
         try:
-            yield from mcap_items(path)
+            for item in items:
+                self.truncated |= items.damaged
+                yield item
         except OSError as error:
             raise RecordingError(f"{path}: {error.strerror}") from None
         except (UnsuitableFileError, BombError) as error:
             raise RecordingError(f"{path}: not a recording of a control process: {error}") from None
-        except DAMAGED:
-            self.truncated = True
+        self.truncated |= items.damaged
 
     def __iter__(self) -> Iterator[Recorded]:
-        self.parts = []
+        self.parts, self.truncated = [], False
         for path in self._files():
             self.parts.append(path)
             yield from self._messages(path)
@@ -100,10 +156,9 @@ class Recording:
             if isinstance(item, Channel):
                 topics[item.id] = item.topic
             elif isinstance(item, McapMessage):
-                if item.channel_id not in topics:  # where its channel stood is damaged
-                    self.truncated = True
-                    return
-                yield Recorded(topics[item.channel_id], item.log_time, item.data)
+                topic = topics.get(item.channel_id) or topic_of(item.channel_id)
+                if topic:
+                    yield Recorded(topic, item.log_time, item.data)
 
     def _files(self) -> Iterator[Path]:
         """This file, and the parts after it that are of the same control process."""

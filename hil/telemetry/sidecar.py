@@ -17,12 +17,12 @@ from typing import Annotated, NamedTuple
 import typer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from drivers.runtime import stop_signals, write_private
+from drivers.base.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
+from hil.events.notes import read_problems
 from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
-from hil.live.notes import read_problems
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_paths, sole
 from hil.rig.file import load_rig
@@ -32,7 +32,6 @@ from hil.telemetry.blackbox import recordings_in, save_black_boxes
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.event_log import EventLog
-from hil.telemetry.events_pb2 import Events
 from hil.telemetry.fault_snapshots import FaultSnapshots
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
@@ -265,7 +264,6 @@ class Sidecar:
         schema = run.encoder.schema if run else TickSchema(self.rig.model_dump(mode="json"))
         files = build_file_descriptor_set(pb.Status)
         files.MergeFrom(schema.files)
-        files.MergeFrom(build_file_descriptor_set(Events))
         return bytes(files.SerializeToString())
 
     def publish_status(self, now_ns: int) -> None:
@@ -287,6 +285,8 @@ class Sidecar:
             status.sent, status.dropped = run.progress.sent, run.dropped
             if run.caught_up:
                 run.window.fill(status)
+                if (latched := self._events.latched) and latched.name == status.fault.lower():
+                    status.latched.CopyFrom(latched)
             if run.recorder:
                 status.recording = run.recorder.ok
                 status.recorder_errors = run.recorder.errors

@@ -12,7 +12,7 @@ import os
 import zlib
 from pathlib import Path
 
-from drivers.runtime import open_private
+from drivers.base.runtime import open_private
 from hil.live.mapped_file import Closing
 
 SIZE = 2048  # less than a page: a write of it is whole or not there

@@ -12,12 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.runtime import write_private
-from hil.control.feasibility import violations
+from drivers.base.runtime import write_private
+from hil.analysis.feasibility import violations
+from hil.analysis.task_figures import excursion_problems
+from hil.control.trajectories.injection import OverCells
+from hil.control.trajectories.paths import AlongPath
+from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
-from hil.cycle.task_loading import loaded_task, rig_with_task, task_document
 from hil.live.mailbox import Mailbox
 from hil.live.task_file import task_bytes
+from hil.live.task_loading import loaded_task, rig_with_task, task_document
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry.command_server import Asked
 
@@ -53,9 +57,10 @@ class TaskLoader:
         upload, asked.connection.upload = asked.connection.upload, b""
         if mailbox is None or last is None:
             return "no control process is running this rig, or it is not known where the stage stands"
-        state = State(int(last["state"]))
-        if state is not State.READY:
-            return f"a task is loaded at rest, in READY; the state is {state.name}"
+        state, motion = State(int(last["state"])), MotionWord(int(last["motion"]))
+        if state is not State.READY and motion is not MotionWord.HOLD:
+            moves = f", its motion {motion.name}" if motion is not MotionWord.NONE else ""
+            return f"a task is loaded at rest, in READY or while the axes hold; the state is {state.name}{moves}"
         if rig.law.iterative_learning:
             return "law.iterative_learning = true: the law learns from the rig's own task, and takes no other"
         if self._asked is not None:
@@ -64,7 +69,7 @@ class TaskLoader:
         self._asked, self._until_ns = asked, now_ns + PATIENCE_NS
         self._threads = self._threads or ThreadPoolExecutor(1, thread_name_prefix="task")
         start = last["position"][: len(rig.axes)].tolist()
-        self._future = self._threads.submit(_prepare, upload, rig, start, self._number)
+        self._future = self._threads.submit(_prepare, upload, rig, start, self._number, holds=state is not State.READY)
         return ""
 
     def advance(self, mailbox: Mailbox | None, now_ns: int) -> tuple[Asked, Prepared] | None:
@@ -103,8 +108,10 @@ class TaskLoader:
         return None
 
 
-def _prepare(upload: bytes, rig: RigConfig, start: list[float], number: int) -> Prepared:
-    """Everything about a task that takes time. start: where the stage stands, m by axis."""
+def _prepare(upload: bytes, rig: RigConfig, start: list[float], number: int, *, holds: bool) -> Prepared:
+    """Everything about a task that takes time. start: where the stage stands, m by axis. holds: under torque, where a
+    tick has the time to read points and not to plan.
+    """
     try:
         inflater = zlib.decompressobj()
         text = inflater.decompress(upload, MOST_TEXT)
@@ -112,8 +119,12 @@ def _prepare(upload: bytes, rig: RigConfig, start: list[float], number: int) -> 
             return Prepared(f"the task is damaged, or longer than {MOST_TEXT} bytes")
         other = rig_with_task(rig, text.decode())
         loaded = loaded_task(other)
+        if holds and not isinstance(loaded.plan, (AlongPath, OverCells)):
+            return Prepared(f"task.kind = {other.task.kind}: while the axes hold, only paths through points are loaded")
         if found := violations(other, start):
             return Prepared(f"the task cannot begin here: {found[0].text()}")
+        if beyond := excursion_problems(other):
+            return Prepared(beyond[0])
         return Prepared("", task_document(other.task), other, task_bytes(number, loaded, other))
     except RigError as error:
         return Prepared("; ".join(error.problems)[:_LONGEST])

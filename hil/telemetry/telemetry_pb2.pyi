@@ -1,3 +1,4 @@
+from hil.telemetry import events_pb2 as _events_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -43,7 +44,7 @@ class Counters(_message.Message):
     def __init__(self, received: _Optional[int] = ..., sent: _Optional[int] = ..., refused: _Optional[int] = ..., overflow: _Optional[int] = ..., discarded: _Optional[int] = ..., bus_errors: _Optional[int] = ..., samples_lost: _Optional[int] = ..., missed_own: _Optional[int] = ..., missed_host: _Optional[int] = ..., longest_streak: _Optional[int] = ..., illegal_events: _Optional[int] = ..., commands_refused: _Optional[int] = ..., law_floors: _Optional[int] = ..., saturations: _Optional[_Iterable[int]] = ..., rejects: _Optional[_Iterable[int]] = ..., bus_state: _Optional[int] = ...) -> None: ...
 
 class Cycle(_message.Message):
-    __slots__ = ("first", "lost", "index", "scheduled_ns", "lateness_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands", "cpu_ns", "run_delay_ns", "counters")
+    __slots__ = ("first", "lost", "index", "scheduled_ns", "lateness_ns", "flags", "port", "received_count", "sent_count", "command_count", "received", "sent", "commands", "cpu_ns", "run_delay_ns", "counters", "goal_count", "goals")
     FIRST_FIELD_NUMBER: _ClassVar[int]
     LOST_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
@@ -60,6 +61,8 @@ class Cycle(_message.Message):
     CPU_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_DELAY_NS_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    GOAL_COUNT_FIELD_NUMBER: _ClassVar[int]
+    GOALS_FIELD_NUMBER: _ClassVar[int]
     first: int
     lost: int
     index: _containers.RepeatedScalarFieldContainer[int]
@@ -76,7 +79,35 @@ class Cycle(_message.Message):
     cpu_ns: _containers.RepeatedScalarFieldContainer[int]
     run_delay_ns: _containers.RepeatedScalarFieldContainer[int]
     counters: Counters
-    def __init__(self, first: _Optional[int] = ..., lost: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., lateness_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[FrameColumns, _Mapping]] = ..., sent: _Optional[_Union[FrameColumns, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ...) -> None: ...
+    goal_count: _containers.RepeatedScalarFieldContainer[int]
+    goals: _containers.RepeatedCompositeFieldContainer[TakenGoal]
+    def __init__(self, first: _Optional[int] = ..., lost: _Optional[int] = ..., index: _Optional[_Iterable[int]] = ..., scheduled_ns: _Optional[_Iterable[int]] = ..., lateness_ns: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., port: _Optional[_Iterable[int]] = ..., received_count: _Optional[_Iterable[int]] = ..., sent_count: _Optional[_Iterable[int]] = ..., command_count: _Optional[_Iterable[int]] = ..., received: _Optional[_Union[FrameColumns, _Mapping]] = ..., sent: _Optional[_Union[FrameColumns, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[Command, _Mapping]]] = ..., cpu_ns: _Optional[_Iterable[int]] = ..., run_delay_ns: _Optional[_Iterable[int]] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., goal_count: _Optional[_Iterable[int]] = ..., goals: _Optional[_Iterable[_Union[TakenGoal, _Mapping]]] = ...) -> None: ...
+
+class TakenGoal(_message.Message):
+    __slots__ = ("number", "kind", "mask", "flags", "due_ns", "valid_ns", "position", "velocity", "speed", "lease", "refusal")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    MASK_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    DUE_NS_FIELD_NUMBER: _ClassVar[int]
+    VALID_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    LEASE_FIELD_NUMBER: _ClassVar[int]
+    REFUSAL_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    kind: int
+    mask: int
+    flags: int
+    due_ns: int
+    valid_ns: int
+    position: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    speed: float
+    lease: int
+    refusal: int
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[int] = ..., mask: _Optional[int] = ..., flags: _Optional[int] = ..., due_ns: _Optional[int] = ..., valid_ns: _Optional[int] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., speed: _Optional[float] = ..., lease: _Optional[int] = ..., refusal: _Optional[int] = ...) -> None: ...
 
 class Stream(_message.Message):
     __slots__ = ("can_id", "flags", "length", "crc32")
@@ -117,7 +148,7 @@ class Command(_message.Message):
     def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., accepted: _Optional[bool] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path", "drive_problems", "answer_age")
+    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path", "drive_problems", "answer_age", "motion", "latched")
     RIG_FIELD_NUMBER: _ClassVar[int]
     RIG_HASH_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
@@ -152,6 +183,8 @@ class Status(_message.Message):
     RECORDING_PATH_FIELD_NUMBER: _ClassVar[int]
     DRIVE_PROBLEMS_FIELD_NUMBER: _ClassVar[int]
     ANSWER_AGE_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
+    LATCHED_FIELD_NUMBER: _ClassVar[int]
     rig: str
     rig_hash: str
     axes: _containers.RepeatedScalarFieldContainer[str]
@@ -186,7 +219,9 @@ class Status(_message.Message):
     recording_path: str
     drive_problems: _containers.RepeatedScalarFieldContainer[str]
     answer_age: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ..., drive_problems: _Optional[_Iterable[str]] = ..., answer_age: _Optional[_Iterable[float]] = ...) -> None: ...
+    motion: str
+    latched: _events_pb2.Event
+    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ..., drive_problems: _Optional[_Iterable[str]] = ..., answer_age: _Optional[_Iterable[float]] = ..., motion: _Optional[str] = ..., latched: _Optional[_Union[_events_pb2.Event, _Mapping]] = ...) -> None: ...
 
 class Challenge(_message.Message):
     __slots__ = ("nonce", "now_ns")

@@ -1,4 +1,5 @@
-"""The protobuf schema of a rig's ticks, for viewers: a message per tick, in it a field for every axis, by its name.
+"""The protobuf schema of a rig's ticks, for viewers: a message per tick, in it a field for every axis and every sensor,
+by its name.
 
 The message type hil.telemetry.Tick is made from the rig, so that any MCAP viewer shows `tick.x.position` without being
 told what x is. What makes such messages small is that no value is finer than means something: each is rounded to a
@@ -16,6 +17,7 @@ from google.protobuf.message import Message
 
 from drivers.protocols.base import DriveStatus
 from hil.cycle.fault_table import Fault
+from hil.cycle.goal import MotionWord
 from hil.cycle.record import MOTION_FIELDS
 from hil.cycle.state_machine import State
 
@@ -23,7 +25,7 @@ PACKAGE: Final = "hil.telemetry"
 TICK: Final = f"{PACKAGE}.Tick"
 NO_TASK_NS: Final = -1
 LATENESS_STEP: Final = 2.0**-20  # s, about a microsecond
-_FIRST_AXIS = 16  # field number
+_FIRST_AXIS, _FIRST_SENSOR = 16, 32  # field numbers
 _FieldType = descriptor_pb2.FieldDescriptorProto
 
 
@@ -43,9 +45,11 @@ TICK_FIELDS: Final = (
     ("faults_active", 5, "Fault*", "", "those that fired in this tick"),
     ("task_start_ns", 6, "sfixed64", "ns", "when the task's clock was zero, monotonic; -1: no task runs"),
     ("lateness", 7, "double", "s", "when the tick woke, after it was due"),
+    ("motion", 8, "MotionWord", "", "what the axes do under torque; NONE: they are not ours to move"),
 )
 # Of each axis, after the motion fields.
 _AXIS_FIELDS: Final = (("age_ticks", 11, "uint32"), ("drive_status", 12, "uint32"))
+_SENSOR_FIELDS: Final = (("value", 1, "double"), ("age_ticks", 2, "uint32"))
 _VELOCITIES = ("velocity_estimate", "setpoint_velocity")
 _DIFFERENCES = ("following_error", "innovation")
 _FORCES = ("force", "force_requested", "disturbance_estimate")
@@ -82,16 +86,33 @@ def field_of_axis(axis: str) -> str:
     return f"axis_{axis}" if axis in {name for name, *_ in TICK_FIELDS} else axis
 
 
+def _fields_of_sensors(axes: list[str], sensors: list[str]) -> list[str]:
+    """Their fields: their names, with as many prefixes as it takes to differ from all others."""
+    taken = {name for name, *_ in TICK_FIELDS} | {field_of_axis(axis) for axis in axes}
+    found = []
+    for sensor in sensors:
+        field = sensor
+        while field in taken:
+            field = f"sensor_{field}"
+        taken.add(field)
+        found.append(field)
+    return found
+
+
 class TickSchema:
     """The type of a rig's Tick messages. rig: a validated rig as JSON has it, as in a recording's or ring's metadata.
 
+    sensor_fields: of its sensors, in their order. reading_steps: of their values, as scales has them.
     files: the serialised FileDescriptorSet that a foreign reader needs. units: {"x.position": {"unit", "step"}, ...}.
     """
 
     def __init__(self, rig: dict[str, Any]) -> None:
         self.axes = list(rig["axes"])
         self.scales = scales(rig)
-        file = _file(self.axes)
+        sensors = rig.get("sensors", {})
+        self.sensor_fields = _fields_of_sensors(self.axes, list(sensors))
+        self.reading_steps = [_power_of_two(float(sensor["scale"]) / 2) for sensor in sensors.values()]
+        file = _file(self.axes, self.sensor_fields)
         self.files = descriptor_pb2.FileDescriptorSet(file=[file])
         pool = descriptor_pool.DescriptorPool()
         pool.Add(file)
@@ -101,11 +122,14 @@ class TickSchema:
             for axis, row in self.scales.items()
             for name, scale in row.items()
         }
+        values = [f"{field}.value" for field in self.sensor_fields]
+        self.units |= zip(values, (str(sensor["unit"]) for sensor in sensors.values()), strict=True)
         self.steps = {"lateness": LATENESS_STEP} | {
             f"{field_of_axis(axis)}.{name}": scale.step
             for axis, row in self.scales.items()
             for name, scale in row.items()
         }
+        self.steps |= zip(values, self.reading_steps, strict=True)
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -114,10 +138,11 @@ class TickSchema:
         return {"units": json.dumps(self.units), "steps": json.dumps(self.steps), "drive_status": json.dumps(bits)}
 
 
-def _file(axes: list[str]) -> descriptor_pb2.FileDescriptorProto:
+def _file(axes: list[str], sensors: list[str]) -> descriptor_pb2.FileDescriptorProto:
     file = descriptor_pb2.FileDescriptorProto(name="tick.proto", package=PACKAGE, syntax="proto3")
     _add_enum(file, State)
     _add_enum(file, Fault)
+    _add_enum(file, MotionWord)
     axis = file.message_type.add(name="Axis")
     for number, name in enumerate(MOTION_FIELDS, 1):
         _add_field(axis, name, number, "double")
@@ -127,14 +152,24 @@ def _file(axes: list[str]) -> descriptor_pb2.FileDescriptorProto:
     for name, number, kind, _, _ in TICK_FIELDS:
         _add_field(tick, name, number, kind)
     for number, name in enumerate(axes, _FIRST_AXIS):
-        tick.field.add(
-            name=field_of_axis(name),
-            number=number,
-            label=_FieldType.LABEL_OPTIONAL,
-            type=_FieldType.TYPE_MESSAGE,
-            type_name=f".{PACKAGE}.Axis",
-        )
+        _add_part(tick, field_of_axis(name), number, "Axis")
+    if sensors:
+        sensor = file.message_type.add(name="Sensor")
+        for name, number, kind in _SENSOR_FIELDS:
+            _add_field(sensor, name, number, kind)
+    for number, name in enumerate(sensors, _FIRST_SENSOR):
+        _add_part(tick, name, number, "Sensor")
     return file
+
+
+def _add_part(tick: descriptor_pb2.DescriptorProto, name: str, number: int, kind: str) -> None:
+    tick.field.add(
+        name=name,
+        number=number,
+        label=_FieldType.LABEL_OPTIONAL,
+        type=_FieldType.TYPE_MESSAGE,
+        type_name=f".{PACKAGE}.{kind}",
+    )
 
 
 def _add_enum(file: descriptor_pb2.FileDescriptorProto, kind: type[IntEnum]) -> None:

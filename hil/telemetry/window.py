@@ -1,5 +1,6 @@
 """The last second of ticks, in the few figures a status message shows."""
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -7,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.cycle.fault_table import Fault
-from hil.cycle.state_machine import TORQUE_STATES, State
+from hil.cycle.goal import MotionWord
+from hil.cycle.state_machine import State
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.followed import followed
 
 STALE_NS = 500_000_000  # a control process whose newest tick is older hangs, or is gone
 SILENT_S = 0.5  # an axis that has not answered for so long has fallen silent
-_TORQUE = [int(state) for state in TORQUE_STATES]
 
 
 def silent_axes(names: Iterable[str], ages_s: Iterable[float]) -> str:
@@ -40,7 +42,7 @@ class Window:
         if not len(records):
             return
         errors = np.abs(records["following_error"][:, : self._n_axes])
-        errors[~np.isin(records["state"], _TORQUE)] = 0.0
+        errors[~followed(records)] = 0.0
         self._lateness.append(records["now_ns"] - records["scheduled_ns"])
         self._errors.append(errors)
         self._held += len(records)
@@ -71,9 +73,11 @@ class Window:
         status.index = int(last["index"])
         status.tick_ns = int(last["now_ns"])
         status.task_ns = int(last["task_ns"])
+        status.motion = MotionWord(int(last["motion"])).name
         status.counters.CopyFrom(codec.counters(last, n))
         status.position.extend(last["position"][:n].tolist())
-        status.setpoint.extend(last["setpoint_position"][:n].tolist())
+        held = followed(np.atleast_1d(last))[0]
+        status.setpoint.extend(last["setpoint_position"][:n].tolist() if held else [math.nan] * n)
         status.force.extend(last["force"][:n].tolist())
         status.drive_status.extend(last["drive_status"][:n].tolist())
         status.answer_age.extend((last["age_ticks"][:n] * (status.period_ns * 1e-9)).tolist())

@@ -32,7 +32,7 @@ def rig_law(rig: RigConfig, trajectory: Trajectory | None = None) -> Law:
     limit = np.array([axis.limits.force for axis in rig.axes.values()])
     repeat = None
     if rig.law.iterative_learning and trajectory is None:
-        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns)
+        repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns, rig.counts)
     elif rig.law.iterative_learning and trajectory is not None and trajectory.repeat_ns is not None:
         repeat = trajectory.repeat_ns, trajectory.repeat_from_ns
     model = rig_model(rig)
@@ -104,7 +104,9 @@ class BatchRun:
             self._engage()
         elif self.index == 1:
             rig = self.rig
-            task = self._trajectory or make_trajectory(rig.task, rig.axis_names, self._origin, rig.period_ns)
+            task = self._trajectory or make_trajectory(
+                rig.task, rig.axis_names, self._origin, rig.period_ns, rig.counts
+            )
             self._setpoints.follow(task, [now] * n)
             self._setpoints.update([now - self._period_ns] * n, [now] * n)
         self._act()

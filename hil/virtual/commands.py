@@ -1,8 +1,6 @@
-"""The commands `hil sim`, `hil replay` and `hil emulate`: arguments in, text and exit status out."""
+"""The commands `hil sim` and `hil emulate`: arguments in, text and exit status out."""
 
 import contextlib
-import dataclasses
-import json
 import sys
 import time
 from pathlib import Path
@@ -13,10 +11,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.cli.exit_status import EXIT_FAULT
-from hil.cli.options import RigFile, shipped_scenario
-from hil.cli.output import axis_table, drawable, print_plant_notes, writable, write_json
+from hil.cli.options import JsonTarget, Overrides, RigFile, shipped_scenario
+from hil.cli.output import axis_table, drawable, print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.virtual.report_text import report_document, show_latched
 
 _TOO_SLOW = (
     "hil emulate: the emulated stage takes all of a core and comes behind: its answers are late, and the rig sees "
@@ -28,10 +27,8 @@ _TOO_SLOW = (
 def sim(
     rig: RigFile,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
-    overrides: Annotated[list[str], typer.Option("--set", help="override a key of the rig file: key.path=value")] = [],  # noqa: B006
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
-    ] = "",
+    overrides: Overrides = [],  # noqa: B006
+    json_target: JsonTarget = "",
     faults: Annotated[
         Path | None,
         typer.Option(callback=shipped_scenario, help="faults to inject: a scenario file, or a shipped one's name"),
@@ -40,23 +37,30 @@ def sim(
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
     ] = None,
+    *,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="keep recording and picture in runs/<time>, for hil runs and hil report")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="keep them in this folder")] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time.
 
     Exit status 3: the run ended in a fault.
     """
+    from hil.analysis.feasibility import task_problems
+    from hil.analysis.task_figures import excursion_notes, excursion_problems
     from hil.control.estimator.gains import per_axis
-    from hil.control.feasibility import task_problems
     from hil.rig.bus_load import refuse_unschedulable
     from hil.rig.encoder_range import encoder_range_problems
     from hil.virtual.scenario import load_scenario
     from hil.virtual.sim import simulate
 
-    config = load_rig(rig, overrides)
+    config = load_rig(rig, overrides or ())
     refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     start = per_axis(config.plant.initial_position, len(config.axes)).tolist()
     try:
         infeasible = [*encoder_range_problems(config, rig.parent), *task_problems(config, start)]
+        infeasible += excursion_problems(config)
     except ValueError as error:  # a task that cannot be planned
         raise RigError([f"{rig}: {error}"]) from None
     if infeasible:
@@ -64,7 +68,12 @@ def sim(
     scenario = load_scenario(faults, config) if faults else None
     console = Console(stderr=json_target == "-")
     print_plant_notes(console, config)
+    for note in excursion_notes(config):
+        console.print(note, soft_wrap=True, markup=False)
 
+    if keep or out:
+        folder = _run_folder(out)
+        record, picture = record or folder / "run.mcap", picture or folder / "tracking.png"
     recorder = _recorder(record, config, rig)
     with Progress(console=console, transient=True) as bar:
         total = round(seconds * config.rate_hz)
@@ -84,24 +93,26 @@ def sim(
         finally:
             if recorder:
                 recorder.close()
-    report.overrides = list(overrides)
+    report.overrides = list(overrides or ())
     _show(console, config, report, traces, picture)
+    if keep or out:
+        console.print(f"kept in {folder}/", soft_wrap=True, markup=False, highlight=False)
     if json_target:
-        write_json(_document(report), json_target)
+        write_json(report_document(report), json_target)
     if report.latched:
         raise typer.Exit(EXIT_FAULT)
 
 
-def _document(report: Any) -> dict[str, Any]:
-    """A report as JSON has it: its events as objects with names."""
-    document: dict[str, Any] = dataclasses.asdict(dataclasses.replace(report, events=[], latched=None))
-    latched = report.latched.document if report.latched else None
-    return {**document, "events": [event.document for event in report.events], "latched": latched}
+def _run_folder(asked: Path | None) -> Path:
+    """The folder that was asked for, which holds no run yet, or a new one. Raises typer.BadParameter, OSError."""
+    from hil.telemetry.blackbox import run_directory
 
-
-def _show_latched(report: Any, console: Console) -> None:
-    if report.latched:
-        console.print(report.latched.line, style="red", markup=False, highlight=False, soft_wrap=True)
+    if asked is None:
+        return run_directory()
+    asked.mkdir(parents=True, exist_ok=True)
+    if (asked / "run.mcap").exists():
+        raise typer.BadParameter(f"{asked}: it holds a run already", param_hint="--out")
+    return asked
 
 
 def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
@@ -122,7 +133,7 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")
-    _show_latched(report, console)
+    show_latched(report, console)
     if report.law_failure:
         console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
     console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
@@ -130,70 +141,22 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
         import numpy as np
 
         from hil.cli.pictures import tracking_picture
-        from hil.virtual.event_marks import marks_of
+        from hil.events.marks import marks_of
 
         tracking_picture(picture, config, traces, marks=marks_of(report.events, np.arange(report.ticks)))
         console.print(f"picture {picture}")
 
 
-def _show_replay(report: Any, console: Console) -> None:
-    verdict = "every torque frame is the same" if not report.different else f"{report.different} ticks differ"
-    if not report.frames:
-        why = "it begins in the middle of a run" if report.gap_at == 0 else "it holds no frame that was sent"
-        verdict = f"nothing was compared, as {why}"
-    files = f" of {report.parts} files" if report.parts > 1 else ""
-    console.print(f"{report.rig}: {report.ticks} ticks, {report.frames} frames{files} replayed; {verdict}")
-    _show_latched(report, console)
-    if report.first_different is not None:
-        console.print(f"the first tick that differs is {report.first_different}")
-    if report.gap_at is not None:
-        console.print(
-            f"ticks are missing from the recording after tick {report.gap_at}: replayed up to there; "
-            f"{report.not_compared} recorded ticks behind the gap are not compared"
-        )
-    if report.truncated:
-        console.print("the recording was cut short or is damaged: replayed as far as it is whole")
-    for name, row in (report.other_force or {}).items():
-        console.print(f"  {report.other_law} would differ on {name} by {row['rms']:.3g} RMS, {row['max']:.3g} at most")
-
-
-def replay(
-    recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
-    law: Annotated[str, typer.Option(help="also show what this law would have asked for")] = "",
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="the same with key=value over the rig")] = None,
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the report there; - for standard output")
-    ] = "",
-) -> None:
-    """Exit status 0: every byte is the same; 1: some differ, or nothing was compared; 3: the run ended in a fault."""
-    changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
-    from hil.telemetry.recording import RecordingError
-    from hil.virtual.replay import replay_run
-
-    try:
-        report = replay_run(recording, changes)
-    except RecordingError as error:
-        print(f"hil replay: {error}", file=sys.stderr)
-        raise typer.Exit(1) from None
-    _show_replay(report, Console(stderr=json_target == "-"))
-    if json_target:
-        write_json(_document(report), json_target)
-    if report.different or not report.frames:
-        raise typer.Exit(1)
-    if report.latched:
-        raise typer.Exit(EXIT_FAULT)
-
-
 def emulate(
     rig: RigFile,
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="key.path=value, overrides the rig file")] = None,
+    overrides: Overrides = None,
     faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
 ) -> None:
     """Emulate the stage of RIG on its bus until SIGTERM, SIGINT or SIGHUP."""
+    from drivers.base.runtime import RuntimeDirectoryError
     from drivers.bus.port import PortError
     from drivers.bus.segmented_port import open_segments
-    from drivers.runtime import RuntimeDirectoryError
     from hil.cli.exit_status import EXIT_UNAVAILABLE
     from hil.live.runtime_paths import AlreadyServedError, runtime_paths, sole
     from hil.rig.plant_notes import plant_notes

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.sensors import trigger, trigger_mask
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
+from sim_plant.nodes.sensor import SensorNode, sensor_nodes
 from sim_plant.scenario.language import Scenario
 
 
@@ -13,10 +16,20 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
     rated = [axis.rated_force for axis in rig.axes.values()]
     try:
         return EmulatedStage(
-            rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives, mountings=rig.mountings
-        )
+            rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives, mountings=rig.mountings,
+            sensors=emulated_sensors(rig, base_dir),
+        )  # fmt: skip
     except (ValueError, OSError) as error:
         raise RigError([f"rig {rig.name}: {error}"]) from None
+
+
+def emulated_sensors(rig: RigConfig, base_dir: Path) -> list[SensorNode]:
+    """The nodes of the rig's [sensors]. Raises LayoutError as host_layout."""
+    if not rig.sensors:
+        return []
+    layout = host_layout(rig, base_dir)
+    heard, mask = trigger(rig, layout), trigger_mask(layout)
+    return sensor_nodes(rig.sensors, rig.plant, None if heard is None else (mask, heard.can_id & mask))
 
 
 def live_scenario(path: Path, rig: RigConfig) -> Scenario:

@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.frame import Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command
-from hil.cycle.fault_table import RULES, Fault, Reaction
+from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig
@@ -61,7 +61,7 @@ class Invariants:
         entering = self._previous is not state
         if result.frames and (state is State.BOOT or (state is State.SHUTDOWN and not entering)):
             self._fail(tick, f"frames sent in {state.name}")
-        if state is State.FAULT and fault is not Fault.NONE and RULES[fault].reaction is Reaction.SILENT:
+        if state is State.FAULT and fault is not Fault.NONE and ROWS[fault].reaction is Reaction.SILENT:
             self._silent = True
         elif state is State.CONNECTED:
             self._silent = False

@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 from drivers.bus.counters import PortCounters, of_all
 from drivers.frame import ECHO, Frame, segment_of
 from drivers.protocols.base import echo_ids
-from drivers.segments import segments_of
+from drivers.protocols.segments import segments_of
 from drivers.wire.faults import Random, WireFault
 from drivers.wire.node import WireNode
 from drivers.wire.segments import Receiver, WireSegments, marking
 from drivers.wire.wire import Wire
+from hil.cycle.goal import Goal
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
-from hil.cycle.task_loading import loaded_task, rig_with_task, task_document
 from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, OperatorCommand, Tick
+from hil.live.task_loading import loaded_task, rig_with_task, task_document
 from hil.rig.schema import RigConfig, TaskConfig
+from hil.virtual.emulate import emulated_sensors
+from sim_plant.drives.servo import NEVER_NS
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.injector import Injector
 from sim_plant.scenario.language import Scenario
@@ -67,8 +70,9 @@ class LockstepRun:
         self._observer = observer
         rated = [axis.rated_force for axis in rig.axes.values()]
         self.stage = EmulatedStage(
-            rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings
-        )
+            rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings,
+            sensors=emulated_sensors(rig, base_dir),
+        )  # fmt: skip
         self.received: list[Frame] = []  # by the host since the last tick
         self._discarded = 0  # of those, beyond the receive limit
         self._echo_ids = echo_ids(self.cycle.protocol)
@@ -87,6 +91,7 @@ class LockstepRun:
         self.index = 0
         self.activated_at = -1  # tick of the first ACTIVE
         self.stop = False
+        self.goals: list[Goal] = []  # of the next tick
         self.estop = False  # the stop line is pressed: for one tick
         self.truth = self.stage.sampled  # positions, velocities at the samples the latest tick worked on, m, m/s
         self._task: LoadedTask | None = None  # to be loaded in the next tick
@@ -107,7 +112,10 @@ class LockstepRun:
             for axis in axes:
                 name = rig.axis_names[axis]
                 self._axis_nodes[name] = wire.attach(name, None, fifo=False)
+            for name in rig.sensors if not number else ():
+                self._axis_nodes[name] = wire.attach(name, None, fifo=False)
             wires.append(wire)
+        self._first_wire = wires[0]
         return wires[0] if len(wires) == 1 else WireSegments(wires)
 
     def wire_of(self, axis: int) -> Wire:
@@ -126,6 +134,13 @@ class LockstepRun:
         answers = self.stage.on_frame(frame)
         for answer in answers:
             self._axis_nodes[self.stage.sender_of(answer)].send(answer, frame.timestamp_ns)
+        if self.rig.sensors and (due_ns := self.stage.speaks_ns) < NEVER_NS:
+            self._first_wire.at(due_ns, self._speak, due_ns)
+
+    def _speak(self, now_ns: int) -> None:
+        """What the stage's nodes send in their own time, up to now_ns."""
+        for unasked in self.stage.advance(now_ns):
+            self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
 
     def load_task(self, task: TaskConfig) -> None:
         """Ask for another task in the next tick; it is taken in READY. Raises RigError, ValueError as plan_task."""
@@ -142,8 +157,7 @@ class LockstepRun:
     def _advance(self, now_ns: int) -> None:
         """Wire and stage live to now_ns, and the drives say what they have to."""
         self.wire.advance(now_ns)
-        for unasked in self.stage.advance(now_ns):
-            self._axis_nodes[self.stage.sender_of(unasked)].send(unasked, self.stage.now_ns)
+        self._speak(now_ns)
 
     def restart(self) -> None:
         """The control process has ended and another one begins: it has heard nothing and remembers nothing."""
@@ -163,9 +177,11 @@ class LockstepRun:
             stop=self.stop,
             estop=self.estop,
             task=self._task,
+            goals=tuple(self.goals),
             **self.grants,
         )
         self._task = None
+        self.goals = []
         self.estop = False
         result = self.cycle.step(tick, frames)
         if self.activated_at < 0 and self.cycle.state is State.ACTIVE:

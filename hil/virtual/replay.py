@@ -1,25 +1,30 @@
-"""Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte."""
+"""Replay: the frames, commands and times of a recording through a new control cycle, compared byte for byte.
+
+Code that a recording carries runs only where its digest is permitted (hil/rig/carried_code.py).
+"""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
+from drivers.base import plugins
 from drivers.frame import Frame
-from hil.cycle.event import Event
-from hil.cycle.event_notes import CycleEvents
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
-from hil.cycle.task_loading import loaded_task, rig_with_task
 from hil.cycle.tick import CommandKind, LoadedTask, Tick
-from hil.rig.provenance import rig_of_run
+from hil.events.event import Event
+from hil.events.sources import events_of
+from hil.live.task_loading import loaded_task, rig_with_task
+from hil.rig.carried_code import carried_code
+from hil.rig.provenance import other_version, rig_of_run
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import codec, cycle_codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.recording import Recording, RecordingError
+from hil.telemetry.recording import Gaps, Recording, RecordingError, loss_text
 
 _EXACT = [*MOTION_FIELDS, "stamp_ns"]
 _LARGEST = 2**60  # ns: 36 years of a monotonic clock
@@ -43,8 +48,10 @@ class Replayed:
     frames: int = 0
     gap_at: int | None = None  # ring index at which ticks are missing; the cycle's state is unknown from there on
     not_compared: int = 0  # ticks that are recorded behind such a gap
+    loss: str = ""  # what is missing, in ticks and seconds; empty where nothing is
     parts: int = 1  # files
     truncated: bool = False
+    other_version: str = ""  # which version recorded it and which this is, where they are two
     events: list[Event] = dataclasses.field(default_factory=list)
     latched: Event | None = None  # of the fault that the run ended with
     other_law: str | None = None
@@ -156,17 +163,34 @@ def bytes_of(frames: list[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, bytes(frame.data), frame.flags) for frame in frames]
 
 
-def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
-    """Replay a recording as far as it goes. Raises RecordingError, RigError."""
+def _nothing() -> None:
+    """Before code runs that needs no preparation."""
+
+
+def replay_run(
+    path: Path,
+    overrides: tuple[str, ...] = (),
+    permitted: Collection[str] = (),
+    prepare: Callable[[], None] = _nothing,
+) -> Replayed:
+    """Replay a recording as far as it goes. permitted: digests of code that it carries and that may run, beside what
+    `overrides` choose. prepare: called before any of it runs. Raises RecordingError, RigError.
+    """
     recording = Recording(path)
     meta = recording.metadata
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(meta))
+        changed = stack.enter_context(rig_of_run(meta, overrides)) if overrides else None
+        chosen = {*carried_code(changed[0])} - {*carried_code(rig)} if changed else set()
+        stack.enter_context(plugins.only({*permitted, *(code.digest for code in chosen)}))
+        prepare()
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
         cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
-        stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
-        other = _Comparison(*stack.enter_context(rig_of_run(meta, overrides))) if overrides else None
+        stream = events_of(rig)
+        other = _Comparison(*changed) if changed else None
+        gaps = Gaps()
         for step in steps(recording):
+            gaps.add(step.ring, 1, 0, damaged=recording.truncated)
             if report.gap_at is not None or step.ring != report.ticks:
                 report.gap_at = report.ticks if report.gap_at is None else report.gap_at
                 report.not_compared += 1
@@ -186,28 +210,39 @@ def replay_run(path: Path, overrides: tuple[str, ...] = ()) -> Replayed:
             report.other_law, report.other_force = other.law, other.result()
         report.events += stream.close()
         report.latched = stream.latched
+    report.loss = loss_text(gaps.found, rig.period_ns * 1e-9, damaged=recording.truncated)
     report.truncated, report.parts = recording.truncated, max(len(recording.parts), 1)
+    report.other_version = other_version(meta)
     return report
 
 
-def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
-    """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record.
+def code_of_recording(path: Path) -> list[str]:
+    """Digests of the code that a recording carries. Raises RecordingError, RigError."""
+    with rig_of_run(Recording(path).metadata) as (rig, _):
+        return [code.digest for code in carried_code(rig)]
 
-    None where no cycle comes to the same frames: another version of it or of the rig's law, or ticks that are missing.
-    Raises RecordingError, RigError.
+
+def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
+    """The recorded motion to the last bit, by running the cycle again: arrays (ticks, axes) by field of the record;
+    of a rig with sensors also "readings", (ticks, sensors).
+
+    None where no cycle comes to the same frames: another version of it, ticks that are missing, or code that the
+    recording carries, which is not run. Raises RecordingError, RigError.
     """
     recording = Recording(path)
     kept: list[bytes] = []
-    with rig_of_run(recording.metadata) as (rig, base_dir):
+    with rig_of_run(recording.metadata) as (rig, base_dir), plugins.only(()):
         try:
             cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
-        except RigError:  # its law is not installed
+        except RigError:
             return None
+        fields = [*_EXACT, "readings"] if rig.sensors else _EXACT
         for step in steps(recording):
             step.tick.task = tasks.of(step.tick)
             result = cycle.step(step.tick, step.received)
             if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
                 return None
-            kept.append(np.asarray(result.record[_EXACT]).tobytes())
-    records = np.frombuffer(b"".join(kept), RECORD[_EXACT])
-    return {name: records[name][:, : len(rig.axes)].copy() for name in _EXACT}
+            kept.append(np.asarray(result.record[fields]).tobytes())
+    records = np.frombuffer(b"".join(kept), RECORD[fields])
+    widths = {"readings": len(rig.sensors)}
+    return {name: records[name][:, : widths.get(name, len(rig.axes))].copy() for name in fields}

@@ -18,11 +18,11 @@ def load_scenario(path: Path, rig: RigConfig) -> Scenario:
     except ScenarioError as error:
         raise RigError(error.problems) from None
     try:
-        trajectory = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns)
+        trajectory = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns, rig.counts)
     except ValueError as error:  # a task this rig cannot have; the text names its keys
         raise RigError([f"rig {rig.name}: {error}"]) from None
     try:
-        scenario.check(rig.axis_names, [state.name for state in State], trajectory.phase_names)
+        scenario.check(rig.axis_names, [state.name for state in State], trajectory.phase_names, list(rig.sensors))
     except ScenarioError as error:
         raise RigError([f"{path}: {line}" for line in error.problems]) from None
     return scenario

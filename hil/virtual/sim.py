@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from drivers.frame import Frame
-from hil.cycle.event import Event
-from hil.cycle.event_notes import CycleEvents
+from hil.analysis.figures_of_merit import Array, Figures, axis_statistics
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
+from hil.events.event import Event
+from hil.events.sources import events_of
 from hil.rig.schema import RigConfig, RigError
-from hil.virtual.figures_of_merit import Array, axis_statistics
 from hil.virtual.lockstep import LockstepRun, Observer
 from sim_plant.scenario.language import Scenario
 
@@ -31,7 +31,7 @@ class SimReport:
     ticks: int
     realtime_factor: float
     steady_from_s: float
-    axes: dict[str, dict[str, float]]
+    axes: dict[str, Figures]
     state: str
     faults: dict[str, int]
     trace_sha256: str
@@ -56,7 +56,7 @@ def simulate(
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
     every sample. tell: is given the events as they are told.
     """
-    stream = CycleEvents([(name, axis.kind) for name, axis in rig.axes.items()], rig.period_ns)
+    stream = events_of(rig)
     events: list[Event] = []
 
     def told(new: Sequence[Event]) -> None:
@@ -71,7 +71,7 @@ def simulate(
 
     run = LockstepRun(rig, base_dir, observer=observe, scenario=scenario)
     ticks = round(seconds * 1e9 / rig.period_ns)
-    traces = Traces(len(rig.axes))
+    traces = Traces(len(rig.axes), rig.period_ns)
     started = time.perf_counter()
     for index in range(ticks):
         run.tick()
@@ -123,13 +123,14 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
 
 
 class Traces:
-    """Per tick and axis, (ticks, n_axes): true position; setpoint at the sample's instant and true error there (NaN
-    where a tick brought none), m; applied force, N.
+    """Per tick: its time, s from the first. Per tick and axis, (ticks, n_axes): true position; setpoint at the
+    sample's instant and true error there (NaN where a tick brought none), m; applied force, N.
 
     Lists while the run goes on: a few numbers at a time are dearer to write into an array.
     """
 
-    def __init__(self, n_axes: int) -> None:
+    def __init__(self, n_axes: int, period_ns: int) -> None:
+        self._period_ns = period_ns
         self._none = (math.nan,) * n_axes
         self._true: list[Sequence[float]] = []
         self._setpoint: list[Sequence[float]] = []
@@ -145,6 +146,11 @@ class Traces:
 
     def _columns(self, rows: Sequence[Sequence[float]]) -> Array:
         return np.array(rows).reshape(-1, len(self._none))
+
+    @property
+    def time(self) -> Array:
+        """When each tick was due."""
+        return np.arange(len(self._true), dtype=np.float64) * (self._period_ns * 1e-9)
 
     @property
     def true(self) -> Array:

@@ -21,17 +21,18 @@ from rich.table import Table
 
 from drivers.bus.any_bus import AnyPort, joined
 from drivers.bus.port import PortError
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.sdo import Progress, Step, Transfer
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.sdo import Progress, Step, Transfer
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.cli.options import Overrides, shipped_rig
-from hil.cli.output import writable, write_json
+from hil.cli.options import JsonTarget, Overrides, shipped_rig
+from hil.cli.output import write_json
 from hil.live.stop_line import RigInUseError
 from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.session import open_session
 from hil.operate.bringup.survey import Survey
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
+from hil.rig.bus_load import feedback_ns
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.rig.segments import segment_rigs
@@ -76,8 +77,8 @@ class Exchange:
         self._sent_ns = 0
         self._last_ns = [0] * len(self.lines)
         self._period_ns = host.rig.period_ns
-        if not self.triggered and host.rig.bus.dbc:
-            self._period_ns = round(host.rig.bus.dbc.feedback_period_s * 1e9) or self._period_ns
+        if not self.triggered:
+            self._period_ns = feedback_ns(host.protocol) or self._period_ns
 
     @property
     def done(self) -> bool:
@@ -125,9 +126,7 @@ def bus(
     bitrate: BitrateOption = 1_000_000,
     options: OptionsOption = None,
     overrides: Overrides = None,
-    json_file: Annotated[
-        str | None, typer.Option("--json", help="write the figures here; - for standard output", callback=writable)
-    ] = None,
+    json_file: JsonTarget = "",
 ) -> None:
     """Round trip, jitter and loss of your own adapter and drives, without torque: exit status 1 where none answered."""
     if (rig is None) == (node is None):

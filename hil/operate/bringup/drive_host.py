@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from drivers.families.cia402.host import Cia402Host
 from drivers.frame import ECHO, Frame
-from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol, Reject, Sample
-from drivers.protocols.canopen.host import Cia402Host
 from drivers.protocols.mounting import MountedHost
 from hil.cycle.gate import TorqueGate
 from hil.cycle.limits import force_limits
+from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 
 _ENABLED = int(DriveStatus.ENABLED)
@@ -27,8 +27,7 @@ class DriveHost:
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.rig = rig
         axes = list(rig.axes.values())
-        rated = [axis.rated_force for axis in axes]
-        self.protocol: HostProtocol = host_protocol(rig.bus, len(axes), rated, base_dir, rig.period_ns, rig.mountings)
+        self.protocol: HostProtocol = host_layout(rig, base_dir)
         layout = self.protocol.layout if isinstance(self.protocol, MountedHost) else self.protocol
         self.cia402 = layout if isinstance(layout, Cia402Host) else None
         self._resolution = [axis.encoder_resolution for axis in axes]

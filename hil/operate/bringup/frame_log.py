@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import NmtState
+from drivers.families.cia402.emergency import emergency_words
 from drivers.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols.base import Message, Reject
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import NmtState
-from drivers.protocols.canopen.emergency import emergency_words
 
 _PERIOD_RATIO = 1.5  # between a period seen and the one expected, either way
 _MOST_EMERGENCIES = 64

@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from drivers.base.runtime import stop_signals
 from drivers.bus.port import open_port, resolve_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
 from drivers.frame import Frame
-from drivers.runtime import stop_signals
 from hil.live.pacing import Pacer
 from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_line import StopLine

@@ -8,14 +8,14 @@ ends the survey. A CANopen bus is then scanned for nodes, of the rig or not. Aft
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from drivers.eds.reader import object_name
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import NmtState
+from drivers.families.cia402.node import NodeMaster, Phase
+from drivers.families.cia402.node_scan import NodeIdentity, NodeScan
+from drivers.families.cia402.profile import MASTER_ID, DrivePlan
 from drivers.frame import ECHO, Frame
 from drivers.protocols.base import DriveStatus
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import NmtState
-from drivers.protocols.canopen.eds import object_name
-from drivers.protocols.canopen.node import NodeMaster, Phase
-from drivers.protocols.canopen.node_scan import NodeIdentity, NodeScan
-from drivers.protocols.canopen.profile import MASTER_ID, DrivePlan
 from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.frame_log import Comparison, FrameLog, compare
 

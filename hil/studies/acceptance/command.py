@@ -8,9 +8,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from drivers.plugins import file_of
-from hil.cli.options import Overrides, RigFile
-from hil.cli.output import drawable, writable, write_json
+from drivers.base.plugins import file_of
+from hil.cli.options import JsonTarget, Overrides, RigFile
+from hil.cli.output import drawable, write_json
 from hil.operate.check import check_rig
 from hil.studies.acceptance.law import Demand, accept_law
 
@@ -22,9 +22,7 @@ def check(
     rig_file: RigFile,
     *,
     overrides: Overrides = None,
-    json_path: Annotated[
-        str | None, typer.Option("--json", metavar="PATH", callback=writable, help="write JSON; - for stdout")
-    ] = None,
+    json_path: JsonTarget = "",
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
     ] = None,

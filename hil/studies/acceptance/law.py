@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from hil.analysis.stability import check_stability
 from hil.control.gain import declared
 from hil.control.law_registry import law_class
-from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import by_name
@@ -73,11 +73,11 @@ def accept_law(
     rig = load_rig(path, overrides)
     try:
         made = law_class(rig.law)
+        gains = ", ".join(declared(made.GAINS)) or "none"
         usable(rig, path)
     except (RigError, ValueError) as error:
         yield Finding("contract", False, str(error))
         return
-    gains = ", ".join(declared(made.GAINS)) or "none"
     whole = ", all axes at once" if made.coupled else ""
     behind = f"; behind {rig.estimator.name}" if rig.estimator.is_users else ""
     yield Finding("contract", True, f"{made.__name__}{whole}; gains: {gains}{behind}")

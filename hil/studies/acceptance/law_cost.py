@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers import plugins
+from drivers.base import plugins
 from hil.control.law_registry import law_class
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig

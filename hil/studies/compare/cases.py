@@ -39,12 +39,11 @@ class Case(NamedTuple):
 
 
 class Work(NamedTuple):
-    """A case as it travels: the rig with the files it names (hil/rig/provenance.py), and where it was."""
+    """A case as it travels: the rig with the files it names (hil/rig/provenance.py)."""
 
     case: Case
     rig: str  # JSON
     files: dict[str, str]
-    folder: str
 
 
 def law_overrides(law: str) -> list[str]:
@@ -97,7 +96,7 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def _run(case: Case, rig: RigConfig, folder: Path) -> dict[str, Any]:
-    from hil.control.stability import refuse_unstable
+    from hil.analysis.stability import refuse_unstable
     from hil.virtual.sim import simulate
 
     refused = []
@@ -157,10 +156,10 @@ def run_all(work: Sequence[Case], workers: int, scheduler: str = "") -> Iterator
 def packed(case: Case) -> Work:
     """A case with all that it needs."""
     rig, folder = case_rig(case), Path(case.rig).parent
-    return Work(case, rig.model_dump_json(), referenced_files(rig, folder), str(folder))
+    return Work(case, rig.model_dump_json(), referenced_files(rig, folder))
 
 
 def run_work(work: Work) -> dict[str, Any]:
     """As run_case, on whatever machine this is."""
-    with unpacked_rig(work.rig, work.files, Path(work.folder)) as (rig, folder):
+    with unpacked_rig(work.rig, work.files) as (rig, folder):
         return _run(work.case, rig, folder)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import Overrides, RigFile, Scheduler
-from hil.cli.output import drawable, print_plant_notes, writable, write_json
+from hil.cli.options import JsonTarget, Overrides, RigFile, Scheduler
+from hil.cli.output import drawable, print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
 from hil.rig.schema import RigError
@@ -46,9 +46,7 @@ def compare(
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="where to draw it [default: runs/RIG-compare.png]")
     ] = None,
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the rows there; - for standard output")
-    ] = "",
+    json_target: JsonTarget = "",
 ) -> None:
     """All control laws (or velocity estimators) on the same task; tables, a picture, and JSON."""
     from rich.console import Console

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from hil.cli.options import RigFile
-from hil.cli.output import writable, write_json
+from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
+from hil.cli.output import write_json
 from hil.cli.processes import worker_pool
 from hil.control.laws.base import Array
 from hil.rig.file import load_rig
@@ -29,17 +29,9 @@ def evidence(
     trials: Annotated[str, typer.Option(help="those whose names contain one of these, comma-separated")] = "",
     law: Annotated[str, typer.Option(help="default: the rig's own")] = "",
     learning: Annotated[bool, typer.Option(help="with law.iterative_learning, after 16 repeats")] = False,
-    overrides: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a value")] = None,
+    overrides: Overrides = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
-    json_target: Annotated[
-        str,
-        typer.Option(
-            "--json",
-            callback=writable,
-            help="write the figures there, of every stage too, and how to make each stage with --set; - for standard "
-            "output",
-        ),
-    ] = "",
+    json_target: JsonTarget = "",
 ) -> None:
     """Median and 95 % of a law's accuracies over drawn stages with presliding, lag, mode and noise."""
     from rich.console import Console
@@ -49,7 +41,8 @@ def evidence(
     sets = [*(overrides or ()), *([f"law.name={law}"] if law else ()), "law.iterative_learning=false"]
     rig = load_rig(rig_file, sets)
     rig = rig.model_copy(update={"law": rig.law.model_copy(update={"iterative_learning": learning})})
-    names = _axes(rig, axes)
+    named = named_axes(axes, rig.axis_names)
+    names = [name for name in rig.axis_names if name in named]
     wanted = [part.strip() for part in trials.split(",") if part.strip()]
     work = [
         job
@@ -72,14 +65,6 @@ def evidence(
             for number in range(stages)
         ]
         write_json({**document, "of": HEAD, "rows": rows, "drawn": drawn}, json_target)
-
-
-def _axes(rig: RigConfig, axes: str) -> list[str]:
-    wanted = [name.strip() for name in axes.split(",") if name.strip()] or rig.axis_names
-    unknown = [name for name in wanted if name not in rig.axes]
-    if unknown:
-        raise typer.BadParameter(f"--axes {unknown[0]}: the axes are {', '.join(rig.axis_names)}")
-    return [name for name in rig.axis_names if name in wanted]
 
 
 def _modes(modes: str) -> list[float]:

@@ -2,19 +2,21 @@
 
 from dataclasses import replace
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, Emergency, NmtCommand, NmtState
+from drivers.families.cia402.config import cia402_keys
+from drivers.families.cia402.host import Cia402Host
+from drivers.families.cia402.master import HEARTBEAT_TICKS, REPEAT_TICKS
+from drivers.families.cia402.node import Phase
+from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, EMCY_ID, MASTER_ID
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import Abort, Emergency, NmtCommand, NmtState
-from drivers.protocols.canopen.host import Cia402Host
-from drivers.protocols.canopen.master import HEARTBEAT_TICKS, REPEAT_TICKS
-from drivers.protocols.canopen.node import Phase
-from drivers.protocols.canopen.profile import DRIVE_HEARTBEAT_MS, EMCY_ID, MASTER_ID
 from drivers.wire.faults import FaultKind, WireFault
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.layout_capabilities import Capability
 from hil.studies.fault_campaign.trial import (
+    ALWAYS,
     GONE,
     MOVING,
     WATCHING,
@@ -35,7 +37,7 @@ _NO_CODE = 0x4210  # excess temperature of the device: CiA 301 has it, and no dr
 
 
 def _node_id(run: LockstepRun, axis: int) -> int:
-    return run.rig.bus.node_id + axis
+    return cia402_keys(run.rig.bus).node_id + axis
 
 
 def _hosts(run: LockstepRun) -> list[Cia402Host]:
@@ -157,8 +159,8 @@ _TRIALS = (
         slack=lambda rig: disable_timeout(rig) + watchdog(rig),
     ),
     Trial("termination signal to a busy master", _terminate_busy),
-    Trial("node reset by another master", _network(NmtCommand.RESET_NODE), GONE, within=11, armed=WATCHING),
-    Trial("node stopped by another master", _network(NmtCommand.STOP), GONE, within=11, armed=WATCHING),
+    Trial("node reset by another master", _network(NmtCommand.RESET_NODE), (Fault.FOREIGN_COMMAND,), armed=ALWAYS),
+    Trial("node stopped by another master", _network(NmtCommand.STOP), (Fault.FOREIGN_COMMAND,), armed=ALWAYS),
     Trial(
         "boot-up message of a node that runs on",
         _says(cia301.HEARTBEAT_ID, bytes((NmtState.BOOT_UP,))),

@@ -69,7 +69,7 @@ def outside_the_task(rig: RigConfig) -> list[Checkpoint]:
 def task_phases(rig: RigConfig) -> list[tuple[str, int]]:
     """(name, tick of the task): start and middle of every phase of the task, or eighths of a figure."""
     start = per_axis(rig.plant.initial_position, len(rig.axes))
-    trajectory = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns)
+    trajectory = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns, rig.counts)
     period = rig.period_ns
     if trajectory.duration_ns is None:
         approach = round(rig.task.approach_s * 1e9)

@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hil.cli.options import Scheduler
-from hil.cli.output import print_plant_notes, writable, write_json
+from hil.cli.options import JsonTarget, Overrides, Scheduler
+from hil.cli.output import print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name, names
 from hil.studies.fault_campaign.campaign import campaign
@@ -32,16 +32,12 @@ def faults(
         list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
     ] = None,
     *,
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="key.path=value, overrides every rig file; bus.protocol=cia402")
-    ] = None,
+    overrides: Overrides = None,
     stride: Annotated[int, typer.Option(min=1, help="try every n-th cell only")] = 1,
     only: Annotated[str, typer.Option(callback=_trials, help="only trials whose names contain this")] = "",
-    jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     scheduler: Scheduler = "",
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write all cells there; - for standard output")
-    ] = "",
+    json_target: JsonTarget = "",
     page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
 ) -> None:
     """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of
@@ -68,7 +64,7 @@ def faults(
         cells = campaign(
             paths,
             stride,
-            jobs or os.cpu_count() or 1,
+            workers or os.cpu_count() or 1,
             lambda n, total: bar.update(job, completed=n, total=total),
             overrides or (),
             only,

@@ -4,14 +4,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import DriveState
 from drivers.frame import ECHO, Frame
-from drivers.protocols.base import DriveStatus, Sample
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import DriveState
+from drivers.protocols import device_protocol
+from drivers.protocols.base import Command, DriveStatus, Sample
 from drivers.wire.faults import FaultKind, WireFault
 from hil.control.estimator.gains import design_gains
 from hil.control.laws.base import AxisLaws, LawInputs
 from hil.control.trajectories.displaced import Displaced
+from hil.cycle.limits import axis_limits
+from hil.rig.layout import host_layout
 from hil.studies.fault_campaign.trial import Step, axis_name, once
 from hil.virtual.lockstep import LockstepRun
 from sim_plant.drives.canopen_drive import Cia402Drive
@@ -52,11 +55,50 @@ class Encoder:
         return replace(sample, position=self._change(sample.position, self._held, self._ticks))
 
 
+def encoder_creep(run: LockstepRun, axis: int) -> None:
+    """By its encoder the axis goes a window of rest further in every tick."""
+    drive, begin = run.stage.drives[axis], run.index
+    counts = round(axis_limits(run.rig)[axis].rest_window / drive.resolution) + 1
+    drive.taps.append(lambda sample: replace(sample, position=sample.position + counts * (1 + run.index - begin)))
+
+
 def status_bit(bit: DriveStatus) -> Step:
     """The drive shows a bit of its status, from now on."""
 
     def act(run: LockstepRun, axis: int) -> None:
         run.stage.drives[axis].extra_status |= int(bit)
+
+    return once(act)
+
+
+def foreign_command(run: LockstepRun, axis: int) -> None:
+    """Another node sends the host's command, once: full force on every axis."""
+    limits = [axis.limits.force for axis in run.rig.axes.values()]
+    other = host_layout(run.rig, run.base_dir)
+    frames = other.encode(Command(run.cycle.sent_sequence + 1, limits, (1 << len(limits)) - 1, False))
+    node = run.wire_of(axis).attach("another host", None)
+    for frame in frames:  # not while ours is on the wire: two frames of one identifier at once are a bus error
+        node.send(frame, run.wire.now_ns + run.rig.period_ns // 2)
+
+
+def answer_twice(run: LockstepRun, axis: int, k: int) -> None:
+    """Another node answers as the axis' drive does, a millimetre or so beside it."""
+    for frame in list(run.received):
+        sample = run.cycle.protocol.decode(frame)
+        if isinstance(sample, Sample) and sample.axis == axis:
+            device = device_protocol(
+                run.rig.bus, len(run.rig.axes), [a.rated_force for a in run.rig.axes.values()], run.base_dir
+            )
+            beside = replace(sample, position=sample.position + 1000)
+            run.received.append(device.encode_feedback(beside)._replace(timestamp_ns=frame.timestamp_ns))
+            return
+
+
+def stamp_off(ns: int) -> Step:
+    """The drive's clock is off by so much, from now on."""
+
+    def act(run: LockstepRun, axis: int) -> None:
+        run.stage.drives[axis].taps.append(lambda sample: replace(sample, stamp_ns=sample.stamp_ns + ns))
 
     return once(act)
 
@@ -227,9 +269,10 @@ def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
     def step(run: LockstepRun, axis: int, k: int) -> None:
         answers = run.cycle.protocol.messages(run.rig.period_ns)
         cyclic = [m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}"]
-        can_id = cyclic[0].can_id
+        layout = getattr(run.cycle.protocol, "layout", run.cycle.protocol)
+        mask = getattr(layout, "answer_mask", -1)  # of identifiers that hold a drive's state
         for frame in list(run.received):
-            if k < ticks and not frame.flags & ECHO and frame.can_id == can_id:
+            if k < ticks and not frame.flags & ECHO and not (frame.can_id ^ cyclic[0].can_id) & mask:
                 run.received.append(make(frame))
                 break
 

@@ -7,6 +7,7 @@ truth (`Trial.needs`), or to be played at all (`Trial.only`).
 from enum import Flag, auto
 from typing import NamedTuple
 
+from drivers.families import family_of
 from drivers.frame import Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import HostProtocol
@@ -25,6 +26,7 @@ class Capability(Flag):
     CAUSE = auto()
     ROOM = auto()
     NODES = auto()
+    STAMPS = auto()
 
 
 NONE = Capability(0)
@@ -76,12 +78,14 @@ TEXTS: dict[Capability, Text] = {
 
 def has_nodes(layout: str) -> bool:
     """Whether the drives are CANopen nodes."""
-    return layout == "cia402"
+    family = family_of(layout)
+    return family is not None and family.canopen
 
 
 def fixed_capabilities(protocol: HostProtocol) -> Capability:
     """Those that follow from the layout alone."""
     capabilities = Capability.NODES if has_nodes(protocol.name) else NONE
+    capabilities |= Capability.STAMPS if any(protocol.stamp_wraps_ns) else NONE
     capabilities |= Capability.STATE if protocol.states else NONE
     capabilities |= Capability.CAUSE if protocol.causes else NONE
     capabilities |= Capability.SEQUENCE if protocol.sequence_modulus else NONE

@@ -14,10 +14,11 @@ import numpy as np
 from drivers.protocols.base import DriveStatus
 from hil.control.estimator.gains import per_axis
 from hil.cycle.fault_monitor import REACTIONS
-from hil.cycle.fault_table import Fault, Reaction
+from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
 from hil.cycle.tick import CommandKind
 from hil.rig.file import build_rig
+from hil.rig.layout import host_layout
 from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.catalogue import TRIALS
@@ -26,7 +27,6 @@ from hil.studies.fault_campaign.layout_capabilities import (
     NONE,
     Capability,
     fixed_capabilities,
-    has_nodes,
     has_room,
     lacking_text,
 )
@@ -61,17 +61,6 @@ class Cell:
     peak_force_after: float
     end: str
     lacking: str
-
-
-_TOLD_BY_DRIVES = frozenset(
-    {
-        Fault.DRIVE_FAULT,
-        Fault.DRIVE_WATCHDOG,
-        Fault.DRIVE_DISABLED,
-        Fault.ENCODER_FAULT,
-        Fault.DRIVE_STAYS_ENABLED,
-    }
-)
 
 
 def state_ticks(run: CampaignRun) -> int:
@@ -162,13 +151,14 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
         if state not in ends:
             return f"ended {state.name}, expected {' or '.join(sorted(s.name for s in ends))}"
         return "" if trial.deaf else _release_failure(trial, run, seen)
-    pushed = fault is Fault.AXIS_NOT_AS_STATED and not trial.benign  # what falsifies force or position shows there too
+    # What falsifies force or position, or lets a weight fall, shows there, too; of an axis at rest as motion.
+    pushed = fault in (Fault.AXIS_NOT_AS_STATED, Fault.STANDSTILL) and not trial.benign
     if fault not in trial.faults and not pushed:
         return f"latched {fault.name}, which this trial must not cause"
     exactly = trial.exactly(began) if due and trial.exactly and began is not State.STOPPING else fault
     if fault is not exactly and not pushed and not run.cycle.protocol.acts_ns:  # drives in their own time: see trials
         return f"latched {fault.name}, but this is {exactly.name}"
-    within = ticks(trial.within, run.rig) + (state_ticks(run) if fault in _TOLD_BY_DRIVES else 0)
+    within = ticks(trial.within, run.rig) + (state_ticks(run) if ROWS[fault].told_by_drives else 0)
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
     if due and REACTIONS[fault] < trial.demand:
@@ -271,16 +261,19 @@ class Chunk:
 
     document: str  # JSON
     files: dict[str, str]  # that it refers to
-    base_dir: str
     point: Checkpoint
     cells: tuple[tuple[int, int], ...]
 
 
-def _playable(rig: RigConfig, trial: Trial) -> bool:
+def _playable(rig: RigConfig, trial: Trial, layout: Capability) -> bool:
     """Whether the trial's fault is there at all: under the rig's layout, on its stage."""
     if trial.staged and rig.plant.stage not in REAL_STAGES:
         return False
-    return not trial.only & Capability.NODES or has_nodes(rig.bus.protocol)
+    if trial.inputs and not all(axis.limits.switches for axis in rig.axes.values()):
+        return False
+    if trial.sensors and not rig.sensors:
+        return False
+    return not trial.only & ~layout
 
 
 def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = "") -> list[Chunk]:
@@ -288,10 +281,11 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
     names of the trials contain.
     """
     document, files = rig.model_dump_json(), referenced_files(rig, base_dir)
+    layout = fixed_capabilities(host_layout(rig, base_dir))
     cells = [
         (index, axis)
         for index, trial in enumerate(TRIALS)
-        if only in trial.name and _playable(rig, trial)
+        if only in trial.name and _playable(rig, trial, layout)
         for axis in range(len(rig.axes) if trial.per_axis else 1)
     ]
     result = []
@@ -301,9 +295,11 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
         chosen = tuple(
             cell
             for number, cell in enumerate(cells)
-            if (number + offset) % stride == 0 and (point in few or not TRIALS[cell[0]].staged)
+            if (number + offset) % stride == 0
+            and (point in few or not TRIALS[cell[0]].staged)
+            and not (TRIALS[cell[0]].resting_only and point.state in TORQUE_STATES)
         )
-        result.append(Chunk(document, files, str(base_dir), point, chosen))
+        result.append(Chunk(document, files, point, chosen))
     return result
 
 
@@ -327,7 +323,7 @@ def capabilities_of(run: CampaignRun) -> Capability:
 
 def run_chunk(chunk: Chunk) -> list[Cell]:
     """Bring one run to the chunk's checkpoint and try every cell from there, each in a fork."""
-    with unpacked_rig(chunk.document, chunk.files, Path(chunk.base_dir)) as (rig, folder):
+    with unpacked_rig(chunk.document, chunk.files) as (rig, folder):
         run = bring_to(rig, folder, chunk.point)
         capabilities, cells = capabilities_of(run), []
         for index, axis in chunk.cells:

@@ -45,16 +45,17 @@ class Trial:
     step: called before every tick from the injection on (third argument 0). faults: what the detectors may flag, any of
     them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for
     every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
-    following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. law:
-    it falsifies what the law asks for, which nobody asks before axes have been pushed as the rig says. benign: must
-    not change the state at all. certain: False where feedback may well master it. command: an operator's command the
-    trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do. exactly: by
-    the state it began in, the one of `faults` that it must be where detection is due and the layout can tell; not asked
-    of STOPPING, which may be over first. slack: ticks more than usual until the drives have let go, where they do not
-    hear the host. watch: ticks more than usual in which the run has to end where it must. unready: whether, as the run
-    stands at the injection, the rig must not become READY any more. ends: states one of which the run has to end in
-    where no fault latched; without it they follow from the state it began in and the command. staged: it is of a stage
-    that is not ideal, and tried at rest and once in motion only.
+    following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. resting_only:
+    tried only in states without torque, as in the others axes may move. law: it falsifies what the law asks for, which
+    nobody asks before axes have been pushed as the rig says. benign: must not change the state at all. certain: False
+    where feedback may well master it. command: an operator's command the trial sends itself. armed: states in which
+    detection is due. demand: the weakest reaction that will do. exactly: by the state it began in, the one of `faults`
+    that it must be where detection is due and the layout can tell; not asked of STOPPING, which may be over first.
+    slack: ticks more than usual until the drives have let go, where they do not hear the host. watch: ticks more than
+    usual in which the run has to end where it must. unready: whether, as the run stands at the injection, the rig must
+    not become READY any more. ends: states one of which the run has to end in where no fault latched; without it they
+    follow from the state it began in and the command. staged: it is of a stage that is not ideal, and tried at rest and
+    once in motion only. inputs: it is of a rig with limit switches. sensors: of one with [sensors].
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -69,6 +70,7 @@ class Trial:
     per_axis: bool = True
     moving_only: bool = False
     following_only: bool = False
+    resting_only: bool = False
     law: bool = False
     benign: bool = False
     certain: bool = True
@@ -81,6 +83,8 @@ class Trial:
     unready: Callable[[LockstepRun, int], bool] | None = None
     ends: Callable[[CampaignRun], set[State]] | None = None
     staged: bool = False
+    inputs: bool = False
+    sensors: bool = False
     only: Capability = NONE
     needs: Capability = NONE
     instead: tuple[Fault, ...] = ()

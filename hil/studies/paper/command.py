@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from hil.cli.output import writable, write_json
+from hil.cli.options import JsonTarget
+from hil.cli.output import write_json
 from hil.studies.paper.experiment import STEPS, Job
 from hil.studies.paper.figures import draw
 from hil.studies.paper.outcome import Outcome, find_claims, outcome_of, page, problems, statements
@@ -26,10 +27,10 @@ def _title(job: Job) -> str:
 def reproduce(
     more: Annotated[list[str] | None, typer.Argument(help="further claims", show_default=False)] = None,
     claims: Annotated[list[str] | None, typer.Option("--claims", help="only these: --claims ID ID ...")] = None,
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the outcome there; - for standard output")
-    ] = "",
-    output: Annotated[Path | None, typer.Option(help="folder of the report; default runs/reproduce-<time>")] = None,
+    json_target: JsonTarget = "",
+    output: Annotated[
+        Path | None, typer.Option("--out", "-o", help="folder of the report; default runs/reproduce-TIME")
+    ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: one per core")] = None,
 ) -> None:
     """Run the paper's claims and say which hold. Exit status 1 where a figure differs from the independent study's."""

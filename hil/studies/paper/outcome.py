@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.control.stability import finite_difference_lowest_rate
+from hil.analysis.stability import finite_difference_lowest_rate
 from hil.studies.paper.claims import CLAIMS, HOLDS, INFEASIBLE, Claim, agrees, judge
 from hil.studies.paper.experiment import Job, Run
 from hil.studies.paper.figures import Figure, embedded

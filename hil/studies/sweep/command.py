@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Overrides, RigFile, Scheduler
-from hil.cli.output import metres, print_plant_notes, writable, write_json
+from hil.cli.options import JsonTarget, Overrides, RigFile, Scheduler
+from hil.cli.output import metres, print_plant_notes, write_json
 from hil.control.law_registry import file_name
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
@@ -41,10 +41,8 @@ def sweep(
     scheduler: Scheduler = "",
     overrides: Overrides = None,
     worst: Annotated[int, typer.Option(min=0, max=100, help="worst plants to save and reproduce")] = 2,
-    output: Annotated[Path, typer.Option(help="folder for plots and rig files")] = Path("runs/sweep"),
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write the figures there; - for standard output")
-    ] = "",
+    output: Annotated[Path, typer.Option("--out", "-o", help="folder for plots and rig files")] = Path("runs/sweep"),
+    json_target: JsonTarget = "",
 ) -> None:
     """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
     from rich.console import Console

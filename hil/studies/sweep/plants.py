@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
+from drivers.families import layouts, sides_of
 from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
@@ -118,13 +119,15 @@ def jobs(
 ) -> list[Job]:
     """The sweep's chunks, at least one for each worker. Raises RigError where `seconds` leave no steady window, or for
     a layout it cannot batch."""
-    if rig.bus.protocol != "stage_fd" or rig.bus.segments or rig.wire.jitter or rig.wire.drop_probability:
-        wanted = "the layout stage_fd on one wire without jitter and loss (bus.protocol, bus.segments, [wire])"
+    sides = sides_of(rig.bus.protocol)
+    if not (sides and sides.plain) or rig.bus.segments or rig.wire.jitter or rig.wire.drop_probability:
+        names = ", ".join(name for name, one in layouts().items() if one.plain)
+        wanted = f"the layout {names} on one wire without jitter and loss (bus.protocol, bus.segments, [wire])"
         raise RigError([f"hil sweep batches {wanted}"])
     single = plant_rig(rig, seed, 0, hard)
-    steady_from = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
+    task = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns, rig.counts)
     ticks = round(seconds * 1e9 / rig.period_ns) - startup_ticks(single, base_dir)
-    steady = FIRST_ON_TASK + steady_from // rig.period_ns
+    steady = FIRST_ON_TASK + task.steady_from_ns // rig.period_ns
     if steady >= ticks:
         raise RigError([f"--seconds {seconds:g}: the steady window begins at {steady * rig.period_ns * 1e-9:.3f} s"])
     document = rig.model_dump_json()

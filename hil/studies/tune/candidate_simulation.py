@@ -145,7 +145,7 @@ class CandidateSimulation:
         self._truths = [self._truth(trial, pick) for trial in trials]
         origin = np.rint(initial / self._resolution) * self._nominal_resolution
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
-        paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns) for task in tasks]
+        paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns, rig.counts) for task in tasks]
         begins = [path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]
         once = [(path.repeat_ns or 0) // rig.period_ns for path in paths]  # of a task that has no end
         ends = [

@@ -1,7 +1,8 @@
 """`hil tune`: gains for a law under the rig's own delay, rate, encoder, filter and limits, over tasks and corners."""
 
+import itertools
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -97,10 +98,12 @@ def tune(
                     found.append(axis_found)
                     steps.advance(generations + 1)
         for axis, axis_name in enumerate([] if scheduler else rig.axis_names):
+            generation = itertools.count()
 
-            def report(outcome: Outcome, axis_name: str = axis_name) -> None:
+            def report(outcome: Outcome, axis_name: str = axis_name, number: Iterator[int] = generation) -> None:
                 best = outcome.ratio[outcome.cost.argmin()]
-                steps.advance(text=f"{name}, {axis_name}: {best:.3g} times what is good")
+                step = f"generation {now} of {generations}" if (now := next(number)) else "first draw"
+                steps.advance(text=f"{name}, {axis_name}, {step}: best cost {best:.3g} (target 1.0)")
 
             found.append(tune_axis(rig, name, axis, choice, report))
     found = all_or_none(found)
@@ -109,7 +112,7 @@ def tune(
     for key, values in gains.items():
         console.print(f"{key} = {values}", markup=False)
     if all(axis.kept for axis in found):
-        console.print(f"the gains there are stay: nothing found is better; {rig_file} is as it was", markup=False)
+        console.print(f"No better gains found; {rig_file} is unchanged", markup=False)
         return
     tuned = rig.law.model_copy(update={"name": name, "gains": {}, "tuned": {name: gains}})
     refuse_short_margins(rig.model_copy(update={"law": tuned}), least)

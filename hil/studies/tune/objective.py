@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.analysis.stability import AxisStability, check_stability
 from hil.control.estimator.gains import per_axis
 from hil.control.gain import Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
-from hil.control.stability import AxisStability, check_stability
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Figures, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
@@ -294,5 +294,5 @@ class Bench:
         )
         copies = dict.fromkeys((f"c{index}" for index in range(count)), [*rig.axes.values()][self.axis])
         copied = rig.model_copy(update={"law": law, "estimator": estimator, "axes": copies})
-        report = check_stability(copied, ticks=ANSWER)
+        report = check_stability(copied, kicked=False, ticks=ANSWER)
         return [margins_of(axis) for axis in report.axes.values()]

@@ -19,10 +19,10 @@ def announced(rig: RigConfig, law: str, choice: Choice) -> str:
     tried = len(trials_of(rig, 0, choice.trials, choice.repeats))
     chosen = law_of(rig, law)
     quick = is_built_in(chosen) or law_class(chosen).elementwise
-    slow = "" if quick else "; with elementwise = True your law is searched faster (docs/laws.md)"
+    slow = "" if quick else ". With elementwise = True your law is searched faster (docs/laws.md)"
     return (
-        f"{generations + 1} generations of {population} candidates for each of {axes}, every one in {tried} trials; a "
-        f"first look: --population 8 --generations 4 --dry-run{slow}"
+        f"{generations} generations of {population} candidates, after a first draw, for each of {axes}; each of them "
+        f"runs {tried} trials. For a first look: --population 8 --generations 4 --dry-run{slow}"
     )
 
 
@@ -40,7 +40,7 @@ def show(console: Any, rig: RigConfig, found: Sequence[Found]) -> None:
     """Tables, what was traded against what, and the trade among all candidates met."""
     from rich.table import Table
 
-    title = "the rig file's gains -> those found; errors as multiples of what is good there"
+    title = "the file's gains -> those found; costs as multiples of a good result (target 1.0)"
     columns = ("error", "worst", "median", "unseen: worst", "median", "chatter", "gain margin", "phase margin")
     table = Table("axis", *columns, "", title=title)
     for name, axis in zip(rig.axis_names, found, strict=True):

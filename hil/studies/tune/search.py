@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
+from hil.analysis.stability import check_stability
 from hil.cli.output import replace_text
 from hil.control.laws.base import Array
-from hil.control.stability import check_stability
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.candidate_simulation import LOST
 from hil.studies.tune.objective import Bench, Kind, Margins, Outcome, margins_of, trials_of, unseen_trials

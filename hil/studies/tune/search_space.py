@@ -36,7 +36,9 @@ def law_gains(rig: RigConfig, law: str) -> dict[str, Any]:
 
 
 def knob_scale(knob: Knob, model: Model, period: float, force_limit: Array, resolution: float) -> Array:
-    """What a knob's number is multiplied by, (n_axes,); resolution: m per encoder count."""
+    """What a knob's number is multiplied by, (n_axes,), for each of hil.control.gain.SCALES; resolution: m per encoder
+    count.
+    """
     one = np.ones_like(model.mass)
     scale: Array = {
         "1": one,

@@ -22,11 +22,12 @@ from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 from can.io.sqlite import SqliteReader
 
+from drivers.base.text_file import open_untrusted
+from drivers.base.toml_file import short
 from drivers.frame import EXTENDED_MASK, STANDARD_MASK
-from drivers.text_file import open_untrusted
-from drivers.toml_file import short
-from hil.operate.candump_log import TraceError, read_log
-from hil.operate.traces import suffix_of
+from hil.runs.asc_log import read_asc
+from hil.runs.candump_log import TraceError, read_log
+from hil.runs.traces import suffix_of
 
 LARGEST = 2**36  # bytes of a file: days of a full bus
 LONGEST_LINE = 4096  # characters
@@ -50,8 +51,6 @@ def read_trace(path: Path) -> Iterator[can.Message]:
             messages = soon(lambda: iter(_reader(path, file)))
             while (message := soon(lambda: next(messages, None))) is not None:
                 message.is_fd |= len(message.data) > _CLASSIC_BYTES  # formats without the flag
-                if message.is_fd:  # python-can 4.6 takes an FD frame without data in an .asc for a remote frame
-                    message.is_remote_frame = False
                 _refuse_impossible(message)
                 count, at_s = count + 1, message.timestamp
                 yield message
@@ -66,6 +65,8 @@ def _reader(path: Path, file: BinaryIO) -> Iterable[can.Message]:
     content = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if folded else file
     if suffix == ".log":
         return read_log(_Lines(content))
+    if suffix == ".asc":
+        return read_asc(_Lines(content))
     made = MESSAGE_READERS[suffix]
     if issubclass(made, TextIOMessageReader):
         return made(cast(Any, _Lines(content)))
@@ -161,7 +162,7 @@ def _within_time() -> Iterator[Callable[[Callable[[], Any]], Any]]:
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
-    left, every = signal.setitimer(signal.ITIMER_REAL, 0.0)  # another's, as that of drivers/call_limit.py
+    left, every = signal.setitimer(signal.ITIMER_REAL, 0.0)  # another's, as that of drivers/base/call_limit.py
     before = signal.signal(signal.SIGALRM, over)
     try:
         yield soon

@@ -1,7 +1,7 @@
 """Traces of a bus in the formats of other tools: written only where nothing is lost; trace_file.py reads them.
 
 candump's log is our own (candump_log.py), all others are python-can's. What each loses was found by writing every kind
-of frame and reading it back (tests/operate/test_traces.py); a format that loses something is read, but not written.
+of frame and reading it back (tests/runs/test_traces.py); a format that loses something is read, but not written.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from pathlib import Path
 import can
 from can.io.blf import BLFWriter
 
-from hil.operate.candump_log import TraceError, write_log
+from hil.runs.candump_log import TraceError, write_log
 
 _NO_FD = "it has no place for the FD, BRS and ESI flags"
 LOSSES = {  # suffix -> what is lost in it; "": nothing

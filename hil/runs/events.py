@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
-from hil.cycle.event import Event
+from hil.events.event import Event
+from hil.events.sources import RingEvents
 from hil.live.ring import RingError, RingReader
-from hil.live.ring_events import RingEvents
 from hil.live.runtime_paths import known_sidecars, runtime_paths
-from hil.operate.summary import load_run
+from hil.runs.summary import load_run
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.event_codec import decode
@@ -35,12 +35,16 @@ def events(
     """Every event, one line each: tick, time, axis, measured value, limit, cause, what to do next.
 
     Of a rig on this machine whose sidecar does not answer, those its ring still holds. Exit status 69: nobody knows
-    that rig; 74: the recording cannot be read.
+    that rig; 74: the recording cannot be read, or ticks are
+    missing from it.
     """
     path = Path(what)
     try:
         if path.exists() or path.suffix == ".mcap":
-            show(of_recording(path), as_json=as_json)
+            found, loss = of_recording(path)
+            show(found, as_json=as_json)
+            if loss:
+                raise RecordingError(f"{path}: {loss}")
         else:
             secret = Credentials(credentials) if credentials else None
             with RigClient(connect or find_endpoint(what), key, what, secret) as client:
@@ -61,16 +65,16 @@ def show(found: Iterable[Event], *, as_json: bool) -> None:
         print(json.dumps(event.document) if as_json else event.line, flush=True)
 
 
-def of_recording(path: Path) -> list[Event]:
-    """Those a recording holds; of one that was made before there were any, those a replay tells. Raises
-    RecordingError.
+def of_recording(path: Path) -> tuple[list[Event], str]:
+    """Those a recording holds, and what is missing from it; of one that was made before there were any, those a replay
+    tells. Raises RecordingError.
     """
     path = path / "run.mcap" if path.is_dir() else path
-    if found := load_run(path).events:
-        return found
+    if (run := load_run(path)).events:
+        return run.events, run.loss
     from hil.virtual.replay import replay_run
 
-    return replay_run(path).events
+    return (replay := replay_run(path)).events, replay.loss
 
 
 def of_ring(name: str) -> list[Event]:

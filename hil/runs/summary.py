@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -11,26 +11,29 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from hil.analysis.figures_of_merit import axis_statistics
 from hil.cli.marks import Mark
 from hil.cli.output import axis_table
 from hil.control.trajectories import make_trajectory
-from hil.cycle.event import Event
-from hil.cycle.event_table import Kind
 from hil.cycle.fault_table import Fault
+from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
+from hil.events.event import Event
+from hil.events.marks import marks_of
+from hil.events.table import Kind
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig
+from hil.runs.columns import Columns, seconds_of
 from hil.telemetry import codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.event_codec import decode
-from hil.telemetry.recording import Recorded, Recording, RecordingError
+from hil.telemetry.followed import only_followed
+from hil.telemetry.recording import Gap, Gaps, Recorded, Recording, RecordingError, loss_text
 from hil.telemetry.tick_codec import columns as tick_columns
 from hil.telemetry.tick_schema import TickSchema
-from hil.virtual.event_marks import marks_of
-from hil.virtual.figures_of_merit import axis_statistics
 
+_GOALS = (MotionWord.MOVE, MotionWord.JOG, MotionWord.STREAM, MotionWord.MOTION)
 MOST_EVENTS = 5000  # of a long run; the recording has all
-_FOLLOWING = (int(State.HOMING), int(State.ACTIVE))
 
 
 @dataclass
@@ -39,12 +42,18 @@ class RunData:
 
     rig: RigConfig
     metadata: dict[str, Any]
-    columns: dict[str, NDArray[Any]]
+    columns: Columns
     counters: pb.Counters
     status: pb.Status | None  # the last one
     lost: int  # ticks that are missing from it
     truncated: bool
     events: list[Event] = field(default_factory=list)  # of its topic "events"; older recordings have none
+    gaps: list[Gap] = field(default_factory=list)  # where those ticks are missing, as far as the file tells
+
+    @property
+    def loss(self) -> str:
+        """What is missing from it, in ticks and seconds, for people; empty where nothing is."""
+        return loss_text(self.gaps, self.rig.period_ns * 1e-9, damaged=self.truncated)
 
     @property
     def latched(self) -> Event | None:
@@ -61,19 +70,22 @@ class RunData:
     @property
     def error(self) -> NDArray[np.float64]:
         """Following error, m, (ticks, n_axes); NaN where the axis followed no task or had no new sample."""
-        fresh = (self.columns["age_ticks"] == 0) & (self.columns["task_ns"] >= 0)[:, None]
-        following = np.isin(self.columns["state"], _FOLLOWING)[:, None]
-        return np.where(fresh & following, self.columns["following_error"], np.nan)
+        return np.where(self.columns["age_ticks"] == 0, self.columns["following_error"], np.nan)
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
         """Setpoint at the sample's instant, m, (ticks, n_axes); NaN as in `error`."""
-        return np.where(np.isnan(self.error), np.nan, self.columns["setpoint_position"])
+        return np.where(self.columns["age_ticks"] == 0, self.columns["setpoint_position"], np.nan)
 
     @property
     def force(self) -> NDArray[np.float64]:
         """Applied force, N, (ticks, n_axes)."""
         return self.columns["force"]
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """When each tick was due, s from the first."""
+        return seconds_of(self.columns)
 
     @property
     def lateness(self) -> NDArray[np.float64]:
@@ -90,8 +102,8 @@ def load_run(path: Path) -> RunData:
     status = None
     batches: list[dict[str, NDArray[Any]]] = []
     ticks: list[Recorded] = []
-    delays: list[int] = []
-    last, lost = pb.Counters(), 0
+    delays: dict[int, int] = {}  # by the tick's index
+    last, lost, gaps = pb.Counters(), 0, Gaps()
     events: list[Event] = []
     try:
         for item in recording:
@@ -105,17 +117,29 @@ def load_run(path: Path) -> RunData:
             elif item.topic == "cycle":
                 cycle = pb.Cycle.FromString(item.data)
                 last = cycle.counters
-                lost += cycle.lost
-                delays.extend(cycle.run_delay_ns)
+                gaps.add(cycle.first, len(cycle.index), cycle.lost, damaged=recording.truncated)
+                delays.update(zip(np.cumsum(cycle.index).tolist(), cycle.run_delay_ns, strict=False))
             elif item.topic == "status":
                 status = pb.Status.FromString(item.data)
             elif item.topic == "events":
                 events.append(decode(events_pb2.Event.FromString(item.data)))
         columns = _joined(batches) if batches else _of_ticks(ticks, recording.metadata)
-        columns.setdefault("run_delay_ns", np.resize(np.array(delays, np.int64), len(columns["index"])))
+        waited = [delays.get(index, 0) for index in columns["index"].tolist()]
+        columns.setdefault("run_delay_ns", np.array(waited, np.int64))
     except (DecodeError, ValueError, OverflowError, KeyError, TypeError) as error:
         raise RecordingError(f"{path}: its telemetry makes no sense: {error}") from None
-    return RunData(rig, recording.metadata, columns, last, status, lost, recording.truncated, events)
+    lost += gaps.ticks
+    return RunData(
+        rig,
+        recording.metadata,
+        cast(Columns, only_followed(columns)),
+        last,
+        status,
+        lost,
+        recording.truncated,
+        events,
+        gaps.found,
+    )
 
 
 def _of_ticks(ticks: list[Recorded], metadata: dict[str, Any]) -> dict[str, NDArray[Any]]:
@@ -148,6 +172,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "faults": list(_faults(columns["fault"])),
         "latched": run.latched.document if run.latched else None,
         "steady_from_tick": first,
+        "steady_from_s": float(seconds_of(columns)[first]) if ticks else 0.0,
         "axes": axis_statistics(run.rig.axis_names, run.error[first:], run.force[first:]),
         "lateness": _lateness(run.lateness),
         "missed": {
@@ -163,7 +188,7 @@ def summarise(run: RunData) -> dict[str, Any]:
             "rejected": int(sum(counters.rejects)),
         },
         "telemetry": {"produced": produced, "sent": sent, "dropped": dropped},
-        "recording": {"ticks": ticks, "lost": run.lost, "truncated": run.truncated},
+        "recording": {"ticks": ticks, "lost": run.lost, "truncated": run.truncated, "loss": run.loss},
         "events": [event.document for event in _gravest(run.events)],
         "events_left_out": max(0, len(run.events) - MOST_EVENTS),
     }
@@ -191,23 +216,27 @@ def _lateness(lateness: NDArray[np.float64]) -> dict[str, float]:
 
 
 def steady_from(run: RunData) -> int:
-    """First tick of the steady window: after the approach and settling, or the whole task when it was shorter."""
-    columns = run.columns
-    task = np.where(np.isin(columns["state"], _FOLLOWING), columns["task_ns"], -1)
-    rig = run.rig
-    settled = make_trajectory(rig.task, rig.axis_names, np.zeros(len(rig.axes)), rig.period_ns).steady_from_ns
-    for threshold in (settled, 0):
-        places = np.flatnonzero(task >= threshold)
-        if places.size:
-            return int(places[0])
-    return 0
+    """First tick of the steady window: after the approach and settling, or the last half of a task too short for that.
+
+    How long the approach is depends on where the axes stood when the task began. Goals are no task.
+    """
+    columns, rig = run.columns, run.rig
+    of_goals = np.isin(columns["motion"], _GOALS) if "motion" in columns else False
+    task = np.where((columns["state"] == int(State.ACTIVE)) & np.logical_not(of_goals), columns["task_ns"], -1)
+    places = np.flatnonzero(task >= 0)
+    if not places.size:
+        return 0
+    start = columns["position"][places[0]]
+    motion = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns, rig.counts)
+    steady = np.flatnonzero(task >= motion.steady_from_ns)
+    return int(steady[0] if steady.size else places[len(places) // 2])
 
 
 def show(summary: dict[str, Any], rig: RigConfig, console: Console) -> None:
     """The figures as tables for people."""
-    title = (
-        f"{rig.name}, {rig.law.name}, {rig.rate_hz:g} Hz, {summary['seconds']:.1f} s live (following error as measured)"
-    )
+    clock = summary.get("clock", "live")
+    run = f"{rig.name}, {rig.law.name}, {rig.rate_hz:g} Hz, {summary['seconds']:.1f} s {clock}"
+    title = f"{run} (following error as measured, from {summary['steady_from_s']:.1f} s on)"
     console.print(axis_table(rig, summary["axes"], title))
     table = Table.grid(padding=(0, 2))
     late, missed = summary["lateness"], summary["missed"]

@@ -11,41 +11,43 @@
 Nothing here prints, exits or reads arguments.
 """
 
-import copy
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.cycle.event import Event as Happened
+from hil.analysis.figures_of_merit import axis_statistics
+from hil.control.laws.base import Law
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
-from hil.operate import run_files
-from hil.operate.summary import RunData, steady_from
-from hil.operate.summary import load_run as read_run
+from hil.events.event import Event as Happened
+from hil.events.marks import marks_of
 from hil.rig.bus_load import refuse_unschedulable
-from hil.rig.file import build_rig, rig_hash
-from hil.rig.file import load_rig as read_rig
+from hil.rig.file import rig_hash
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import by_name
+from hil.runs import files as run_files
+from hil.runs.columns import Array, Columns, Difference, Summary, seconds_of
+from hil.runs.rigs import NO_CHANGES, Overrides, Rig, load_rig, override_words
+from hil.runs.summary import RunData, steady_from
+from hil.runs.summary import load_run as read_run
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import PER_AXIS, PER_TICK
+from hil.telemetry.followed import only_followed
 from hil.telemetry.recorder import LockstepRecorder
+from hil.telemetry.tick_codec import PER_SENSOR
 from hil.virtual import replay as replays
 from hil.virtual import sim
-from hil.virtual.event_marks import marks_of
-from hil.virtual.figures_of_merit import axis_statistics
 from hil.virtual.scenario import load_scenario
 
-Array = NDArray[np.float64]
-_KEPT = (*PER_TICK, *PER_AXIS)
+_PER_TICK = (*PER_TICK, "motion")
+_KEPT = (*_PER_TICK, *PER_AXIS, *PER_SENSOR)
 _FIELDS: dict[str, Any] = dict(RECORD.fields or {})
 _OFFSETS = {name: int(_FIELDS[name][1]) for name in _KEPT}
 _USED = max(offset + RECORD[name].itemsize for name, offset in _OFFSETS.items())  # bytes of a record with all of them
@@ -53,59 +55,9 @@ _HEAD = np.dtype(
     {"names": list(_KEPT), "formats": [RECORD[name] for name in _KEPT], "offsets": [*_OFFSETS.values()],
      "itemsize": _USED}
 )  # fmt: skip
-_NO_CHANGES: Sequence[str] = ()
 _TABLED = ("setpoint", "measured", "estimate", "error", "requested", "force")
 EXPORTS = (".csv", ".npz", ".parquet")
 RECORDING = "run.mcap"  # in the folder of a run
-
-
-@dataclass(frozen=True)
-class Rig:
-    """A validated rig and the folder that the files it names are relative to. Made by `load_rig` or `Rig.build`."""
-
-    config: RigConfig
-    folder: Path
-    _source: Path | dict[str, Any]
-    _overrides: tuple[str, ...] = ()
-
-    @classmethod
-    def build(cls, document: dict[str, Any], folder: str | os.PathLike[str] = ".") -> "Rig":
-        """From a document as the rig file's TOML would give it. Raises RigError."""
-        return _rig(document, Path(folder), ())
-
-    def changed(self, *overrides: str) -> "Rig":
-        """The same rig with key.path=value overrides, beyond those it has. Raises RigError."""
-        return _rig(self._source, self.folder, (*self._overrides, *overrides))
-
-    @property
-    def name(self) -> str:
-        """The rig's name."""
-        return self.config.name
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes, in the order of every array's last index."""
-        return self.config.axis_names
-
-    @property
-    def sha256(self) -> str:
-        """Of everything the rig says, the texts of its law's and task's files included."""
-        return rig_hash(self.config)
-
-
-def _rig(source: Path | dict[str, Any], folder: Path, overrides: tuple[str, ...]) -> Rig:
-    if isinstance(source, Path):
-        return Rig(read_rig(source, overrides), folder, source, overrides)
-    return Rig(build_rig(copy.deepcopy(source), overrides, folder=folder), folder, copy.deepcopy(source), overrides)
-
-
-def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = _NO_CHANGES) -> Rig:
-    """Read a rig file, or a shipped one by its name ("paper"); overrides: key.path=value.
-
-    Raises RigError naming key, value and what is allowed.
-    """
-    file = by_name("rigs", Path(path))
-    return _rig(file, file.parent, tuple(overrides))
 
 
 class Event(NamedTuple):
@@ -116,15 +68,22 @@ class Event(NamedTuple):
 
 
 class Run:
-    """One run as columns; arrays are (ticks,) or (ticks, n_axes), SI units (rad, N m for rotary axes).
+    """One run as columns; arrays are (ticks,), (ticks, n_axes) or (ticks, n_sensors), SI units (rad, N m for rotary
+    axes).
 
-    rig: its Rig's configuration. columns: all columns by name, as docs/architecture.md and the recording have them.
+    rig: its Rig's configuration. columns: all columns by name, as docs/architecture.md and the recording have them; of
+    a rig with [sensors] also "readings" (each in its sensor's unit; NaN before the first) and "reading_age" (ticks).
     true: position before the encoder (m), where it is known (simulations), else None. log: its events, whole
-    (hil.cycle.event.Event); empty for an exported run and for older recordings.
+    (hil.events.event.Event); empty for an exported run and for older recordings.
     """
 
-    def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array | None = None) -> None:
+    def __init__(self, rig: RigConfig, columns: Columns, true: Array | None = None) -> None:
         self.rig, self.columns, self.true, self.log = rig, columns, true, list[Happened]()
+
+    def __repr__(self) -> str:
+        seconds = self.time[-1] if len(self.time) else 0.0
+        ended = self.state[-1] if len(self.time) else "without a tick"
+        return f"<{type(self).__name__} of {self.rig.name}, {self.rig.law.name}: {seconds:.3f} s, ended {ended}>"
 
     @property
     def axes(self) -> list[str]:
@@ -134,9 +93,7 @@ class Run:
     @cached_property
     def time(self) -> Array:
         """When each tick was due, s from the first."""
-        scheduled = self.columns["scheduled_ns"]
-        seconds: Array = (scheduled - scheduled[:1]) * 1e-9
-        return seconds
+        return seconds_of(self.columns)
 
     @property
     def measured(self) -> Array:
@@ -166,18 +123,16 @@ class Run:
     @property
     def setpoint(self) -> Array:
         """Setpoint at the samples' instants, m; NaN where no task ran or a tick brought no sample."""
-        return np.where(self._followed, self.columns["setpoint_position"], np.nan)
+        return np.where(self._fresh, self.columns["setpoint_position"], np.nan)
 
     @property
     def error(self) -> Array:
         """Position less setpoint, both at the samples' instants, m; NaN as in `setpoint`."""
-        return np.where(self._followed, self.columns["following_error"], np.nan)
+        return np.where(self._fresh, self.columns["following_error"], np.nan)
 
-    @cached_property
-    def _followed(self) -> NDArray[np.bool_]:
-        fresh = (self.columns["age_ticks"] == 0) & (self.columns["task_ns"] >= 0)[:, None]
-        moves = np.isin(self.columns["state"], (int(State.HOMING), int(State.ACTIVE)))[:, None]
-        return np.asarray(fresh & moves)
+    @property
+    def _fresh(self) -> NDArray[np.bool_]:
+        return np.asarray(self.columns["age_ticks"] == 0)
 
     @property
     def state(self) -> list[str]:
@@ -189,8 +144,7 @@ class Run:
     def events(self) -> list[Event]:
         """Every change of state, and every fault that latched."""
         found = []
-        for name, kind in (("state", State), ("fault", Fault)):
-            values = self.columns[name]
+        for name, kind, values in (("state", State, self.columns["state"]), ("fault", Fault, self.columns["fault"])):
             places = np.flatnonzero(np.diff(values, prepend=values[:1] if name == "state" else 0))
             for place in places.tolist():
                 value = kind(int(values[place]))
@@ -198,7 +152,7 @@ class Run:
                     found.append(Event(float(self.time[place]), f"{name} {value.name}"))
         return sorted(found)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Figures of the steady window: keys rig, law, ticks, seconds, final_state, faults, steady_from_s, and per axis
         in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N).
         """
@@ -215,7 +169,7 @@ class Run:
             "axes": axis_statistics(self.axes, self.error[first:], self.force[first:]),
         }
 
-    def compare(self, other: "Run") -> dict[str, dict[str, float]]:
+    def compare(self, other: "Run") -> dict[str, Difference]:
         """Largest difference to another run, tick by tick as far as both go: per axis setpoint, error (m), force (N).
 
         Raises ValueError where the runs have other axes.
@@ -223,13 +177,17 @@ class Run:
         if self.axes != other.axes:
             raise ValueError(f"the runs have the axes {', '.join(self.axes)} and {', '.join(other.axes)}")
         n = min(len(self.time), len(other.time))
-        found: dict[str, dict[str, float]] = {name: {} for name in self.axes}
-        for key in ("setpoint", "error", "force"):
-            difference = np.abs(getattr(self, key)[:n] - getattr(other, key)[:n])
-            largest = np.where(np.isnan(difference), 0.0, difference).max(axis=0, initial=0.0)
-            for index, name in enumerate(self.axes):
-                found[name][key] = float(largest[index])
-        return found
+
+        def largest(mine: Array, theirs: Array) -> list[float]:
+            difference = np.abs(mine[:n] - theirs[:n])
+            found: list[float] = np.where(np.isnan(difference), 0.0, difference).max(axis=0, initial=0.0).tolist()
+            return found
+
+        setpoint = largest(self.setpoint, other.setpoint)
+        error = largest(self.error, other.error)
+        force = largest(self.force, other.force)
+        rows = zip(self.axes, setpoint, error, force, strict=True)
+        return {name: {"setpoint": a, "error": b, "force": c} for name, a, b, c in rows}
 
     def plot(self, path: str | os.PathLike[str]) -> Path:
         """Draw setpoint, error and force of every axis as .png, .svg, .pdf, ...; returns the path."""
@@ -240,7 +198,7 @@ class Run:
 
     def report(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one HTML file that needs nothing else: figures, pictures, events, law and rig."""
-        from hil.operate.run_report import Story, report_page
+        from hil.runs.report import Story, report_page
 
         events = [(e.run_ns * 1e-9, e.line) for e in self.log] or [(event.time, event.text) for event in self.events]
         story = Story(self.summary(), events, {"rig hash": rig_hash(self.rig), **self._facts()}, self._failure())
@@ -271,12 +229,17 @@ class Run:
         return path
 
     def table(self) -> dict[str, NDArray[Any]]:
-        """Columns (ticks,) by name: time_s, state, and for every axis such as x_setpoint, x_error, x_force."""
+        """Columns (ticks,) by name: time_s, state, for every axis such as x_setpoint, x_error, x_force, and for every
+        sensor such as force_reading, force_age_ticks.
+        """
         found: dict[str, NDArray[Any]] = {"time_s": self.time, "state": np.array(self.state, dtype=str)}
         for i, name in enumerate(self.axes):
             found |= {f"{name}_{key}": getattr(self, key)[:, i] for key in _TABLED}
             if self.true is not None:
                 found[f"{name}_true"] = self.true[:, i]
+        for i, name in enumerate(self.rig.sensors):
+            found[f"{name}_reading"] = self.columns["readings"][:, i]
+            found[f"{name}_age_ticks"] = self.columns["reading_age"][:, i]
         return found
 
     def to_pandas(self) -> Any:
@@ -301,7 +264,7 @@ class Simulation(Run):
     longer counted, with file and line; empty where all was well. trace_sha256: over every frame sent and received.
     """
 
-    def __init__(self, rig: RigConfig, columns: dict[str, NDArray[Any]], true: Array, report: sim.SimReport) -> None:
+    def __init__(self, rig: RigConfig, columns: Columns, true: Array, report: sim.SimReport) -> None:
         super().__init__(rig, columns, true)
         self.figures, self.log = report, report.events
         self.law_failure, self.trace_sha256 = report.law_failure, report.trace_sha256
@@ -314,27 +277,26 @@ class Simulation(Run):
 
 
 class Recording(Run):
-    """A recording (MCAP) of a live or simulated run, cut short or not. truncated: whether it is; lost: ticks missing.
+    """A recording (MCAP) of a live or simulated run, cut short or damaged or not. truncated: whether it is; lost: ticks
+    missing; loss: that in words, empty where nothing is missing.
 
     exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
     the cycle is run again, as `hil replay` does; where ticks are missing, this version comes to other frames, or the
-    run's law is not installed, the rounded values stay.
-
-    Raises RecordingError where the file is none.
+    run had a law, estimator or layout that is not hil's own, the rounded values stay. Raises RecordingError.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         data = read_run(Path(path))
         motion = None if "stamp_ns" in data.columns else replays.exact_motion(Path(path))  # older ones hold all bits
         self.exact = motion is not None or "stamp_ns" in data.columns
-        super().__init__(data.rig, data.columns | (motion or {}))
+        super().__init__(data.rig, cast(Columns, only_followed(data.columns | cast(Columns, motion or {}))))
         self.path, self.metadata, self.log = Path(path), data.metadata, data.events
-        self.truncated, self.lost = data.truncated, data.lost
+        self.truncated, self.lost, self.loss = data.truncated, data.lost, data.loss
 
     def _facts(self) -> dict[str, Any]:
         known = {"recording": self.path.name, **{key: self.metadata.get(key, "") for key in ("version", "realtime")}}
-        if self.truncated or self.lost:
-            known["incomplete"] = f"{self.lost} ticks lost" + (", cut short or damaged" if self.truncated else "")
+        if self.loss:
+            known["incomplete"] = self.loss
         return {key: value for key, value in known.items() if value}
 
 
@@ -352,17 +314,20 @@ def simulate(
     rig: Rig | str | os.PathLike[str],
     seconds: float = 20.0,
     *,
-    overrides: Sequence[str] = _NO_CHANGES,
+    overrides: Overrides = NO_CHANGES,
     scenario: str | os.PathLike[str] | None = None,
     record: str | os.PathLike[str] | None = None,
+    law: str | type[Law] | None = None,
 ) -> Simulation:
     """Run a rig in virtual time against its emulated stage, for `seconds`: the same bytes every time, on any machine.
 
-    rig: a Rig or a rig file. overrides: key.path=value. scenario: a file of faults to inject, or a shipped one's name.
+    rig: a Rig or a rig file. law: another law's name, or a class of yours, of a notebook's cell too. overrides:
+    key.path=value texts, or {"key.path": value}. scenario: a file of faults to inject, or a shipped one's name.
     record: write a recording there. Raises RigError where the rig cannot run, RecordingError where `record` cannot be
     written.
     """
-    chosen = rig.changed(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
+    words = override_words(overrides)
+    chosen = (rig if isinstance(rig, Rig) else load_rig(rig)).changed(*words, law=law)
     config, folder = chosen.config, chosen.folder
     refuse_unschedulable(config, folder)
     faults = load_scenario(by_name("scenarios", Path(scenario)), config) if scenario is not None else None
@@ -370,7 +335,7 @@ def simulate(
     kept: list[bytes] = []
 
     def observe(tick: Tick, frames: Sequence[Any], result: CycleResult) -> None:
-        kept.append(result.record.tobytes()[:_USED])
+        kept.append(record_head(result.record))
         if recorder:
             recorder.observe(tick, frames, result)
 
@@ -382,19 +347,31 @@ def simulate(
     finally:
         if recorder:
             recorder.close()
-    report.overrides = list(overrides)
-    return Simulation(config, _columns(kept, len(config.axes)), traces.true, report)
+    report.overrides = words
+    return Simulation(config, columns_of(kept, config), traces.true, report)
 
 
-def _columns(kept: Sequence[bytes], n_axes: int) -> dict[str, NDArray[Any]]:
+def record_head(record: np.void) -> bytes:
+    """The part of a tick's record that `columns_of` needs."""
+    return record.tobytes()[:_USED]
+
+
+def columns_of(kept: Sequence[bytes], rig: RigConfig) -> Columns:
+    """Columns of the heads of records, one a tick."""
     records = np.frombuffer(b"".join(kept), dtype=_HEAD)
-    per_axis = {name: records[name][:, :n_axes].copy() for name in PER_AXIS}
-    return {**{name: records[name].copy() for name in PER_TICK}, **per_axis}
+    found = {name: records[name].copy() for name in _PER_TICK}
+    found |= {name: records[name][:, : len(rig.axes)].copy() for name in PER_AXIS}
+    if rig.sensors:
+        found |= {name: records[name][:, : len(rig.sensors)].copy() for name in PER_SENSOR}
+    return cast(Columns, only_followed(found))
 
 
-def replay(path: str | os.PathLike[str], *, overrides: Sequence[str] = _NO_CHANGES) -> replays.Replayed:
+def replay(
+    path: str | os.PathLike[str], *, overrides: Sequence[str] = (), run_its_code: bool = False
+) -> replays.Replayed:
     """A recording through a new control cycle, compared byte for byte; overrides: also through that other rig.
 
-    Raises RecordingError, RigError.
+    run_its_code: run code that the recording carries, unconfined; else refused. Raises RecordingError, RigError.
     """
-    return replays.replay_run(Path(path), tuple(overrides))
+    code = replays.code_of_recording(Path(path)) if run_its_code else ()
+    return replays.replay_run(Path(path), tuple(overrides), code)

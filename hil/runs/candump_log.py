@@ -5,6 +5,8 @@
     (1700000000.000300) can0 123##50102         an FD frame; the digit is Linux' flags: 1 BRS, 2 ESI, 4 FD
     (1700000000.000400) can0 20000040#00000000  an error frame: bus off (include/uapi/linux/can/error.h)
 
+What candump shows on a screen is read, too: `can0  123   [2]  01 02`, with a time in front or without one.
+
 Our own, as python-can 4.6 forgets what a remote frame asks for and what an error frame says. A last word R or T tells
 whether the frame was received or sent.
 """
@@ -24,6 +26,12 @@ _LINE = re.compile(
     r"\((?P<time>\d+(?:\.\d+)?)\) +(?P<channel>\S+) +(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
     r"(?:#R(?P<asks>[0-8])?|##(?P<flags>[0-9A-Fa-f])(?P<fd>[0-9A-Fa-f]*)|#(?P<data>[0-9A-Fa-f.]*))"
     r"(?:_[0-9A-Fa-f])?(?: +(?P<way>[RT]))?\s*"
+)
+
+_SCREEN = re.compile(
+    r"\s*(?:\((?P<time>-?\d+(?:\.\d+)?)\)\s+)?(?P<channel>[^\s(]\S*)\s+(?:(?P<way>RX|TX)\s+(?P<marks>[BE -]+)\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d{1,2})\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s*"
+    r"(?P<what>ERRORFRAME|remote request)?(?:\s+'.*')?\s*"
 )
 
 
@@ -71,6 +79,27 @@ def read_line(line: str) -> can.Message | None:
     return message
 
 
+def read_screen_line(line: str) -> can.Message | None:
+    """The message of a line as candump shows it on a screen, None where it is none. Two digits of length: CAN FD."""
+    match = _SCREEN.fullmatch(line)
+    if match is None:
+        return None
+    number, length, data = int(match["id"], 16), int(match["length"]), bytes.fromhex(match["data"])
+    extended, marks = len(match["id"]) == 8, match["marks"] or ""
+    flags = FD if len(match["length"]) == 2 else 0
+    flags |= (BRS if "B" in marks else 0) | (ESI if "E" in marks else 0) if flags else 0
+    can_id = number | EXTENDED if extended and not number & ERROR else number
+    if match["what"] == "remote request":
+        can_id, data = can_id | REMOTE, bytes(length)
+    if number > (ERROR | EXTENDED_MASK if extended else STANDARD_MASK) or len(data) != length:
+        return None
+    if not _possible(length, flags):
+        return None
+    message = to_message(Frame(can_id, data, flags), float(match["time"] or 0.0), match["channel"])
+    message.is_rx = match["way"] != "TX"
+    return message
+
+
 @contextlib.contextmanager
 def write_log(file: Path) -> Iterator[Callable[[can.Message], None]]:
     """A context that takes messages for a log; .gz compresses. Raises OSError."""
@@ -89,7 +118,7 @@ def read_log(lines: Iterable[str]) -> Iterator[can.Message]:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        message = read_line(line)
+        message = read_line(line) or read_screen_line(line)
         if message is None:
             raise TraceError(f"line {number} is no frame of candump's: {line.strip()[:60]!r}")
         yield message

@@ -11,55 +11,65 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from hil.analysis.figures_of_merit import Figure
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
-from hil.cli.output import drawable, metres, writable, write_json
+from hil.cli.options import JsonTarget
+from hil.cli.output import drawable, metres, write_json
 from hil.rig.difference import rig_differences
-from hil.runs import EXPORTS, Run, load_run
+from hil.runs.api import EXPORTS, Run, load_run
+from hil.runs.last import last_runs, named_or_last
 from hil.telemetry.recording import RecordingError
 
-RunFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RUN", show_default=False, help="a recording (run.mcap), the folder that holds one, or an exported .npz"
-    ),
-]
+_RUN = "a recording (run.mcap), the folder that holds one, or an exported .npz"
+RunFile = Annotated[Path | None, typer.Argument(metavar="RUN", help=f"{_RUN}; default: the last one below runs/")]
 Into = Annotated[Path | None, typer.Option("--out", "-o", help="the file to write [default: beside the run]")]
-_FIGURES = ("max_error", "rms_error", "plateau_error", "peak_force", "chatter")
+_FIGURES: tuple[Figure, ...] = ("max_error", "rms_error", "plateau_error", "peak_force", "chatter")
 
 
-def plot(run_file: RunFile, out: Into = None) -> None:
+def plot(run: RunFile = None, out: Into = None) -> None:
     """Draw setpoint, following error and force of every axis over time, as .png, .svg, .pdf, ..."""
+    run_file = named_or_last(run)
     with _said():
         target = drawable(out) or _beside(run_file, ".png")
-        print(load_run(run_file).plot(target))
+        found = load_run(run_file)
+        print(found.plot(target))
+        tell_loss(run_file, found)
 
 
-def report(run_file: RunFile, out: Into = None) -> None:
+def report(run: RunFile = None, out: Into = None) -> None:
     """Write one HTML file that needs nothing else: figures, pictures, events, law and rig; readable on a phone."""
+    run_file = named_or_last(run)
     with _said():
-        print(load_run(run_file).report(out or _beside(run_file, ".html")))
+        found = load_run(run_file)
+        print(found.report(out or _beside(run_file, ".html")))
+        tell_loss(run_file, found)
 
 
-def export(run_file: RunFile, out: Into = None) -> None:
+def export(run: RunFile = None, out: Into = None) -> None:
     """Write the run's columns: .csv or .parquet for people and tables, .npz for `hil` and numpy, bit for bit."""
+    run_file = named_or_last(run)
     target = out or _beside(run_file, ".csv")
     if target.suffix not in EXPORTS:
         raise typer.BadParameter(f"{target}: the name must end in {', '.join(EXPORTS)}", param_hint="--out")
     with _said():
-        print(load_run(run_file).export(target))
+        found = load_run(run_file)
+        print(found.export(target))
+        tell_loss(run_file, found)
 
 
 def diff(
-    first: RunFile,
-    second: RunFile,
-    json_target: Annotated[
-        str, typer.Option("--json", callback=writable, help="write it there; - for standard output")
-    ] = "",
+    first: Annotated[Path | None, typer.Argument(metavar="RUN", help=f"{_RUN}; default: the last two")] = None,
+    second: Annotated[Path | None, typer.Argument(metavar="RUN", help="the other; default: the last one")] = None,
+    json_target: JsonTarget = "",
 ) -> None:
-    """What is otherwise in the second run: keys of the rig, figures, events, and the largest differences by tick.
+    """Compare two runs: keys of the rig, figures, events, and the largest differences by tick.
 
-    Exit status 0: every tick is the same; 1: they differ.
+    Exit status 0: every tick is the same; 1: they differ; 74: ticks are missing from one of them.
     """
+    if first is None or second is None:
+        chosen = [first] if first else []
+        first, second = [*chosen, *last_runs(2 - len(chosen))]
+        print(f"hil: {first} and {second}", file=sys.stderr)
     with _said():
         one, other = load_run(first), load_run(second)
         document = differences(one, other)
@@ -67,6 +77,8 @@ def diff(
     _show(console, one, document)
     if json_target:
         write_json(document, json_target)
+    tell_loss(first, one)
+    tell_loss(second, other)
     if not document["same"]:
         raise typer.Exit(1)
 
@@ -143,6 +155,12 @@ def _said() -> Iterator[None]:
         raise typer.BadParameter(str(error)) from None
     except ImportError as error:
         _fail(f"{error}: pip install 'pandas' 'pyarrow'", EXIT_UNAVAILABLE)
+
+
+def tell_loss(run_file: Path, run: Run) -> None:
+    """Say what is missing from a run, and end with the status of an unreadable file, where anything is."""
+    if loss := getattr(run, "loss", ""):
+        _fail(f"{run_file}: {loss}", EXIT_FILE)
 
 
 def _fail(text: str, status: int) -> NoReturn:

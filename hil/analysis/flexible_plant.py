@@ -1,0 +1,100 @@
+"""One axis as a linear plant with what real stages have: lag of the force, a flexible mode, the stiffness it hangs on.
+
+States per axis: force behind its command, motor's error and rate, tool's error and rate. A force is held over each
+period, so the step from sample to sample is exact (matrix exponential).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from hil.control.laws.base import Array
+
+_STATES = 5
+_FORCE, _MOTOR, _RATE, _TOOL, _TOOL_RATE = range(_STATES)
+
+
+class AxisDynamics(NamedTuple):
+    """mass: kg, all that moves. lag: s. mode_hz: at which the tool rings while the motor is held, 0: rigid;
+    mode_damping: ratio; mode_load: the tool's part of the mass. viscous: N s/m. stiffness, damping: of what holds the
+    motor where it is, N/m and N s/m.
+    """
+
+    mass: float
+    lag: float = 0.0
+    mode_hz: float = 0.0
+    mode_damping: float = 0.0
+    mode_load: float = 0.0
+    viscous: float = 0.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+    def step_matrices(self, period: float) -> tuple[Array, Array]:
+        """x(k+1) = a x(k) + b u(k): a (5, 5), b (5,)."""
+        a, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
+        load = self.mode_load * self.mass if self.mode_hz else 0.0
+        motor = self.mass - load
+        if self.lag:
+            a[_FORCE, _FORCE], b[_FORCE] = -1.0 / self.lag, 1.0 / self.lag
+            a[_RATE, _FORCE] = 1.0 / motor
+        else:
+            b[_RATE] = 1.0 / motor
+        a[_MOTOR, _RATE] = a[_TOOL, _TOOL_RATE] = 1.0
+        a[_RATE, _MOTOR] = -self.stiffness / motor
+        a[_RATE, _RATE] = -(self.viscous + self.damping) / motor
+        if load:
+            omega = 2.0 * np.pi * self.mode_hz
+            spring, damper = load * omega * omega, 2.0 * self.mode_damping * load * omega
+            for row, mass in ((_RATE, motor), (_TOOL_RATE, -load)):
+                a[row, _MOTOR] -= spring / mass
+                a[row, _TOOL] += spring / mass
+                a[row, _RATE] -= damper / mass
+                a[row, _TOOL_RATE] += damper / mass
+        whole = np.zeros((_STATES + 1, _STATES + 1))
+        whole[:_STATES, :_STATES], whole[:_STATES, _STATES] = a, b
+        step = expm(whole * period)
+        return step[:_STATES, :_STATES], step[:_STATES, _STATES]
+
+    def response(self, omega: Array, period: float) -> NDArray[np.complex128]:
+        """Motor position over force, m/N, at `omega` (rad/s, (k,)), sampled, with the hold: complex (k,)."""
+        a, b = self.step_matrices(period)
+        z = np.exp(1j * omega * period)
+        shifted = z[:, None, None] * np.eye(_STATES) - a
+        answer: NDArray[np.complex128] = np.linalg.solve(shifted, np.broadcast_to(b[:, None], (z.size, _STATES, 1)))[
+            :, _MOTOR, 0
+        ]
+        return answer
+
+
+class FlexiblePlant:
+    """A hil.analysis.pulse_loop.Plant of one AxisDynamics per row and axis."""
+
+    def __init__(self, rows: list[list[AxisDynamics]], period: float) -> None:
+        made = {axis: axis.step_matrices(period) for row in rows for axis in row}
+        self._a = np.array([[made[axis][0] for axis in row] for row in rows])
+        self._b = np.array([[made[axis][1] for axis in row] for row in rows])
+        self._state = np.zeros(self._b.shape)
+
+    @property
+    def error(self) -> Array:
+        """The motor's, m, at the sample."""
+        error: Array = self._state[..., _MOTOR]
+        return error
+
+    @property
+    def rate(self) -> Array:
+        """The motor's, m/s."""
+        rate: Array = self._state[..., _RATE]
+        return rate
+
+    def advance(self, force: Array) -> None:
+        """On by one period."""
+        self._state = (self._a @ self._state[..., None])[..., 0] + self._b * force[..., None]
+
+    def place(self, error: Array, rate: Array) -> None:
+        """Begin there, motor and tool alike, without force."""
+        self._state[:] = 0.0
+        self._state[..., _MOTOR] = self._state[..., _TOOL] = error
+        self._state[..., _RATE] = self._state[..., _TOOL_RATE] = rate

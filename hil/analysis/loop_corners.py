@@ -1,0 +1,201 @@
+"""Is the loop stable on the stage that is really there? The loop around what the nominal model says and leaves open.
+
+Sliding, the axis is a mass with lag and mode; mass, mode, lag and viscous friction are off by what nobody measures
+better. At rest, where the axis hangs on its friction's stiffness (Coulomb friction over the presliding distance), it is
+an oscillator: a law has to bear every stiffness that the stage may have (axes.NAME.model.presliding). All corners are
+rows of one batch.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
+from hil.analysis.pulse_loop import CRUISE, PulseLoop, responses
+from hil.analysis.stability import REALISED, LoopMargins, is_stable, margins, realise_poles
+from hil.control.laws.base import Array
+from hil.control.nominal_model import rig_model
+from hil.rig.schema import RigConfig
+from hil.rig.tables import ModelConfig
+
+MASS_OFF, MODE_OFF, LAG_OFF, FRICTION_OFF = 0.2, 0.1, 0.2, 0.3
+STUCK_STIFFNESSES = 7  # tried between the ends of the presliding range
+STUCK_DAMPING = 0.15  # least damping ratio of an axis stuck on its guide
+ANSWER = 2000  # ticks
+
+
+class Corner(NamedTuple):
+    """Factors on the nominal model. stuck: at rest, at that share of the presliding range (log); None: sliding."""
+
+    mass: float = 1.0
+    mode: float = 1.0
+    lag: float = 1.0
+    friction: float = 1.0
+    stuck: float | None = None
+
+    def dynamics(self, model: ModelConfig) -> AxisDynamics | None:
+        """The axis; None where the corner says nothing of it."""
+        mass = self.mass * model.mass
+        stiffness = damping = 0.0
+        if self.stuck is not None:
+            distance = presliding(model, self.stuck)
+            if not distance or not model.coulomb:
+                return None
+            stiffness = self.friction * model.coulomb / distance
+            damping = 2.0 * STUCK_DAMPING * math.sqrt(stiffness * mass)
+        return AxisDynamics(
+            mass,
+            self.lag * model.torque_lag,
+            self.mode * model.mode_frequency_hz,
+            model.mode_damping,
+            model.mode_load,
+            0.0 if self.stuck is not None else self.friction * model.viscous,
+            stiffness,
+            damping,
+        )
+
+    def text(self, model: ModelConfig) -> str:
+        """For people: 'mass -20 %, mode +10 %', or 'at rest on 3 um'."""
+        parts = [
+            f"{name} {factor - 1.0:+.0%}"
+            for name, factor in (
+                ("mass", self.mass),
+                ("mode", self.mode),
+                ("lag", self.lag),
+                ("viscous friction", self.friction),
+            )
+            if factor != 1.0
+        ]
+        if self.stuck is not None:
+            parts.insert(0, f"at rest on {presliding(model, self.stuck) * 1e6:.3g} um of presliding")
+        return ", ".join(parts) or "as the model says"
+
+
+@dataclass(frozen=True)
+class CornerFinding:
+    """One axis in one corner. frequency_hz: where the margin is smallest, or where the unstable loop rings."""
+
+    axis: str
+    corner: str
+    at_rest: bool
+    nominal: bool
+    stable: bool
+    gain_db: float
+    phase_deg: float
+    frequency_hz: float
+
+    def lacks(self, *, least: bool = False) -> str:
+        """What is missing to the margins that are asked for (6 dB and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at
+        rest), or, with `least`, to a loop that is stable; empty for nothing.
+        """
+        where = f"axis '{self.axis}', {self.corner}"
+        if not self.stable:
+            return f"{where}: the loop is unstable; it rings at {self.frequency_hz:.0f} Hz"
+        gain, phase = (4.5, 0.0) if self.at_rest else (6.0, 30.0) if self.nominal else (3.0, 15.0)
+        if least or (self.gain_db >= gain and self.phase_deg >= phase):
+            return ""
+        return (
+            f"{where}: {self.gain_db:.1f} dB and {self.phase_deg:.0f} deg at {self.frequency_hz:.0f} Hz, less than "
+            f"{gain:g} dB" + (f" and {phase:g} deg" if phase else "")
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Keys: as the fields; margins are null where nothing is met."""
+        finite = {
+            key: value if math.isfinite(value) else None
+            for key, value in (("gain_db", self.gain_db), ("phase_deg", self.phase_deg))
+        }
+        return {
+            "axis": self.axis,
+            "corner": self.corner,
+            "at_rest": self.at_rest,
+            "stable": self.stable,
+            **finite,
+            "frequency_hz": self.frequency_hz,
+        }
+
+
+def presliding(model: ModelConfig, share: float) -> float:
+    """Distance (m) at that share of the range between its ends, 0 where the model states none."""
+    if not model.presliding:
+        return 0.0
+    low, high = model.presliding
+    return float(low * (high / low) ** share)
+
+
+def sliding_corners() -> list[Corner]:
+    """The nominal one first."""
+    both = [Corner(mass, mode) for mass, mode in product(_around(MASS_OFF), _around(MODE_OFF))]
+    lag = [Corner(lag=factor) for factor in (1.0 - LAG_OFF, 1.0 + LAG_OFF)]
+    friction = [Corner(friction=factor) for factor in (1.0 - FRICTION_OFF, 1.0 + FRICTION_OFF)]
+    return [*both, *lag, *friction]
+
+
+def stuck_corners() -> list[Corner]:
+    """At rest, over the presliding range."""
+    off = [Corner(mass=mass) for mass in _around(MASS_OFF)[1:]] + [Corner(mode=mode) for mode in _around(MODE_OFF)[1:]]
+    return [
+        *(Corner(stuck=float(share)) for share in np.linspace(0.0, 1.0, STUCK_STIFFNESSES)),
+        *(corner._replace(stuck=share) for corner in off for share in (0.0, 0.5, 1.0)),
+    ]
+
+
+def _around(off: float) -> tuple[float, float, float]:
+    return 1.0, 1.0 - off, 1.0 + off
+
+
+def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:
+    """Every axis in every corner that its model speaks of, the nominal one first. ticks: of the answers, at least
+    REALISED.
+
+    Raises ValueError where the law cannot be made from its gains.
+    """
+    found = _findings(rig, _distinct(rig, sliding_corners()), CRUISE, ticks)
+    stuck = _distinct(rig, stuck_corners())
+    return [*found, *(_findings(rig, stuck, 0.0, ticks) if stuck else [])]
+
+
+def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
+    """Without those that are, on this rig, the same as an earlier one, or none."""
+    models = [axis.model for axis in rig.axes.values()]
+    kept: dict[tuple[AxisDynamics | None, ...], Corner] = {}
+    for corner in corners:
+        dynamics = tuple(corner.dynamics(model) for model in models)
+        if any(dynamics):
+            kept.setdefault(dynamics, corner)
+    return list(kept.values())
+
+
+def _findings(rig: RigConfig, corners: list[Corner], speed: float, ticks: int) -> list[CornerFinding]:
+    models = {name: axis.model for name, axis in rig.axes.items()}
+    loop = PulseLoop(rig, rig_model(rig), len(corners), speed)
+    copies = loop.shape[0] // len(corners)
+    rows = [
+        [corner.dynamics(model) or AxisDynamics(model.mass) for model in models.values()]
+        for corner in corners
+        for _ in range(copies)
+    ]
+    answer, motion = responses(loop, FlexiblePlant(rows, rig.period_ns * 1e-9), ticks)
+    return [
+        _finding(name, corner, model, answer[:, at, axis], motion[:, at, axis], rig.rate_hz)
+        for at, corner in enumerate(corners)
+        for axis, (name, model) in enumerate(models.items())
+        if corner.dynamics(model) is not None
+    ]
+
+
+def _finding(
+    name: str, corner: Corner, model: ModelConfig, answer: Array, motion: Array, rate_hz: float
+) -> CornerFinding:
+    poles = realise_poles(motion[:REALISED])
+    stable = is_stable(motion, poles)
+    met = margins(answer) if stable else LoopMargins(None, None, None)
+    at = met.tightest_at
+    if not stable:
+        at = abs(float(np.angle(poles[0]))) / (2.0 * math.pi) if poles else 0.5
+    text, at_rest = corner.text(model), corner.stuck is not None
+    nominal = corner == Corner()
+    return CornerFinding(name, text, at_rest, nominal, stable, met.gain_db, met.phase_margin, at * rate_hz)

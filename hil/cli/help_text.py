@@ -1,0 +1,64 @@
+"""What `--help` prints: plain text, types in words, one spelling of an option."""
+
+from typing import Any
+
+import typer
+from rich.markup import escape
+
+FORMER_SPELLINGS = {"--output": "--out", "--jobs": "--workers"}  # of 0.1.0; taken for one more version
+PRINT_JSON = {"doctor", "events"}  # commands whose --json takes no file
+WORDS = {"Path": "PATH", "str": "TEXT", "int": "NUMBER", "float": "NUMBER", "bool": ""}
+
+
+def in_words(command: Any) -> Any:
+    """A click command, or a group with all below it, whose help names types in words and shows every bracket.
+
+    Typer reads help as markup of rich, which takes "[table]" for a style and drops it.
+    """
+    for below in getattr(command, "commands", {}).values():
+        in_words(below)
+    for parameter in [*command.params, command.get_help_option(typer.Context(command))]:
+        if parameter.help:
+            parameter.help = escape(parameter.help)
+        if parameter.param_type_name == "option" and parameter.metavar is None:
+            parameter.metavar = _word(parameter)
+        if parameter.param_type_name == "argument":
+            parameter.metavar = parameter.metavar or parameter.name.upper()
+            if not parameter.type_descriptor.is_choice:
+                parameter.display_type_rich = lambda ctx: None  # its name says what it is
+    return command
+
+
+def _word(parameter: Any) -> str | None:
+    """What an option takes, such as "NUMBER from 1 to 20"; None leaves the list of a choice as it is."""
+    if parameter.type_descriptor.is_choice:
+        return None
+    word = WORDS[parameter.bare_type().removeprefix("list[").removesuffix("]")]
+    least, greatest = parameter.min, parameter.max
+    parameter._get_number_range_help_str = lambda: None  # typer's own form is "[1<=x<=20]"
+    if least is not None and greatest is not None:
+        return f"{word} from {least:g} to {greatest:g}"
+    if least is not None:
+        return f"{word} from {least:g}"
+    return word
+
+
+def present_spelling(words: list[str]) -> tuple[list[str], list[str]]:
+    """(the command line as typer takes it, a line for each option that was written as 0.1.0 had it).
+
+    `--json` without a file means standard output, in every command.
+    """
+    told: list[str] = []
+    now: list[str] = []
+    for number, word in enumerate(words):
+        if word == "--":
+            return [*now, *words[number:]], told
+        option, equals, value = word.partition("=")
+        if option in FORMER_SPELLINGS:
+            told.append(f"{option} is now {FORMER_SPELLINGS[option]}; the old spelling goes in the next version")
+            option = FORMER_SPELLINGS[option]
+        now.append(f"{option}{equals}{value}")
+        followed = number + 1 < len(words) and not words[number + 1].startswith("--")
+        if word == "--json" and not followed and words[0] not in PRINT_JSON:
+            now.append("-")
+    return now, told

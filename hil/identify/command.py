@@ -1,0 +1,141 @@
+"""The command `hil identify`: what an axis is like, from experiments or from a recording."""
+
+import datetime
+import hashlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.exit_status import EXIT_FILE
+from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
+from hil.cli.output import write_json
+from hil.identify.estimate import Estimate
+from hil.identify.experiments import EXPERIMENTS
+from hil.identify.lockstep import Findings, from_run
+from hil.identify.lockstep import identify as run_experiments
+from hil.identify.written import model_values, rig_text
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
+from hil.runs.api import load_run
+
+EXIT_REFUSED = 4  # something was measured, and something was refused
+NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude")  # an axis may have none
+
+
+def identify(
+    rig: RigFile,
+    *,
+    axes: Annotated[str, typer.Option(help="axes to identify, comma-separated; default: all")] = "",
+    only: Annotated[
+        str, typer.Option(help=f"experiments, comma-separated: {', '.join(EXPERIMENTS)}; default: all")
+    ] = "",
+    recording: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN", help="identify from this recording; nothing is run")
+    ] = None,
+    write: Annotated[Path | None, typer.Option(help="new rig file with the identified model")] = None,
+    overrides: Overrides = None,
+    json_target: JsonTarget = "",
+) -> None:
+    """Identify mass, friction, presliding, lag and resonance of each axis, with 95 % intervals.
+
+    Without --from, the experiments run in virtual time against the emulated stage, never on a real one. Exit status 4:
+    a value of the model was refused.
+    """
+    from rich.console import Console
+
+    config = load_rig(rig, overrides or ())
+    names = named_axes(axes, config.axis_names)
+    if write and write.exists():
+        raise typer.BadParameter(f"{write} exists; name a new file", param_hint="--write")
+    console = Console(stderr=json_target == "-")
+    findings, evidence = _found(config, rig, names, recording, _experiments(only), console)
+    _show(console, config, findings)
+    if json_target:
+        write_json(_document(config, findings, evidence), json_target)
+    if write and any(model_values(one.found) for one in findings.values()):
+        note = f"hil identify, {datetime.date.today().isoformat()}, {evidence}"
+        try:
+            write.write_text(rig_text(rig, {name: one.found for name, one in findings.items()}, note), encoding="utf-8")
+        except OSError as error:
+            console.print(f"hil: {write}: {error.strerror}", markup=False)
+            raise typer.Exit(EXIT_FILE) from None
+        console.print(f"written to {write}; next: hil check {write}", markup=False, soft_wrap=True)
+    elif not write:
+        console.print(
+            f"next: hil identify {rig} --write NEW.toml, then hil check NEW.toml", markup=False, soft_wrap=True
+        )
+    if any(name not in NOT_SEEN for one in findings.values() for name in one.refused):
+        raise typer.Exit(EXIT_REFUSED)
+
+
+def _found(
+    config: RigConfig, rig: Path, names: list[str], recording: Path | None, only: list[str], console: Any
+) -> tuple[dict[str, Findings], str]:
+    """By axis, and the evidence in words."""
+    if recording is None:
+        found = run_experiments(
+            config, rig.parent, names, lambda text: console.print(text, markup=False, highlight=False), only
+        )
+        traces = [f"{name} {what} {trace[:12]}" for name in names for what, trace in found[name].evidence.items()]
+        return found, f"in virtual time: {', '.join(traces)}"
+    run = load_run(recording)
+    if missing := [name for name in names if name not in run.axes]:
+        raise RigError([f"{recording}: no axis {missing[0]}; it has {', '.join(run.axes)}"])
+    file = recording / "run.mcap" if recording.is_dir() else recording
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    return {name: from_run(run, name) for name in names}, f"{file.name} sha256 {digest[:16]}"
+
+
+def _experiments(only: str) -> list[str]:
+    wanted = [name.strip() for name in only.split(",") if name.strip()] or list(EXPERIMENTS)
+    if unknown := [name for name in wanted if name not in EXPERIMENTS]:
+        raise typer.BadParameter(f"--only {unknown[0]}: the experiments are {', '.join(EXPERIMENTS)}")
+    return wanted
+
+
+def _show(console: Any, rig: RigConfig, findings: dict[str, Findings]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{rig.name}: identified, with 95 % intervals")
+    for column in ("axis", "quantity", "value", "half width", "unit", "rig file"):
+        table.add_column(column, justify="right" if column in ("value", "half width", "rig file") else "left")
+    for name, one in findings.items():
+        for quantity, estimate in one.found.items():
+            cells = (f"{estimate.value:.5g}", f"{estimate.half_width:.2g}", _unit(estimate, rig.axes[name].kind))
+            table.add_row(name, quantity, *cells, _stated(rig, name, quantity))
+    console.print(table)
+    for name, one in findings.items():
+        for quantity, why in one.refused.items():
+            console.print(f"{name}: {quantity} refused: {why}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _unit(estimate: Estimate, kind: str) -> str:
+    if kind == "linear":
+        return estimate.unit
+    return {"kg": "kg m^2", "N": "N m", "m": "rad", "N s/m": "N m s/rad", "N/m": "N m/rad", "N s": "N m s"}.get(
+        estimate.unit, estimate.unit
+    )
+
+
+def _stated(rig: RigConfig, axis: str, quantity: str) -> str:
+    """What the rig file says of it."""
+    model = rig.axes[axis].model
+    if quantity == "constant":
+        return f"{0.0 - model.gravity:.5g}"
+    value = getattr(model, quantity, None)
+    if isinstance(value, list):
+        return " to ".join(f"{each:.3g}" for each in value)
+    return "" if value is None else f"{value:.5g}"
+
+
+def _document(rig: RigConfig, findings: dict[str, Findings], evidence: str) -> dict[str, Any]:
+    axes = {
+        name: {
+            "found": {quantity: estimate._asdict() for quantity, estimate in one.found.items()},
+            "refused": one.refused,
+            "model": model_values(one.found),
+        }
+        for name, one in findings.items()
+    }
+    return {"rig": rig.name, "evidence": evidence, "axes": axes}

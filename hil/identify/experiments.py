@@ -1,0 +1,188 @@
+"""The experiments that identify an axis: one list for lockstep runs and, later, for the rig.
+
+Each is a path of [task] and gains of hil/identify/excitation.py, both functions of task time alone; what one experiment
+finds is a parameter of the next. Each ends at rest and stays within the limits of the rig file.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hil.identify.estimate import Array
+from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES
+from hil.rig.schema import AxisConfig, RigConfig
+
+ROW_S = 0.01  # of a path
+RAMP_S = 0.15  # from rest to speed
+REST_S = 0.3  # at both ends of an experiment
+SWEEP_REACH, PASS_REACH, STRETCH_REACH = 0.7, 0.45, 0.25  # of half the travel
+SPEED_SHARE = 0.4  # of limits.speed
+SWEEP_S = 3.0
+MINIMUM_JERK_PEAK = 1.875  # greatest over mean speed
+STRETCH_SPEEDS = 6
+FIRST_PUSH = 0.002  # of limits.force
+PUSH_HZ, PUSH_S = 4.0, 9.0
+LOOP_HZ, LOOP_CYCLES = 2.5, 24
+LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
+LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine
+SETTLE_S = 0.3  # of a pass at speed, before its periods
+PASS_PERIODS, PASSES = 2, 12
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the experiments so far have found of an axis; SI. mass: at first the rig file's."""
+
+    mass: float
+    gravity: float = 0.0
+    coulomb: float = 0.0
+
+
+@dataclass
+class Plan:
+    """One axis in one experiment. rows: positions (n,), one every ROW_S from the first; gains of the law; spans:
+    (from, until) in s of task time at constant speed, with their speed (m/s); approach_s comes before the first row.
+    """
+
+    positions: Array
+    gains: dict[str, float]
+    spans: list[tuple[float, float, float]] = field(default_factory=list)
+
+
+def middle(axis: AxisConfig) -> tuple[float, float]:
+    """Centre of the travel and half of it, m."""
+    low, high = axis.limits.position
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _held(axis: AxisConfig, seconds: float) -> Array:
+    return np.full(math.ceil(seconds / ROW_S) + 1, middle(axis)[0])
+
+
+def _gains(known: Known, **others: float) -> dict[str, float]:
+    return {"mass": known.mass, "gravity": known.gravity, "coulomb": known.coulomb, **others}
+
+
+def push(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
+    """Hold, then triangles of force that grow until the axis moves by 20 um."""
+    begin = approach_s + 1.5
+    reach = 20e-6 if axis.kind == "linear" else 1e-4
+    gains = _gains(known, shape=GROWING, amplitude=FIRST_PUSH * axis.limits.force, frequency_hz=PUSH_HZ, from_s=begin,
+                   until_s=begin + PUSH_S, excursion=reach)  # fmt: skip
+    return Plan(_held(axis, 1.5 + PUSH_S + REST_S), gains)
+
+
+def loops(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
+    """Triangles of force from beyond Coulomb friction down to a tenth of it."""
+    begin, lasts = approach_s + 1.0, LOOP_CYCLES / LOOP_HZ
+    first, last = (min(share * known.coulomb, 0.8 * axis.limits.force) for share in LOOPS)
+    gains = _gains(known, shape=TRIANGLES, amplitude=last, amplitude_from=first, frequency_hz=LOOP_HZ, from_s=begin,
+                   until_s=begin + lasts)  # fmt: skip
+    return Plan(_held(axis, 1.0 + lasts + REST_S), gains)
+
+
+def moves(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
+    """Sweeps of the usable travel both ways at two speeds, then six speeds both ways over the same stretch."""
+    centre, half = middle(axis)
+    most = SPEED_SHARE * axis.limits.speed
+    reach = SWEEP_REACH * half
+    slow = min(2.0 * reach / SWEEP_S, 0.5 * most)
+    path = _Passes(centre, SPEED_SHARE * axis.limits.speed)
+    for speed in (slow, 2.0 * slow):
+        path.pass_between(-reach, reach, speed)
+        path.pass_between(reach, -reach, speed)
+    stretch = STRETCH_REACH * half
+    for speed in np.geomspace(min(2.0 * stretch / 2.5, 0.3 * most), most, STRETCH_SPEEDS).tolist():
+        path.pass_between(-stretch, stretch, speed)
+        path.pass_between(stretch, -stretch, speed)
+    path.go_to(0.0)
+    return Plan(path.rows(), _gains(known), path.spans_from(approach_s))
+
+
+def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
+    """Passes at constant speed with a multisine; its sign changes after every two passes."""
+    centre, half = middle(axis)
+    constant = SETTLE_S + PASS_PERIODS * PERIOD_S + 2 * ROW_S
+    speed = min(2.0 * PASS_REACH * half / (constant + RAMP_S), SPEED_SHARE * axis.limits.speed)
+    path = _Passes(centre, SPEED_SHARE * axis.limits.speed)
+    reach = 0.5 * speed * (constant + RAMP_S)
+    path.go_to(-reach)
+    lead = path.seconds
+    for _ in range(PASSES // 2):
+        path.pass_between(-reach, reach, speed)
+        path.pass_between(reach, -reach, speed)
+    each = (path.seconds - lead) / PASSES
+    path.go_to(0.0)
+    begin = approach_s + lead
+    gains = _gains(known, shape=MULTISINE, amplitude=LINE_SHARE * known.coulomb, from_s=begin,
+                   until_s=begin + PASSES * each, alternate_s=2.0 * each)  # fmt: skip
+    return Plan(path.rows(), gains, path.spans_from(approach_s))
+
+
+EXPERIMENTS = {"push": push, "frequency": frequency, "moves": moves, "loops": loops}
+
+
+class _Passes:
+    """A path of passes at constant speed, about a centre, in steps of ROW_S. most: greatest speed, m/s."""
+
+    def __init__(self, centre: float, most: float) -> None:
+        self._centre, self._most, self._positions = centre, most, [0.0]
+        self._spans: list[tuple[float, float, float]] = []
+        self.rest(REST_S)
+
+    @property
+    def seconds(self) -> float:
+        """Of the path so far."""
+        return (len(self._positions) - 1) * ROW_S
+
+    def rest(self, seconds: float) -> None:
+        """Stay."""
+        self._positions += [self._positions[-1]] * math.ceil(seconds / ROW_S)
+
+    def go_to(self, target: float) -> None:
+        """From rest to rest, at no more than the greatest speed; minimum jerk."""
+        here = self._positions[-1]
+        n = math.ceil(max(1.0, MINIMUM_JERK_PEAK * abs(target - here) / self._most) / ROW_S)
+        u = np.arange(1, n + 1) / n
+        self._positions += (here + (target - here) * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)).tolist()
+
+    def pass_between(self, begin: float, end: float, speed: float) -> None:
+        """From rest at `begin` to rest at `end`; goes to `begin` first where it is elsewhere."""
+        if abs(self._positions[-1] - begin) > 1e-12:
+            self.go_to(begin)
+        ramp = math.ceil(RAMP_S / ROW_S)
+        way = abs(end - begin)
+        cruise = max(round((way / speed - ramp * ROW_S) / ROW_S), 1)
+        u = (np.arange(ramp) + 0.5) / ramp
+        rise = u * u * (3.0 - 2.0 * u)
+        rates = np.concatenate([rise, np.ones(cruise), rise[::-1]])
+        rates *= way / rates.sum()
+        first = self.seconds + ramp * ROW_S
+        self._positions += (begin + np.sign(end - begin) * np.cumsum(rates)).tolist()
+        actual = float(np.sign(end - begin) * rates.max() / ROW_S)
+        self._spans.append((first, first + cruise * ROW_S, actual))
+
+    def spans_from(self, start_s: float) -> list[tuple[float, float, float]]:
+        """The spans at constant speed, in task time."""
+        return [(start_s + a, start_s + b, speed) for a, b, speed in self._spans]
+
+    def rows(self) -> Array:
+        """All positions, with a rest at the end."""
+        self.rest(REST_S)
+        return self._centre + np.array(self._positions)
+
+
+def rig_document(rig: RigConfig, name: str, plan: Plan, approach_s: float) -> tuple[dict[str, Any], float]:
+    """The rig's document with this plan of one axis as its task and law, and the s of task time it lasts. The other
+    axes rest.
+    """
+    rows = [[k * ROW_S, float(position)] for k, position in enumerate(plan.positions)]
+    each = [plan.gains if axis == name else {} for axis in rig.axes]
+    document = rig.model_dump(mode="json")
+    document["task"] = {"kind": "path", "axes": [name], "samples": rows, "approach_s": approach_s, "settle_s": 0.0,
+                        "between": "blended"}  # fmt: skip
+    gains = {key: [one.get(key, 0.0) for one in each] for key in sorted(plan.gains)}
+    document["law"] = {"name": NAME, "gains": gains}
+    return document, approach_s + len(rows) * ROW_S

@@ -1,0 +1,191 @@
+"""Frequency response from periods of a multisine, and the axis that fits it.
+
+Force and position are averaged over periods apart before they are divided, which is unbiased in closed loop
+(Pintelon, Schoukens, System Identification, 2nd ed., 2012, 2.7): G = sum Y / sum U. The response is that of the
+sampled axis, from the force that is held over a period to the position at that period's beginning.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from hil.analysis.flexible_plant import AxisDynamics
+from hil.identify.estimate import Array, Estimate, Refused, t95
+
+Complex = NDArray[np.complex128]
+LEAST_PAIRS = 4
+LEAST_COHERENCE = 0.9
+LEAST_LINES = 15
+WORST_CHI2 = 20.0
+FLOOR = 2e-3  # least deviation of a line assumed, relative
+# What no pass shows: mass and mode by their share, the lag by the rounding of forces and stamps (s), viscous N s/m.
+SYSTEMATIC = np.array([5e-4, 2e-6, 0.0, 2e-4, 5e-3, 5e-3])
+MODE_GAIN = 4.0  # by which a mode must lower chi^2 to be told
+SEEDS = 3
+GRID, LOADS = 60, (0.1, 0.3, 0.6)
+
+
+class Pass(NamedTuple):
+    """force (N) and position (m) of one pass at constant speed, (n,). direction: of the motion, sign: of the multisine,
+    1 or -1. start: tick of its first value, counted where the multisine's phase is 0.
+    """
+
+    force: Array
+    position: Array
+    direction: int
+    sign: int
+    start: int
+
+
+class Response(NamedTuple):
+    """frequency_hz (k,), response and deviation of its mean (k,) in m/N, coherence (k,); passes: the response by each
+    pair of passes, (pairs, k).
+    """
+
+    frequency_hz: Array
+    response: Complex
+    deviation: Array
+    coherence: Array
+    passes: Complex
+
+
+class Axis(NamedTuple):
+    """An axis fitted to a response; `chi2` is per degree of freedom."""
+
+    found: dict[str, Estimate]
+    refused: dict[str, str]
+    dynamics: AxisDynamics
+    chi2: float
+
+
+def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], base: int) -> Response:
+    """From passes at constant speed. lines: multiples of 1 / (base period) that were excited, at least 2 apart; the
+    passes are all of `n` ticks, a multiple of `base` and at least twice that, for the window that keeps what does not
+    repeat out of the lines.
+
+    Two passes of one direction and opposite sign are taken together: what repeats along the travel drops out of their
+    difference. Raises Refused.
+    """
+    n = len(passes[0].force) if passes else 0
+    at = np.array(lines) * (n // base)
+    window = np.hanning(n + 1)[:n]
+    line = np.linspace(-1.0, 1.0, n)
+
+    def spectrum(values: Array, start: int) -> Complex:
+        level = values - np.polyval(np.polyfit(line, values, 1), line)
+        turned: Complex = np.fft.rfft(level * window)[at] * np.exp(-2j * np.pi * at / n * start)
+        return turned
+
+    spectra = [(p, p.sign * spectrum(p.force, p.start), p.sign * spectrum(p.position, p.start)) for p in passes]
+    u, y = [], []
+    for direction in (1, -1):
+        positive = [(a, b) for p, a, b in spectra if p.direction == direction and p.sign > 0]
+        negative = [(a, b) for p, a, b in spectra if p.direction == direction and p.sign < 0]
+        for (u1, y1), (u2, y2) in zip(positive, negative, strict=False):
+            u.append(0.5 * (u1 + u2))
+            y.append(0.5 * (y1 + y2))
+    m = len(u)
+    if m < LEAST_PAIRS:
+        raise Refused(f"{m} pairs of passes with the multisine (at least {LEAST_PAIRS})")
+    force, position = np.array(u), np.array(y)
+    power = (np.abs(force) ** 2).sum(axis=0) * (np.abs(position) ** 2).sum(axis=0)
+    coherence: Array = np.abs((position * force.conj()).sum(axis=0)) ** 2 / power
+    mean = force.mean(axis=0)
+    response: Complex = position.mean(axis=0) / mean
+    rest = position - response * force  # noise of a pair, seen at the output
+    deviation = np.sqrt((np.abs(rest) ** 2).sum(axis=0) / (m - 1) / m) / np.abs(mean)
+    return Response(np.array(lines) / (base * period), response, deviation, coherence, response + rest / mean)
+
+
+def _dynamics(q: Array, flexible: bool) -> AxisDynamics:
+    mass, lag, viscous = float(np.exp(q[0])), float(abs(q[1])) + 1e-7, float(q[2])
+    if not flexible:
+        return AxisDynamics(mass, lag, viscous=viscous)
+    load = float(0.95 / (1.0 + np.exp(-q[5])))
+    return AxisDynamics(mass, lag, float(np.exp(q[3])), float(np.exp(q[4])), load, viscous)
+
+
+def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
+    """Mass, lag of the force, and the mode, where there is one. Raises Refused where the response is too poor."""
+    good = measured.coherence >= LEAST_COHERENCE
+    if good.sum() < LEAST_LINES:
+        raise Refused(
+            f"coherence above {LEAST_COHERENCE} in {int(good.sum())} of {good.size} lines (at least {LEAST_LINES}): "
+            "more force or more passes are needed"
+        )
+    frequency, g = measured.frequency_hz[good], measured.response[good]
+    omega = 2.0 * np.pi * frequency
+    sigma = np.maximum(measured.deviation[good] / np.abs(g), FLOOR)
+
+    def rest(q: Array, flexible: bool, data: Complex) -> Array:
+        ratio = np.log(_dynamics(q, flexible).response(omega, period) / data)
+        whole: Array = np.concatenate([ratio.real, ratio.imag]) / np.concatenate([sigma, sigma])
+        return whole
+
+    def fitted(start: Array, flexible: bool) -> tuple[Array, float, Array]:
+        scale = np.array([0.1, 1e-4, 1.0, 0.1, 0.5, 0.5])[: start.size]
+        done = least_squares(
+            lambda s: rest(s * scale, flexible, g), start / scale, max_nfev=80, loss="linear", x_scale="jac"
+        )
+        return done.x * scale, 2.0 * float(done.cost) / (2 * g.size - start.size), done.jac / scale
+
+    rigid = fitted(np.array([np.log(mass_guess), 2e-4, 0.0]), False)
+    best, flexible = rigid, False
+    for seed in _seeds(frequency, g, rigid[0], period):
+        one = fitted(seed, True)
+        if one[1] * MODE_GAIN < rigid[1] and one[1] < best[1]:
+            best, flexible = one, True
+    q, chi2, jacobian = best
+    if chi2 > WORST_CHI2:
+        raise Refused(f"chi^2 {chi2:.0f} per degree of freedom (at most {WORST_CHI2:.0f}): no axis of one mode fits")
+    steps = np.array([_step(jacobian, -rest(q, flexible, data[good])) for data in measured.passes])
+    m = len(steps)
+    spread = steps.std(axis=0, ddof=1) / np.sqrt(m)
+    covariance = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
+    random = t95(m - 1) * np.hypot(spread, covariance * np.sqrt(chi2))
+    half: Array = np.hypot(random, SYSTEMATIC[: random.size])
+    return Axis(*_told(q, half, flexible, frequency), _dynamics(q, flexible), chi2)
+
+
+def _step(jacobian: Array, rest: Array) -> Array:
+    """One Gauss-Newton step from the fit of the mean to that of a pass."""
+    step, *_ = np.linalg.lstsq(jacobian, rest, rcond=1e-9)
+    return np.asarray(step, dtype=np.float64)
+
+
+def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Array]:
+    """Where a fit with a mode begins: the best SEEDS of a grid over frequency and load, each with the mass for it."""
+    omega, log_g = 2.0 * np.pi * frequency, np.log(g)
+    tried: list[tuple[float, Array]] = []
+    for hertz in np.geomspace(frequency[0] * 2.0, frequency[-1], GRID):
+        for load in LOADS:
+            q = np.array([rigid[0], 2e-4, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
+            rest = np.log(_dynamics(q, True).response(omega, period)) - log_g
+            q[0] += float(np.median(rest.real))
+            size = np.hypot(rest.real - np.median(rest.real), np.angle(np.exp(1j * rest.imag)))
+            tried.append((float(np.minimum(size, 1.0).sum()), q))
+    tried.sort(key=lambda one: one[0])
+    return [q for _, q in tried[:SEEDS]]
+
+
+def _told(q: Array, half: Array, flexible: bool, frequency: Array) -> tuple[dict[str, Estimate], dict[str, str]]:
+    d = _dynamics(q, flexible)
+    found = {
+        "mass": Estimate(d.mass, d.mass * float(half[0]), "kg"),
+        "torque_lag": Estimate(d.lag, float(half[1]), "s"),
+        "viscous": Estimate(d.viscous, float(half[2]), "N s/m"),
+    }
+    refused = {}
+    if not flexible:
+        refused["mode"] = f"no resonance between {frequency[0]:.0f} and {frequency[-1]:.0f} Hz"
+    elif not frequency[0] < d.mode_hz < frequency[-1]:
+        refused["mode"] = f"{d.mode_hz:.0f} Hz is outside the excited {frequency[0]:.0f} to {frequency[-1]:.0f} Hz"
+    else:
+        found["mode_frequency_hz"] = Estimate(d.mode_hz, d.mode_hz * float(half[3]), "Hz")
+        found["mode_damping"] = Estimate(d.mode_damping, d.mode_damping * float(half[4]), "1")
+        slope = d.mode_load * (1.0 - d.mode_load / 0.95)
+        found["mode_load"] = Estimate(d.mode_load, slope * float(half[5]), "1")
+    return found, refused

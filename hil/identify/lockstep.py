@@ -1,0 +1,185 @@
+"""The experiments in virtual time against the emulated stage, one after the other, and what follows from each.
+
+All axes named are excited in the same run; the emulated ones do not disturb each other. Nothing here reads [plant]:
+what is found comes from the forces and positions that a run of the real stage has, too.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from hil.identify.estimate import Array, Estimate, Refused
+from hil.identify.excitation import PERIOD_S, multisine_lines
+from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, SETTLE_S, Known, Plan, rig_document
+from hil.identify.force_balance import Record, balance
+from hil.identify.frequency_fit import Pass, fit_axis, response_of
+from hil.identify.travel_fit import SpeedPass, travel_fit
+from hil.rig.schema import AxisConfig, RigConfig
+from hil.runs.api import Run, simulate
+from hil.runs.rigs import Rig
+
+APPROACH_S = 1.0
+BEFORE_S, AFTER_S = 2.0, 0.5  # of a run, around its task: drives enable, the axis comes to rest
+SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
+ROUGH_LAG = 2e-4  # s, until the frequency response has told it
+PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
+
+Told = Callable[[str], None]
+
+
+@dataclass
+class Findings:
+    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment."""
+
+    found: dict[str, Estimate] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    evidence: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Of one axis of a run: force held from each sample on, the position at that sample, task time at it; (n,)."""
+
+    force: Array
+    position: Array
+    seconds: Array
+    period: float
+    count: float
+
+    def cut(self, begin: float, end: float) -> slice:
+        """Of that task time."""
+        first, last = np.searchsorted(self.seconds, [begin - 1e-9, end - 1e-9])
+        return slice(int(first), int(last))
+
+
+def signals(run: Run, axis: str) -> Signals:
+    """A command of one tick acts from the sample that the next tick brings; only ticks of the task count."""
+    at = run.axes.index(axis)
+    seconds = run.columns["task_ns"][:-1] * 1e-9
+    during = seconds >= 0.0
+    force, position = run.columns["force"][:-1, at][during], run.columns["position"][1:, at][during]
+    config = run.rig
+    return Signals(force, position, seconds[during], config.period_ns * 1e-9, config.axes[axis].encoder_resolution)
+
+
+def identify(
+    rig: RigConfig, folder: Path, names: Sequence[str], told: Told = print, only: Sequence[str] = tuple(EXPERIMENTS)
+) -> dict[str, Findings]:
+    """Run the experiments and fit them. What one is not told by those left out, the rig file's model says. One that
+    ends in a fault is the last; what it was to find is refused.
+    """
+    return {name: _identify_axis(rig, folder, name, told, only) for name in names}
+
+
+def _identify_axis(rig: RigConfig, folder: Path, name: str, told: Told, only: Sequence[str]) -> Findings:
+    """One axis alone, so that what it does to itself ends nobody else's experiments."""
+    findings, axis = Findings(), rig.axes[name]
+    known = Known(axis.model.mass, -axis.model.gravity, axis.model.coulomb)
+    for experiment, make in EXPERIMENTS.items():
+        if experiment not in only:
+            continue
+        plan = make(axis, known, APPROACH_S)
+        document, seconds = rig_document(rig, name, plan, APPROACH_S)
+        told(f"{name}, {experiment}: {seconds:.0f} s")
+        run = simulate(Rig.build(document, folder), seconds + BEFORE_S + AFTER_S)
+        findings.evidence[experiment] = run.trace_sha256
+        if faults := run.summary()["faults"]:
+            findings.refused[experiment] = f"the run ended in {', '.join(faults)}"
+            break
+        known = _fitted(experiment, signals(run, name), plan, axis, findings, known)
+    return findings
+
+
+def _fitted(experiment: str, of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    """Add what the experiment tells; what the next ones are to go by."""
+    try:
+        return FITS[experiment](of, plan, axis, findings, known)
+    except Refused as refused:
+        findings.refused[experiment] = refused.reason
+        return known
+
+
+def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    """Only what the next experiments need: about Coulomb friction, and the force that holds."""
+    part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
+    force, position = of.force[part], of.position[part]
+    if np.ptp(position) < plan.gains["excursion"]:
+        raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
+    held = float(of.force[of.cut(plan.gains["from_s"] - 0.2, plan.gains["from_s"])].mean())
+    size = np.abs(force - held)
+    coulomb = float(size.max()) / PUSH_OVER_COULOMB
+    try:
+        first = int(np.flatnonzero(size > 0.95 * size.max())[0])
+        record = Record(force, position, of.period, of.count, ROUGH_LAG, first)
+        coulomb = balance([record], known.mass, axis.model.viscous).found["coulomb"].value
+    except (Refused, KeyError):
+        pass  # a stage that is no single bristle: the size of the push is near enough for the next experiment
+    findings.found["push_coulomb"] = Estimate(coulomb, 0.25 * coulomb, "N")
+    return replace(known, coulomb=coulomb, gravity=held if abs(known.gravity) > coulomb else known.gravity)
+
+
+def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    base = round(PERIOD_S / of.period)
+    passes = []
+    for number, (begin, _, speed) in enumerate(plan.spans):
+        first = of.cut(begin + SETTLE_S, begin).start
+        part = slice(first, first + PASS_PERIODS * base)
+        start = round(float(of.seconds[first]) / of.period)
+        sign = -1 if number // 2 % 2 else 1
+        passes.append(Pass(of.force[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
+    fit = fit_axis(response_of(passes, of.period, multisine_lines(), base), of.period, known.mass)
+    findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
+    findings.refused |= fit.refused
+    return replace(known, mass=fit.found["mass"].value)
+
+
+def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    passes = []
+    for begin, end, speed in plan.spans:
+        part = of.cut(begin + SPAN_SETTLE_S, end)
+        passes.append(SpeedPass(of.force[part], of.position[part], speed))
+    fit = travel_fit(passes, of.period, known.mass, _lag(findings))
+    findings.found |= fit.found
+    findings.refused |= fit.refused
+    return replace(known, coulomb=fit.found["coulomb"].value)
+
+
+def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
+    skip = round(1.0 / plan.gains["frequency_hz"] / of.period)
+    record = Record(of.force[part], of.position[part], of.period, of.count, _lag(findings), skip)
+    viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
+    fit = balance([record], known.mass, viscous)
+    if "presliding" in fit.found:
+        findings.found["presliding"] = fit.found["presliding"]
+    findings.refused |= {name: why for name, why in fit.refused.items() if name == "presliding"}
+    return known
+
+
+def _lag(findings: Findings) -> float:
+    return findings.found["torque_lag"].value if "torque_lag" in findings.found else ROUGH_LAG
+
+
+FITS: Mapping[str, Callable[[Signals, Plan, AxisConfig, Findings, Known], Known]] = {
+    "push": _push,
+    "frequency": _frequency,
+    "moves": _moves,
+    "loops": _loops,
+}
+
+
+def from_run(run: Run, axis: str) -> Findings:
+    """What an ordinary run tells of an axis: the force balance of its task's motion."""
+    of, findings = signals(run, axis), Findings()
+    lag = run.rig.axes[axis].model.torque_lag
+    try:
+        if not of.force.size:
+            raise Refused("no task ran")
+        fit = balance([Record(of.force, of.position, of.period, of.count, lag, round(0.2 / of.period))])
+    except Refused as refused:
+        findings.refused["force balance"] = refused.reason
+        return findings
+    findings.found, findings.refused = dict(fit.found), dict(fit.refused)
+    return findings

@@ -1,0 +1,192 @@
+"""`hil accuracy RIG`: where each axis comes to rest when it is sent somewhere, from both directions, as data sheets do.
+
+The cycle of ISO 230-2: through the targets in one direction and back in the other, with a way beyond each end, so that
+every target is approached as the one before it; several runs. On an emulated stage in virtual time, with the true
+positions beside the encoder's; or (--live) on a running rig, by its encoders.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from hil.analysis.positioning import LEAST_RUNS, LEAST_TARGETS, Positioning, positioning, targets
+from hil.cli.options import JsonTarget, Overrides, named_axes
+from hil.cli.output import metres, print_plant_notes, write_json
+from hil.cli.progress import Steps
+from hil.control.laws.base import Array
+from hil.cycle.goal import MotionWord
+from hil.live.goal_link import IN_POSITION_S
+from hil.operate.command import config_of
+from hil.operate.move import told
+from hil.operate.moving import motion
+from hil.runs.mover import LOOK_S, Mover
+from hil.runs.rigs import load_rig
+from hil.runs.virtual_mover import VirtualMover
+
+SHARE: Final = 0.8  # of the way that goals have, between the first and the last target
+BEYOND: Final = 0.05  # of it, beyond either end
+SETTLE_S: Final = 2.0  # at most, to be in position
+DWELL_S: Final = 0.1  # in position, before it is measured
+MEASURE_S: Final = 0.1  # over which positions are averaged
+HOLD_S: Final = 1.0
+
+
+class Approaches(NamedTuple):
+    """Of one axis, (targets, runs): deviations as its encoder says; as they are, on an emulated stage (else empty);
+    times from the set-point's rest until the axis stays in position, s. hold: RMS about the mean at the last target.
+    """
+
+    targets: list[float]
+    up: Array
+    down: Array
+    true_up: Array
+    true_down: Array
+    settled_s: Array
+    hold: float
+
+
+def approaches(mover: Mover, name: str, count: int, runs: int, tell: Callable[[], None] = lambda: None) -> Approaches:
+    """Run the cycle on one axis; the others hold. tell: after each approach. Raises MotionError as the mover."""
+    axis = mover.axes.index(name)
+    low, high = mover.range_of(name)
+    middle, half = 0.5 * (low + high), 0.5 * SHARE * (high - low)
+    places = targets(middle - half, middle + half, count)
+    beyond = BEYOND * 2.0 * half
+    found = np.zeros((2, 2, count, runs))  # encoder and truth, up and down
+    settled: list[float] = []
+    for run in range(runs):
+        for side, order in enumerate((range(count), range(count - 1, -1, -1))):
+            _go(mover, name, places[order[0]] + (beyond if side else -beyond))
+            for place in order:
+                settled.append(_go(mover, name, places[place]))
+                read, true, _ = _measure(mover, axis, MEASURE_S)
+                found[:, side, place, run] = read - places[place], true - places[place]
+                tell()
+    _, _, hold = _measure(mover, axis, HOLD_S)
+    true_up, true_down = found[1] if isinstance(mover, VirtualMover) else np.empty((2, 0, 0))
+    return Approaches(places, found[0, 0], found[0, 1], true_up, true_down, np.array(settled), hold)
+
+
+def _go(mover: Mover, name: str, place: float) -> float:
+    """Send the axis there; how long it took to be in position once its set-point was at rest, s; NaN: it never was."""
+    target: dict[str, Any] = {name: place}
+    move = mover.move_to(**target)
+    mover.await_rest(lambda look: look.motion is MotionWord.HOLD or move.done)
+    rests_ns = mover.now_ns()
+    settled = 0.0
+    while not mover.status().in_position and settled < SETTLE_S:
+        mover.sleep(LOOK_S)
+        settled = (mover.now_ns() - rests_ns) * 1e-9
+    mover.sleep(DWELL_S)
+    return max(0.0, settled - IN_POSITION_S) if settled < SETTLE_S else math.nan
+
+
+def _measure(mover: Mover, axis: int, seconds: float) -> tuple[float, float, float]:
+    """Means of encoder and truth (NaN on a rig) over a time, and the encoder's RMS about its mean."""
+    read, true = [], []
+    until_ns = mover.now_ns() + round(seconds * 1e9)
+    while mover.now_ns() < until_ns:
+        read.append(mover.status().position[axis])
+        if isinstance(mover, VirtualMover):
+            true.append(mover.true_position[axis])
+        mover.sleep(0.0)
+    return float(np.mean(read)), float(np.mean(true)) if true else float("nan"), float(np.std(read))
+
+
+def accuracy(
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="rig file or shipped name; --live: a running rig")],
+    *,
+    axes: Annotated[str, typer.Option(help="comma-separated; default: all of the rig's")] = "",
+    targets: Annotated[int, typer.Option(min=LEAST_TARGETS, max=100, help="places along each axis")] = LEAST_TARGETS,
+    runs: Annotated[int, typer.Option(min=2, max=100, help="in either direction")] = LEAST_RUNS,
+    live: Annotated[bool, typer.Option("--live", help="move the running rig; it must be under torque")] = False,
+    overrides: Overrides = None,
+    json_target: JsonTarget = "",
+) -> None:
+    """Positioning accuracy, repeatability and reversal of each axis by ISO 230-2, with settling times and hold.
+
+    Exit status 0: measured; 69: the rig does not run here, or left ACTIVE on the way; each with the reason.
+    """
+    console = Console(stderr=json_target == "-")
+    if live and overrides:
+        raise typer.BadParameter("a running rig is as it is", param_hint="--set")
+    of = config_of(rig).name if live else load_rig(rig, overrides or ())
+    with told("accuracy"), motion(of, activate=False) as mover:
+        found = _all(mover, named_axes(axes, mover.axes), targets, runs)
+    if isinstance(mover, VirtualMover):
+        print_plant_notes(console, mover.config)
+    rows = {name: (of, positioning(of.up, of.down)) for name, of in found.items()}
+    console.print(_table(mover, rows, f"{targets} targets, {runs} runs from either side"))
+    if json_target:
+        write_json(_document(mover, rows), json_target)
+
+
+def _all(mover: Mover, names: Sequence[str], count: int, runs: int) -> dict[str, Approaches]:
+    """Of the axes, one after the other, each back where it was."""
+    found = {}
+    with Steps("approaches", 2 * count * runs * len(names)) as steps:
+        for name in names:
+            begun = mover.status().setpoint[mover.axes.index(name)]
+            found[name] = approaches(mover, name, count, runs, steps.advance)
+            _go(mover, name, begun)
+    return found
+
+
+_FIGURES: Final = (
+    ("accuracy A", "accuracy"), ("A up", "accuracy_up"), ("A down", "accuracy_down"), ("systematic E", "systematic"),
+    ("mean M", "mean_range"), ("repeatability R", "repeatability"), ("R up", "repeatability_up"),
+    ("R down", "repeatability_down"), ("reversal B", "reversal"),
+)  # fmt: skip
+
+
+def _table(mover: Mover, rows: dict[str, tuple[Approaches, Positioning]], title: str) -> Table:
+    """Figures down, axes across; of an emulated stage by encoder and as it is."""
+    columns: list[tuple[str, str, Approaches, Positioning | None]] = []
+    for name, (of, by_encoder) in rows.items():
+        columns.append((name, name, of, by_encoder))
+        if of.true_up.size:
+            columns.append((name, f"{name}, true", of, positioning(of.true_up, of.true_down)))
+    table = Table("", *(head for _, head, _, _ in columns), title=f"positioning by ISO 230-2: {title}")
+    for words, figure in _FIGURES:
+        cells = [metres(getattr(figures, figure), mover.kinds[name]) for name, _, _, figures in columns]
+        table.add_row(words, *cells)
+    own = [head == name for name, head, _, _ in columns]
+    settled = [_settled(of.settled_s) for _, _, of, _ in columns]
+    table.add_row("settled, median / most", *(cell if mine else "" for cell, mine in zip(settled, own, strict=True)))
+    held = [metres(of.hold, mover.kinds[name]) for name, _, of, _ in columns]
+    table.add_row(f"hold, RMS of {HOLD_S:g} s", *(cell if mine else "" for cell, mine in zip(held, own, strict=True)))
+    return table
+
+
+def _settled(seconds: Array) -> str:
+    """Of those approaches that came into position, and how many did not."""
+    never = int(np.isnan(seconds).sum())
+    words = f", {never} never" if never else ""
+    if never == len(seconds):
+        return "never"
+    return f"{np.nanmedian(seconds) * 1e3:.0f} / {np.nanmax(seconds) * 1e3:.0f} ms{words}"
+
+
+def _document(mover: Mover, rows: dict[str, tuple[Approaches, Positioning]]) -> dict[str, Any]:
+    """Keys: axes.NAME.{targets, encoder, true, settled_s, hold}; encoder, true: up and down (targets, runs) and the
+    figures of Positioning, m (rad).
+    """
+    axes = {}
+    for name, (of, by_encoder) in rows.items():
+        said: dict[str, Any] = {"unit": "m" if mover.kinds[name] == "linear" else "rad", "targets": of.targets}
+        said["encoder"] = _figures(of.up, of.down, by_encoder)
+        if of.true_up.size:
+            said["true"] = _figures(of.true_up, of.true_down, positioning(of.true_up, of.true_down))
+        axes[name] = {**said, "settled_s": of.settled_s.tolist(), "hold": of.hold}
+    return {"axes": axes}
+
+
+def _figures(up: Array, down: Array, found: Positioning) -> dict[str, Any]:
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in found._asdict().items()}
+    return {"up": up.tolist(), "down": down.tolist(), **plain}
