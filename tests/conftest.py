@@ -11,13 +11,19 @@ from hypothesis import settings
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
-from tests.support.lanes import pytest_collection_modifyitems, pytest_configure, pytest_terminal_summary
+from tests.support.lanes import (
+    pytest_addoption,
+    pytest_collection_modifyitems,
+    pytest_configure,
+    pytest_terminal_summary,
+)
 from tests.support.paths import RIGS, ROOT
 
 if TYPE_CHECKING:
     from hil.virtual.lockstep import LockstepRun
 
-__all__ = ["pytest_collection_modifyitems", "pytest_configure", "pytest_terminal_summary"]  # hooks
+# hooks
+__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure", "pytest_terminal_summary"]
 
 settings.register_profile("repository", deadline=None, derandomize=True)
 settings.load_profile("repository")

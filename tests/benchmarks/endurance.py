@@ -17,7 +17,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from drivers.runtime import runtime_dir
+from drivers.base.runtime import runtime_dir
 from hil.cli.options import Overrides, RigFile
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import DEMO_PREFIX, runtime_paths_in

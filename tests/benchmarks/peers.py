@@ -147,7 +147,7 @@ def python_can() -> Iterator[Tick]:
     import can
     import cantools
 
-    from drivers.protocols.stage_fd import DBC
+    from drivers.families.stage.stage_fd import DBC
 
     database: Any = cantools.database.load_file(DBC)
     layout = database.get_message_by_name("Command")
@@ -177,7 +177,7 @@ def canopen_pdos() -> Iterator[Tick]:
     import can
     import canopen
 
-    from drivers.protocols.canopen.cia301 import EDS
+    from drivers.families.cia402.cia301 import EDS
 
     context = get_context("spawn")
     ready = context.Event()

@@ -67,7 +67,7 @@ def test_every_picture_that_is_not_refused_can_be_drawn(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    command = [sys.executable, "-m", "hil", "sweep", str(PAPER), "--plants", "1", "--output", str(tmp_path / "file/in")]
+    command = [sys.executable, "-m", "hil", "sweep", str(PAPER), "--plants", "1", "--out", str(tmp_path / "file/in")]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == EXIT_FILE
     assert result.stderr == f"hil: {tmp_path}/file/in: Not a directory\n"

@@ -32,7 +32,7 @@ def children(pid: int) -> list[int]:
     [
         ["sweep", PAPER, "--plants", "20000", "--seconds", "1000", "--workers", "2"],
         ["compare", PAPER, "--seconds", "1000", "--workers", "2"],
-        ["faults", PAPER, "--jobs", "2"],
+        ["faults", PAPER, "--workers", "2"],
         ["reproduce", "--workers", "2"],
     ],
     ids=lambda words: words[0],

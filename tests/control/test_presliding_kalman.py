@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from hil.control import frequency_response
+from hil.analysis import frequency_response
+from hil.analysis.stability import margins_of_loop
 from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
@@ -15,7 +16,6 @@ from hil.control.laws.presliding_gains import SWINGS, of_model
 from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
 from hil.control.nominal_model import rig_model
-from hil.control.stability import margins_of_loop
 from hil.rig.file import load_rig
 from tests.support.paths import RIGS
 

@@ -1,6 +1,5 @@
 """Trajectories: exact in time, smooth where they must be, the same bits for one instant or a thousand."""
 
-import json
 import math
 from fractions import Fraction
 from typing import get_args
@@ -19,8 +18,9 @@ from hil.control.trajectories.figures import rational_hz
 from hil.control.trajectories.segments import Segments
 from hil.rig.file import load_rig
 from hil.rig.schema import InjectionConfig, TaskConfig
+from tests.golden.golden import hold
+from tests.golden.trajectories.tell import stories
 from tests.support.paths import RIGS
-from tests.support.trajectory_reference import FILE, hashes
 
 MS = 1_000_000
 PERIOD = MS
@@ -57,11 +57,9 @@ def test_every_kind_of_task_is_tried_here() -> None:
     assert set(get_args(TaskConfig.model_fields["kind"].annotation)) <= set(NAMES)
 
 
-def test_every_task_asks_for_the_motion_it_always_did() -> None:
-    """`python -m tests.support.reference trajectories` renews what is known, where a change is meant."""
-    known, now = json.loads(FILE.read_text(encoding="utf-8")), hashes()
-    assert now == known
-    assert len(set(now.values())) == len(now) > 70, "they do differ"
+@pytest.mark.parametrize("story", stories())
+def test_every_task_asks_for_the_motion_it_always_did(story: str) -> None:
+    hold("trajectories", story)
 
 
 @pytest.mark.parametrize("trajectory", trajectories(), ids=NAMES)

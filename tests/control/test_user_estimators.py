@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import call_limit, plugins
+from drivers.base import call_limit, plugins
+from hil.analysis.stability import check_stability
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.users import EstimatedAxes, EstimatedLaw
 from hil.control.nominal_model import blank_inputs, rig_model
-from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -92,6 +92,7 @@ def test_a_rate_that_an_estimator_refuses_is_none_the_loop_is_stable_at(rig_file
             assert least <= axis.lowest_stable_rate_hz < 1000.0
 
 
+@pytest.mark.slow
 def test_nor_do_the_trials_of_a_search(rig_file: Path) -> None:
     trials = [Trial("own", {"approach_s": 0.2}, 4.0, loss=0.02), Trial("light", {}, 4.0, mass=0.9, jitter=5e-5)]
     found = []

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import call_limit, plugins
+import hil
+from drivers.base import call_limit, plugins
 from hil import Law
+from hil.analysis.stability import check_stability
 from hil.control import law_registry
 from hil.control.law_registry import law_class
 from hil.control.laws import make_axis_laws, make_law
@@ -20,7 +22,6 @@ from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.coupled import gather
 from hil.control.laws.users import OnArrays, PerElement, UserAxes
 from hil.control.nominal_model import rig_model
-from hil.control.stability import check_stability
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -36,7 +37,6 @@ from hil.studies.tune.candidate_simulation import Trial
 from hil.studies.tune.objective import Bench
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.lockstep import LockstepRun
-from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
 from tests.control.test_laws_per_element import inputs_of
 from tests.support.batch_equality import assert_batch_is_single
@@ -140,7 +140,7 @@ def test_a_recording_replays_without_the_file(rig_file: Path, tmp_path: Path) ->
     simulate(rig, rig_file.parent, 0.5, observer=recorder.observe)
     recorder.close()
     (rig_file.parent / "lqg.py").unlink()
-    report = replay_run(tmp_path / "run.mcap")
+    report = hil.replay(tmp_path / "run.mcap", run_its_code=True)
     assert (report.ticks, report.different) == (500, 0)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from drivers.bus.counters import BusState
+from drivers.protocols.base import DriveStatus
 from hil.cycle.fault_monitor import NO_ACK_TICKS, Evidence
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
@@ -68,11 +69,14 @@ OF_AN_AXIS: dict[Fault, Callable[[Seen], tuple[float, float]]] = {
     Fault.DRIVE_FAULT: lambda seen: (1.0, 0.0),
     Fault.DRIVE_WATCHDOG: lambda seen: (1.0, 0.0),
     Fault.ENCODER_FAULT: lambda seen: (1.0, 0.0),
+    Fault.ANSWERS_DIFFER: lambda seen: (0.0, math.nan),
+    Fault.LIMIT_SWITCH: lambda seen: (0.0 if seen.status & DriveStatus.LIMIT_LOW else 1.0, math.nan),
     Fault.DRIVE_DISABLED: lambda seen: (0.0, 1.0),
     Fault.DRIVE_STAYS_ENABLED: lambda seen: (SAFETY.disable_timeout_ticks, SAFETY.disable_timeout_ticks),
 }
 OF_THE_RIG: dict[Fault, Callable[[Seen], tuple[float, float]]] = {
     Fault.BAD_FRAMES: lambda seen: (seen.bad_frames, SAFETY.bad_frame_limit),
+    Fault.FOREIGN_COMMAND: lambda seen: (seen.foreign_id, math.nan),
     Fault.BUS_PASSIVE: bus(BusState.ERROR_PASSIVE),
     Fault.BUS_OFF: bus(BusState.BUS_OFF),
     Fault.INTERFACE_DOWN: bus(BusState.DOWN),
@@ -101,7 +105,7 @@ def test_a_fault_says_what_was_measured_against_which_limit_and_of_which_axis(ca
         return
     axis, measure = (AXIS, OF_AN_AXIS) if case.fault in OF_AN_AXIS else (NO_AXIS, OF_THE_RIG)
     value, limit = measure[case.fault](case.at)
-    assert found == [(axis, pytest.approx(value, rel=1e-12, nan_ok=True), pytest.approx(limit, rel=1e-12))]
+    assert found == [(axis, pytest.approx(value, rel=1e-12, nan_ok=True), pytest.approx(limit, rel=1e-12, nan_ok=True))]
     if case.ticks == 1 and case.fault is not Fault.ENCODER_GLITCH:
         before = repr(found)
         bench.show(case.at, resting=case.resting)

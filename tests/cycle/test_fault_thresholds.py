@@ -18,11 +18,12 @@ from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, Sample
 from hil.cycle import fault_monitor
 from hil.cycle.fault_monitor import AxisLimits, FaultMonitor
-from hil.cycle.fault_table import RULES, Fault, Reaction
+from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
+from tests.cycle.expected_faults import DRIVES_OWN, EXPECTED
 
 Reference = vars(fault_monitor)["Reference"]  # in the compiled build, that of native floats
 PERIOD_NS = 1_000_000
@@ -30,18 +31,14 @@ SAFETY = SafetyConfig(
     silent_stop_ticks=3, silent_zero_ticks=10, bad_frame_limit=5, stuck_ticks=50, nis_ticks=20, flood_frames=12,
     transmit_refused_limit=4, overrun_streak=6, overrun_zero_s=0.02, disable_timeout_ticks=30,
 )  # fmt: skip
+SWITCHES = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 LIMITS = [
     AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0, 5.0),
-    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0, 5.0),
+    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0, 5.0, int(SWITCHES)),
 ]
 INNOVATION = [1e-4, 2e-4]
 AXIS = 1  # the one that a case is about; the other one is well
 LIMIT = LIMITS[AXIS]
-
-MOVING = {State.HOMING, State.ACTIVE, State.STOPPING}
-WATCHING = MOVING | {State.READY}
-RESTING = {State.CONNECTED, State.READY, State.FAULT, State.ESTOP}
-ALWAYS = set(State) - {State.BOOT, State.SHUTDOWN}
 
 
 def beyond(limit: float) -> float:
@@ -71,6 +68,8 @@ class Seen:
     fresh: bool = True
     step: float = 0.0
     periods: float = 1.0
+    foreign_id: int = -1
+    differ: bool = False
     innovation: float = 0.0
     q: float = 0.0
     v: float = 0.0
@@ -108,12 +107,14 @@ class Bench:
         inbox.age[AXIS], inbox.bad_frames, inbox.fresh[AXIS] = seen.age, seen.bad_frames, seen.fresh
         inbox.samples = [Sample(0, 0, int(DriveStatus.ENABLED) if seen.enabled_seen else 0, 0, 0), None]
         inbox.samples[AXIS] = Sample(AXIS, 0, int(seen.status), 0, 0)
+        inbox.foreign_id, inbox.differ_axis = seen.foreign_id, AXIS if seen.differ else -1
         monitor.begin()
         monitor.implausible(0, 0.0, 1.0)
         monitor.implausible(AXIS, seen.step, seen.periods)
         monitor.check_bus(tick, seen.useless)
         monitor.check_timing(tick)
         monitor.check_grants(tick)
+        monitor.check_switches(inbox, homing=False)
         monitor.check_samples(inbox, seen.enabled_seen)
         if resting:
             monitor.check_released(inbox)
@@ -144,49 +145,21 @@ class Case:
         return self.fault is Fault.DRIVE_STAYS_ENABLED
 
 
-# The table's other two columns, once more.
-EXPECTED: dict[Fault, tuple[Reaction, set[State]]] = {
-    Fault.ENCODER_GAP: (Reaction.BRIDGE, MOVING),
-    Fault.ENCODER_LOST: (Reaction.STOP, MOVING),
-    Fault.ENCODER_DEAD: (Reaction.ZERO, WATCHING),
-    Fault.BAD_FRAMES: (Reaction.ZERO, WATCHING),
-    Fault.ENCODER_GLITCH: (Reaction.BRIDGE, MOVING),
-    Fault.ENCODER_JUMP: (Reaction.ZERO, WATCHING),
-    Fault.ENCODER_STUCK: (Reaction.ZERO, MOVING),
-    Fault.FOLLOWING_ERROR: (Reaction.STOP, MOVING),
-    Fault.TRAVEL_PLANNED: (Reaction.STOP, MOVING),
-    Fault.TRAVEL: (Reaction.ZERO, MOVING),
-    Fault.SPEED_PLANNED: (Reaction.STOP, MOVING),
-    Fault.SPEED: (Reaction.ZERO, MOVING),
-    Fault.NOT_FINITE: (Reaction.ZERO, MOVING),
-    Fault.FILTER_DIVERGED: (Reaction.ZERO, MOVING),
-    Fault.DRIVE_FAULT: (Reaction.ZERO, WATCHING),
-    Fault.DRIVE_WATCHDOG: (Reaction.ZERO, WATCHING),
-    Fault.DRIVE_DISABLED: (Reaction.ZERO, MOVING),
-    Fault.ENABLE_TIMEOUT: (Reaction.ZERO, MOVING),
-    Fault.ENCODER_FAULT: (Reaction.ZERO, WATCHING),
-    Fault.BUS_PASSIVE: (Reaction.COUNT, ALWAYS),
-    Fault.BUS_OFF: (Reaction.SILENT, ALWAYS),
-    Fault.NO_ACK: (Reaction.SILENT, ALWAYS),
-    Fault.TRANSMIT_REFUSED: (Reaction.COUNT, ALWAYS),
-    Fault.TRANSMIT_BLOCKED: (Reaction.ZERO, ALWAYS),
-    Fault.INTERFACE_DOWN: (Reaction.SILENT, ALWAYS),
-    Fault.RECEIVE_FLOOD: (Reaction.STOP, ALWAYS),
-    Fault.OVERRUN: (Reaction.COUNT, ALWAYS),
-    Fault.OVERRUN_BURST: (Reaction.STOP, MOVING),
-    Fault.OVERRUN_LONG: (Reaction.ZERO, MOVING),
-    Fault.HEARTBEAT_LOST: (Reaction.STOP, MOVING),
-    Fault.REALTIME_DENIED: (Reaction.COUNT, ALWAYS),
-    Fault.RECORDER_LOST: (Reaction.COUNT, ALWAYS),
-    Fault.RIG_CHANGED: (Reaction.COUNT, ALWAYS),
-    Fault.DRIVE_STAYS_ENABLED: (Reaction.SILENT, RESTING),
-    Fault.AXIS_NOT_AS_STATED: (Reaction.ZERO, MOVING),
-    Fault.OSCILLATION: (Reaction.STOP, MOVING),
-}
-# A drive holds these, so they do not keep RESET from clearing them.
-DRIVES_OWN = {fault for fault in RULES if fault.name.startswith("DRIVE_")} | {Fault.ENABLE_TIMEOUT, Fault.ENCODER_FAULT}
 # Not the monitor's, or not of one tick: test_cycle_faults.py, test_commissioning.py, the last test here.
-WHOLE_CYCLE = {Fault.ENABLE_TIMEOUT, Fault.HEARTBEAT_LOST, Fault.AXIS_NOT_AS_STATED, Fault.OSCILLATION}
+WHOLE_CYCLE = {
+    Fault.ENABLE_TIMEOUT,
+    Fault.HEARTBEAT_LOST,
+    Fault.AXIS_NOT_AS_STATED,
+    Fault.OSCILLATION,
+    Fault.STAMP,
+    Fault.STAMP_GLITCH,
+    Fault.STANDSTILL,
+    Fault.AXIS_MOVED,
+    Fault.SENSOR_SILENT,  # those of sensors: tests/cycle/test_readings.py
+    Fault.SENSOR_STUCK,
+    Fault.SENSOR_RANGE,
+    Fault.SENSOR_SEQUENCE,
+}
 
 
 def motion_cases() -> Iterator[Case]:
@@ -255,6 +228,10 @@ def other_cases() -> Iterator[Case]:
     bits = (Fault.DRIVE_FAULT, DriveStatus.FAULT), (Fault.DRIVE_WATCHDOG, DriveStatus.WATCHDOG)
     for fault, bit in (*bits, (Fault.ENCODER_FAULT, DriveStatus.ENCODER_FAULT)):
         yield Case(fault, Seen(status=harmless | bit), Seen(status=harmless))
+    for bit in SWITCHES:
+        yield Case(Fault.LIMIT_SWITCH, Seen(status=harmless | bit), Seen(status=harmless | DriveStatus.HOME))
+    yield Case(Fault.FOREIGN_COMMAND, Seen(foreign_id=0), WELL)  # NMT has identifier 0
+    yield Case(Fault.ANSWERS_DIFFER, Seen(differ=True), WELL)
     enabled = Seen(enabled_seen=True, status=harmless | DriveStatus.ENABLED)
     yield Case(Fault.DRIVE_DISABLED, replace(enabled, status=harmless), enabled)
     old = replace(enabled, enabled_seen=False, fresh=False)
@@ -275,14 +252,14 @@ every_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.fault.
 
 def test_every_row_of_the_table_has_a_case() -> None:
     jump = {Fault.ENCODER_JUMP}  # the second glitch in a row: below
-    assert {case.fault for case in CASES} | WHOLE_CYCLE | jump == set(RULES) == set(EXPECTED)
-    assert set(Fault) - set(RULES) == {Fault.NONE}
+    assert {case.fault for case in CASES} | WHOLE_CYCLE | jump == set(ROWS) == set(EXPECTED)
+    assert set(Fault) - set(ROWS) == {Fault.NONE}
     assert [int(fault) for fault in Fault] == list(range(1 + len(EXPECTED))), "recordings keep their meaning"
 
 
-@pytest.mark.parametrize("fault", RULES, ids=lambda fault: fault.name)
+@pytest.mark.parametrize("fault", ROWS, ids=lambda fault: fault.name)
 def test_every_row_says_what_is_written_here(fault: Fault) -> None:
-    rule = RULES[fault]
+    rule = ROWS[fault]
     assert (rule.reaction, rule.states) == EXPECTED[fault]
     assert rule.drive_latched is (fault in DRIVES_OWN)
 

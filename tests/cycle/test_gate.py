@@ -214,12 +214,13 @@ def test_the_gate_knows_neither_laws_nor_trajectories() -> None:
 
 def test_nothing_else_in_hil_builds_a_command_frame() -> None:
     """By search: a Command is constructed, and a host protocol's encode called, in gate.py alone (benchmarks measure,
-    they do not run rigs).
+    they do not run rigs; the campaign puts another host on the simulated wire).
     """
     offenders = []
     for file in (ROOT / "hil").rglob("*.py"):
         path, text = str(file.relative_to(ROOT)), file.read_text()
-        if path == "hil/cycle/gate.py" or not re.search(r"\b(Command|encode)\b", text):
+        allowed = ("hil/cycle/gate.py", "hil/studies/fault_campaign/injections.py")
+        if path in allowed or not re.search(r"\b(Command|encode)\b", text):
             continue
         for node in ast.walk(ast.parse(text)):
             if not isinstance(node, ast.Call):

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.frame import Frame
-from drivers.protocols.base import Reject, Sample
+from drivers.protocols.base import Message, Reject, Sample
 from hil.cycle.inbox import SUSPICIOUS, Inbox
 
 AXES = 2
@@ -22,6 +22,9 @@ class AnyLayout:
     def __init__(self, modulus: int) -> None:
         self.sequence_modulus = modulus
         self.outcomes: list[Sample | Reject] = []
+
+    def messages(self, period_ns: int) -> list[Message]:
+        return []
 
     def decode(self, frame: Frame) -> Sample | Reject:
         return self.outcomes[frame.can_id]
@@ -42,10 +45,11 @@ class PlainInbox:
         self.samples: list[Sample | None] = [None] * AXES
         self.heard, self.age = [False] * AXES, [0] * AXES
         self.rejects = [0] * len(Reject)
-        self.bad = self.late = self.lost = self.ticks = 0
+        self.kept = self.bad = self.late = self.lost = self.ticks = 0
 
     def forget(self) -> None:
         self.newest, self.heard, self.age, self.bad = [None] * AXES, [False] * AXES, [0] * AXES, 0
+        self.kept = 0
 
     def collect(self, outcomes: Sequence[Sample | Reject], sent: int) -> None:
         self.fresh, self.useless = [False] * AXES, 0
@@ -55,6 +59,7 @@ class PlainInbox:
                 self.rejects[reason] += 1
                 self.useless += 1
                 self.bad += reason in SUSPICIOUS
+                self.kept += isinstance(outcome, Sample) and reason is Reject.STALE and self.heard[outcome.axis]
         if sent < 0:
             return
         for axis, fresh in enumerate(self.fresh):
@@ -63,7 +68,7 @@ class PlainInbox:
             self.age[axis] = 0 if fresh else self.age[axis] + 1
         self.ticks += 1
         if self.ticks % LEAK_TICKS == 0:
-            self.bad = max(0, self.bad - 1)
+            self.bad = max(self.kept, self.bad - 1)
 
     def verdict(self, sample: Sample, sent: int) -> Reject | None:
         axis, half = sample.axis, self.modulus // 2
@@ -72,6 +77,9 @@ class PlainInbox:
             if previous is not None:
                 ahead = (sample.sequence - previous) % self.modulus
                 if ahead == 0 or ahead > half:
+                    taken = self.samples[axis]
+                    if not ahead and taken and taken.sequence == sample.sequence and taken != sample:
+                        self.fresh[axis] = False
                     return Reject.STALE if ahead else Reject.DUPLICATE
             behind = (sent - sample.sequence) % self.modulus
             if sent < 0 or behind > half:

@@ -138,6 +138,14 @@ def test_a_record_is_what_its_tick_put_there_whatever_the_ticks_before_left(n_ax
             assert record[name][shown].tobytes() == expected[name][shown].tobytes(), name
 
 
+def test_readings_are_kept_by_channel_and_an_age_too_large_is_cut() -> None:
+    builder = RecordBuilder(1)
+    builder.readings([0.5, -2.0, 1e-9, 4.0, 5.0], [0, 1, 2, 0xFFFF, 10**6])
+    record = builder.traffic([], [], [])
+    assert record["readings"].tolist() == [0.5, -2.0, 1e-9, 4.0, 5.0, 0.0, 0.0, 0.0]
+    assert record["reading_age"].tolist() == [0, 1, 2, 0xFFFF, 0xFFFF, 0, 0, 0]
+
+
 def test_more_evidence_than_its_count_can_say_is_cut_and_raises_nothing() -> None:
     builder = RecordBuilder(1)
     for count, said in ((2**15, 2**15 - 1), (5, 5)):

@@ -5,6 +5,7 @@ const readline = require('readline');
 const { Device, DataType } = require('canopen');
 
 const drive = Number(process.argv[2]);
+const PATIENCE_MS = 30000; // only a failing test waits this long
 const say = (object) => process.stdout.write(JSON.stringify(object) + '\n');
 const device = new Device({ id: 0x7e });
 device.addListener('message', ({ id, data }) => say({ id, data: Buffer.from(data).toString('hex') }));
@@ -16,11 +17,11 @@ readline.createInterface({ input: process.stdin }).on('line', (line) => {
 
 const check = (holds, what) => { if (!holds) throw new Error(what); };
 const read = (index, subIndex, dataType, more = {}) =>
-    device.sdo.upload({ serverId: drive, index, subIndex, dataType, timeout: 5000, ...more });
+    device.sdo.upload({ serverId: drive, index, subIndex, dataType, timeout: PATIENCE_MS, ...more });
 const write = (index, subIndex, data, dataType, more = {}) =>
-    device.sdo.download({ serverId: drive, index, subIndex, data, dataType, timeout: 5000, ...more });
+    device.sdo.download({ serverId: drive, index, subIndex, data, dataType, timeout: PATIENCE_MS, ...more });
 const next = (emitter, event, accept = () => true) => new Promise((resolve, reject) => {
-    const timer = setTimeout(() => reject(new Error(`no ${event}`)), 10000);
+    const timer = setTimeout(() => reject(new Error(`no ${event}`)), PATIENCE_MS);
     const listener = (...values) => {
         if (accept(...values)) {
             clearTimeout(timer);
@@ -55,12 +56,12 @@ const parts = {
         check(refused === 0x06010002, `abort code ${refused}`);
     },
     async heartbeat() {
-        await write(0x1017, 0, 20, DataType.UNSIGNED16);
+        await write(0x1017, 0, 100, DataType.UNSIGNED16); // ms: as often as software emulation keeps up with
         await next(device.nmt, 'heartbeat', (event) => (event.deviceId ?? event) === drive);
         device.nmt.startNode(drive);
         let seen = 0;
         while (seen !== 5)
-            seen = await device.nmt.getNodeState(drive, 2000);
+            seen = await device.nmt.getNodeState(drive, PATIENCE_MS);
     },
     async pdo() {
         device.nmt.enterPreOperational(drive);
@@ -105,7 +106,7 @@ const parts = {
 
 async function main() {
     device.eds.addSdoClientParameter(drive, 0x600 + drive, 0x580 + drive);
-    device.eds.addHeartbeatConsumer(drive, 2000);
+    device.eds.addHeartbeatConsumer(drive, PATIENCE_MS);
     device.eds.addEmcyConsumer(0x80 + drive);
     device.eds.setSyncCobId(0x80);
     device.eds.setSyncGenerationEnable(true);

@@ -15,14 +15,14 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 import hil
-from drivers.protocols.canopen import eds
+from drivers.eds import reader as eds
 from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
-from hil.control.frequency_response import read_response
-from hil.operate.trace_file import TraceError, read_trace
+from hil.analysis.frequency_response import read_response
 from hil.rig.bus_load import rig_messages
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.rig.task_file import TaskFileError, read_task_file
+from hil.runs.trace_file import TraceError, read_trace
 from hil.telemetry.recorder import RecordingError
 from sim_plant.scenario.language import ScenarioError, load_scenario
 from tests.fuzz.damage import damaged
@@ -183,7 +183,7 @@ def _read_trace(path: Path) -> None:
 KINDS: dict[str, Kind] = {
     "rig": Kind("toml", _found("deploy/rigs/*.toml"), _read_rig, (RigError,)),
     "scenario": Kind("toml", _found("deploy/scenarios/*.toml"), load_scenario, (ScenarioError,)),
-    "dbc": Kind("dbc", _found("deploy/rigs/*.dbc", "drivers/protocols/*.dbc"), _read_dbc, (LayoutError,)),
+    "dbc": Kind("dbc", _found("deploy/rigs/*.dbc", "drivers/families/*/*.dbc"), _read_dbc, (LayoutError,)),
     "eds": Kind("eds", _found("drivers/**/*.eds"), eds.read_eds, (eds.EdsError, OSError)),
     "recording": Kind("mcap", _recordings, _read_recording, (RecordingError, RigError), _damaged_recording),
     "export": Kind("npz", _exported, hil.load_run, (RecordingError, RigError), _damaged_archive),

@@ -3,15 +3,18 @@ gone is looked for, how long a stop may take, and whose time a record holds.
 """
 
 import itertools
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
+from hil.cycle.goal import Goal, GoalKind, MotionWord
 from hil.cycle.state_machine import State
-from hil.cycle.tick import OperatorCommand
+from hil.cycle.tick import CycleResult, OperatorCommand, Tick
+from hil.live.goal_page import LEASE_NS, GoalPage
 from hil.live.loop import CHORE_INTERVAL_S, STOP_GRACE_S, ControlLoop, TimedCycle
 from hil.live.stop_page import INDEX
 from hil.live.timing_record import METRICS
@@ -44,8 +47,11 @@ class Quiet:
     loop looked for the interface anew.
     """
 
-    skipped = overrun = sleeps = task_posted = 0
+    skipped = overrun = sleeps = task_posted = mended = 0
     period_ns = PERIOD
+
+    def mend(self) -> None:
+        """Nobody cuts this mailbox short."""
 
     def __init__(self) -> None:
         self.index, self.state = -1, BusState.ERROR_ACTIVE
@@ -241,3 +247,35 @@ def test_stages_follow_one_another_and_an_age_counts_only_where_every_axis_answe
     assert METRICS.index("lateness") == 0
     assert [row[:7] for row in rows] == [[7, 10, 20, 40, 80, 160, 4321]] * 3
     assert [row[7] for row in rows] == [1600, 1600, -1], "the oldest sample; none where an axis did not answer"
+
+
+def test_outside_active_nobody_moves_the_rig(made: Made) -> None:
+    loop, _, _ = made
+    with GoalPage(loop.parts.goals.path) as client:
+        client.take_lease()
+        tick(loop, ROUND)
+        assert client.holder() is None
+
+
+def test_a_path_whose_client_is_gone_pauses_in_the_next_tick(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, quiet, _ = made
+    desk, machine = loop._cycle.supervisor.goals, loop._cycle.supervisor.machine
+    taken: list[tuple[Goal, ...]] = []
+    step = loop._cycle.step
+
+    def stepped(tick: Tick, frames: Sequence[Frame]) -> CycleResult:
+        taken.append(tick.goals)
+        return step(tick, frames)
+
+    monkeypatch.setattr(loop._cycle, "step", stepped)
+    with GoalPage(loop.parts.goals.path) as client:
+        client.take_lease()
+        tick(loop, 1)
+        machine.state, desk.word = State.ACTIVE, MotionWord.PATH
+        quiet.now_ns = time.monotonic_ns()
+        loop._look_at_lease()
+        assert loop._pause == ()
+        quiet.now_ns += LEASE_NS + 1
+        loop._look_at_lease()
+        tick(loop, 2)
+    assert taken[-2:] == [(Goal(0, GoalKind.RATE, speed=0.0),), ()]

@@ -188,12 +188,12 @@ def test_the_layout_is_that_of_its_version(tmp_path: Path) -> None:
         for index in range(3):
             writer.append(_record(index))
         raw = (tmp_path / "ring").read_bytes()
-        header = ("<8sIIQQQQQ", b"HILRING1", 3, 4864, 4, 8192, 12, 1_000_000, os.getpid())
+        header = ("<8sIIQQQQQ", b"HILRING1", 4, 5376, 4, 8192, 12, 1_000_000, os.getpid())
         assert struct.unpack_from(header[0], raw) == header[1:]
         assert [struct.unpack_from("<Q", raw, place)[0] for place in (128, 192)] == [3, 0]
         assert raw[4096:8192].rstrip(b"\0") == b'{"rig": "x"}'
-        assert raw[8192 + 4864 :][:4864] == bytes(_record(1))
-        assert len(raw) == 8192 + 4 * 4864
+        assert raw[8192 + 5376 :][:5376] == bytes(_record(1))
+        assert len(raw) == 8192 + 4 * 5376
     ended = (tmp_path / "ring").read_bytes()
     assert struct.unpack_from("<Q", ended, 192) == (1,)
 

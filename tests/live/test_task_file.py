@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.cycle.state_machine import State
-from hil.cycle.task_loading import loaded_task
 from hil.live.task_file import PIECES, TaskIntake, task_bytes
+from hil.live.task_loading import loaded_task
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from tests.live.test_loop import NO_ACK, UnpoweredDrives, loop_beside

@@ -8,7 +8,7 @@ import pytest
 
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
-from hil.live.notes import read_problems
+from hil.events.notes import read_problems
 from hil.live.runtime_paths import runtime_paths
 from tests.support.live_rig import PATIENCE_S, Control, emulated, order
 from tests.support.wrong_layouts import MAKER, encode, write

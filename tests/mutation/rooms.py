@@ -25,16 +25,16 @@ class Room(NamedTuple):
 
 ROOMS = {
     "cycle": Room(
-        ("hil/cycle",),
+        ("hil/cycle", "hil/events"),
         ("tests/cycle/test_state_machine.py", "tests/cycle/test_gate.py", "tests/cycle",
-         "tests/telemetry/test_recorder.py", "tests/live/test_notes.py", _PAGES, *_RUNS,
+         "tests/telemetry/test_recorder.py", "tests/events", _PAGES, *_RUNS,
          *_LOCKSTEP, "tests/virtual/test_replay.py"),
     ),
     "plug-ins": Room(
-        ("hil/control/laws/users.py", "hil/control/law_registry.py", "drivers/plugins.py", "drivers/package_digest.py",
-         "drivers/call_limit.py"),
-        ("tests/drivers/test_plugin_folder.py", "tests/drivers/test_package_digest.py",
-         "tests/drivers/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+        ("hil/control/laws/users.py", "hil/control/law_registry.py", "drivers/base/plugins.py",
+         "drivers/base/package_digest.py", "drivers/base/call_limit.py"),
+        ("tests/drivers/base/test_plugin_folder.py", "tests/drivers/base/test_package_digest.py",
+         "tests/drivers/base/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
          "tests/control/test_laws_per_element.py",
          "tests/virtual/test_installed_law.py", "tests/control/test_laws.py", "tests/virtual/test_user_layout.py"),
     ),
@@ -46,24 +46,29 @@ ROOMS = {
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
          "tests/control/test_repeat_memory.py", *_RUNS,
-         "tests/control/test_laws.py", _PAGES, "tests/control/test_user_laws.py", "tests/virtual/test_learnt.py"),
+         "tests/control/test_laws.py", "tests/control/test_gain.py", _PAGES, "tests/control/test_user_laws.py",
+         "tests/virtual/test_learnt.py"),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
-        ("tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
+        ("tests/control/test_rows.py",
+         "tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
          "tests/control/test_blends.py", "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
          *_RUNS, *_LOCKSTEP),
     ),
+    "plans": Room(("hil/control/plans",), ("tests/control/plans",)),
+    "sensors": Room(("drivers/sensors",), ("tests/drivers/sensors", "tests/cycle/test_readings.py")),
+    "eds": Room(("drivers/eds",), ("tests/drivers/eds",)),
     "estimator": Room(
         ("hil/control/estimator",),
         ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py",
          "tests/control/test_user_estimators.py", "tests/virtual/test_user_layout.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
-        ("hil/control",),
-        ("tests/control/test_stability.py", "tests/control/test_measures.py", "tests/control/test_feasibility.py",
-         "tests/control/test_corner_dynamics.py", "tests/control/test_loop_corners.py", "tests/rig/test_checks.py",
-         "tests/control/test_start_ranges.py", "tests/control/test_learning_check.py",
+        ("hil/analysis",),
+        ("tests/analysis/test_stability.py", "tests/analysis/test_measures.py", "tests/analysis/test_feasibility.py",
+         "tests/analysis/test_corner_dynamics.py", "tests/analysis/test_loop_corners.py", "tests/rig/test_checks.py",
+         "tests/analysis/test_start_ranges.py", "tests/analysis/test_learning_check.py",
          "tests/virtual/test_ideal_microscope.py"),
     ),
     "live": Room(
@@ -71,12 +76,13 @@ ROOMS = {
         ("tests/live/test_ring.py", "tests/live/test_mailbox.py", "tests/live/test_loop.py", "tests/live",
          "tests/telemetry/test_commands.py", "tests/telemetry/test_sidecar.py"),
     ),
-    "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/test_runtime.py")),
+    "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/base/test_runtime.py")),
     "layouts": Room(
-        ("drivers/protocols", "drivers/frame.py", "drivers/frame_length.py", "drivers/segments.py"),
-        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py", "tests/drivers/test_segments.py",
-         "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/protocols/test_drive_plans.py",
-         "tests/drivers/protocols",
+        ("drivers/protocols", "drivers/families", "drivers/frame.py", "drivers/frame_length.py"),
+        ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py",
+         "tests/drivers/protocols/test_segments.py",
+         "tests/drivers/protocols/test_host_conversations.py", "tests/drivers/families/cia402/test_drive_plans.py",
+         "tests/drivers/protocols", "tests/drivers/families",
          "tests/cycle/test_protocol_tracking.py", "tests/sim_plant/test_drive.py", *_RUNS,
          "tests/operate/test_drives.py", "tests/operate/test_bus_tool.py", "tests/virtual/test_user_layout.py"),
     ),
@@ -84,7 +90,8 @@ ROOMS = {
     "physics": Room(("sim_plant/physics",), ("tests/sim_plant", "tests/rig/test_plant.py", *_RUNS)),
     "drives": Room(
         ("sim_plant/drives",), ("tests/sim_plant/test_conversations.py", "tests/sim_plant/test_drive.py",
-         "tests/drivers/protocols", "tests/sim_plant", "tests/virtual/test_seeded_mistakes.py", *_RUNS)
+         "tests/drivers/protocols", "tests/drivers/families", "tests/sim_plant",
+         "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
     "telemetry": Room(
         ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"),
@@ -94,7 +101,7 @@ ROOMS = {
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
          "tests/control/test_task_paths.py", *_RUNS,
-         "tests/drivers/protocols/test_mounting.py", "tests/drivers/protocols/test_drive_profiles.py"),
+         "tests/drivers/protocols/test_mounting.py", "tests/drivers/families/cia402/test_drive_profiles.py"),
     ),
 }  # fmt: skip
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from drivers.families.cia402 import cia301
 from drivers.frame import FD, Frame
 from drivers.protocols.base import DriveStatus
-from drivers.protocols.canopen import cia301
 from drivers.protocols.frame_text import Reader, layout_reader
 from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, jog_settings
 from hil.operate.bringup.report_text import as_document, show

@@ -61,7 +61,7 @@ def enabled(bench: Bench, mode: int) -> Any:
     node = bench.node(profile=False)
     node.nmt.state = "OPERATIONAL"
     node.sdo[0x6060].raw = mode
-    bench.network.sync.start(0.005)
+    bench.network.sync.start(bench.sync_s)
     for word, state in ((0x06, "RTSO"), (0x07, "SO"), (0x0F, "OE")):
         node.sdo[0x6040].raw = word
         reaches(node, state)
@@ -92,7 +92,7 @@ def test_every_transition_in_every_mode(mode: int, bench: Bench) -> None:
 def test_a_402_master_goes_from_any_state_to_any_other(bench: Bench) -> None:
     node = bench.operational()
     node.sdo[0x605A].raw = 6
-    bench.network.sync.start(0.005)
+    bench.network.sync.start(bench.sync_s)
     states = ("SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED")
     for start in states:
         for target in states:
@@ -135,7 +135,7 @@ def test_positions_speeds_and_torques_are_reached(bench: Bench) -> None:
 def test_it_homes(bench: Bench) -> None:
     node = bench.operational()
     node.sdo[0x607C].raw = 1234
-    bench.network.sync.start(0.005)
+    bench.network.sync.start(bench.sync_s)
     assert node.homing()
     assert node.sdo[0x6064].raw == 1234
 
@@ -185,14 +185,14 @@ def test_a_master_reads_whatever_way_the_drive_answers(answers: str, eds: Path) 
 
 def test_heartbeats_are_told_and_the_masters_are_heard(bench: Bench) -> None:
     node = bench.node(profile=False)
-    node.sdo[0x1017].raw = 5
+    node.sdo[0x1017].raw = round(1000 * bench.sync_s)  # ms
     for command, state in (("OPERATIONAL", "OPERATIONAL"), ("STOPPED", "STOPPED"), ("PRE-OPERATIONAL",) * 2):
         node.nmt.state = command
         eventually(lambda state=state: node.nmt.wait_for_heartbeat(PATIENCE_S) == state)  # type: ignore[misc]
     node.sdo[0x1016][1].raw = 0x7F << 16 | 20_000  # ms: longer than a loaded computer is late
     node.nmt.state = "OPERATIONAL"
     heartbeat = bench.network.send_periodic(0x77F, b"\5", 0.02)
-    bench.network.sync.start(0.005)
+    bench.network.sync.start(bench.sync_s)
     for word, state in ((0x06, "RTSO"), (0x0F, "OE")):
         node.sdo[0x6040].raw = word
         reaches(node, state)
@@ -262,7 +262,7 @@ def test_pdos_are_mapped_anew_cyclic_event_driven_and_at_once(bench: Bench) -> N
 
 def test_a_mapping_that_cannot_be_is_refused_with_the_code_for_it(bench: Bench) -> None:
     node = bench.node(profile=False)
-    assert refused(node, 0x1A00, 0, 0) == 0x08000022  # while it is valid
+    assert refused(node, 0x1A00, 1, 0) == 0x08000022  # while it is valid
     node.sdo[0x1800][1].raw = 0xC0000180 + NODE
     node.sdo[0x1A00][0].raw = 0
     assert refused(node, 0x1A00, 0x10010008, 1) == 0x06040041  # not mappable

@@ -134,6 +134,9 @@ def test_a_latched_fault_is_a_banner_above_the_list_of_events() -> None:
     assert banner(stopped, events).plain == events[1].line
     assert banner(status(), events).plain == ""
     assert banner(stopped, []).plain == "fault ENCODER_LOST"  # its event has not come yet
+    storm = [event("slots", pb_events.Event.TICKS_LOST)] * 1000
+    kept = status(state="FAULT", fault="ENCODER_LOST", latched=events[1])
+    assert banner(kept, storm).plain == events[1].line  # part of the status, whatever followed
     console = Console(width=200, record=True, file=io.StringIO())
     console.print(view(stopped, events=events))
     text = console.export_text()
@@ -182,7 +185,8 @@ def test_without_bokeh_the_command_says_what_to_install(
 def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, paper: RigConfig, ticks: int) -> None:
     values = np.sin(np.arange(ticks)[:, None] * 1e-2 + np.arange(2))
     values[: ticks // 3] = np.nan
-    run = SimpleNamespace(setpoint=values, error=values * 1e-6, force=np.zeros((ticks, 2)))
+    time = np.arange(ticks) * 1e-3
+    run = SimpleNamespace(time=time, setpoint=values, error=values * 1e-6, force=np.zeros((ticks, 2)))
     tracking_picture(tmp_path / "deep" / "tracking.png", paper, run, np.full(ticks, 3e-5))
     assert (tmp_path / "deep" / "tracking.png").read_bytes().startswith(b"\x89PNG")
 
@@ -195,7 +199,7 @@ def test_a_single_peak_survives_the_thinning_of_a_long_line(ideal_microscope: Ri
     values = np.zeros(100_000)
     values[77_777] = 5.0
     panel = Figure().add_subplot()
-    _line(panel, ideal_microscope, values, "", "C0")
+    _line(panel, ideal_microscope, np.arange(100_000) * 1e-3, values, "", "C0")
     [drawn] = panel.lines
     assert np.max(drawn.get_ydata()) == 5.0
     assert len(np.asarray(drawn.get_ydata())) < 4000
@@ -239,7 +243,9 @@ def test_no_text_in_a_status_commands_the_terminal_or_the_browser() -> None:
             setattr(hostile, field.name, evil)
         else:
             getattr(hostile, field.name)[:] = [evil] * 2
+    hostile.latched.line = evil
     clean = printable(hostile)
+    assert "\x1b" not in clean.latched.line
     console = Console(width=200, record=True, file=io.StringIO(), force_terminal=False)
     console.print(view(clean))
     console.print(line(clean), markup=False)

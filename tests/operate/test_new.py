@@ -10,8 +10,8 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from hil.analysis.stability import check_stability
 from hil.cli.app import build_app
-from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.plant_notes import plant_notes
 from hil.rig.scaffold import LAYOUTS, AxisSketch, _move_s
@@ -158,7 +158,7 @@ def test_explain_says_meaning_unit_range_and_default(tmp_path: Path) -> None:
     [
         ("hil expl", ["explain"]),
         ("hil new stage.toml --rot", ["--rotary"]),
-        ("hil explain axes.x.limits.s", ["axes.x.limits.speed"]),
+        ("hil explain axes.x.limits.sp", ["axes.x.limits.speed"]),
         ("hil explain drives.w", ["drives.watchdog_s"]),
     ],
 )

@@ -143,7 +143,7 @@ def test_the_program_that_walks_books_the_slots_that_it_works_through_as_its_own
     program = build_reference(walking.C_SOURCE, tmp_path)
     figures = walking.walking(program, rig, periods=20, work_ns=2.5 * rig.period_ns)
     assert figures["own_misses"] > 0
-    assert figures["own_misses"] + figures["host_misses"] >= 2 * 20  # two slots a period
+    assert figures["own_misses"] + figures["host_misses"] >= 20  # at least one a period, two where none begins late
 
 
 def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():

@@ -28,7 +28,9 @@ def missing_build() -> str:
     if not built.exists():
         return "no compiled build: make compiled (needs a C compiler and Python's headers)"
     folders = [ROOT / name for name in (*PACKAGES, "deploy/compiled")]
-    sources = (path for folder in folders for kind in ("py", "dbc", "eds") for path in folder.rglob(f"*.{kind}"))
+    sources = (
+        path for folder in folders for kind in ("py", "dbc", "eds", "c", "h") for path in folder.rglob(f"*.{kind}")
+    )
     changed = max(path.stat().st_mtime for path in sources) > built.stat().st_mtime
     return "the compiled build is older than the sources: make compiled" if changed else ""
 

@@ -2,6 +2,8 @@
 
 import re
 
+from docs.make_fault_numbers import FILE as FAULT_NUMBERS
+from docs.make_fault_numbers import numbers
 from docs.make_pages import (
     FOLDER,
     SCHEMA,
@@ -13,7 +15,7 @@ from docs.make_pages import (
     states_page,
 )
 from hil.control.law_registry import law_class
-from hil.cycle.fault_table import RULES, Fault
+from hil.cycle.fault_table import ROWS, Fault
 from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
 from tests.support.paths import ROOT
@@ -22,6 +24,7 @@ RENEW = "make docs"
 
 
 def test_the_pages_are_up_to_date() -> None:
+    assert FAULT_NUMBERS.read_text() == numbers(), RENEW
     assert (FOLDER / "states.md").read_text() == states_page(), RENEW
     assert (FOLDER / "faults.md").read_text() == faults_page(), RENEW
     assert (FOLDER / "rig-file.md").read_text() == rig_file_page(), RENEW
@@ -36,10 +39,9 @@ def test_every_gain_of_every_law_is_in_the_table() -> None:
 
 
 def test_every_fault_has_a_rule_and_every_rule_a_detector() -> None:
-    assert set(RULES) == set(Fault) - {Fault.NONE}
-    code = "".join(
-        (ROOT / "hil" / name).read_text() for name in ("cycle/fault_monitor.py", "cycle/step.py", "cycle/supervisor.py")
-    )
+    assert set(ROWS) == set(Fault) - {Fault.NONE}
+    files = ("fault_monitor", "reading_faults", "step", "supervisor", "sampling")
+    code = "".join((ROOT / "hil" / "cycle" / f"{name}.py").read_text() for name in files)
     body = code[code.index("class FaultMonitor") :] + code[code.index("_STATUS_FAULTS = (") : code.index("_BAD_STATUS")]
-    unseen = [fault.name for fault in RULES if not re.search(rf"Fault\.{fault.name}\b", body)]
+    unseen = [fault.name for fault in ROWS if not re.search(rf"Fault\.{fault.name}\b", body)]
     assert unseen == []

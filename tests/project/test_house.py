@@ -2,6 +2,7 @@
 
 import ast
 import re
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from tests.support.paths import ROOT
 FOLDERS = ("hil", "examples", "drivers", "sim_plant", "tests", "deploy", "docs", ".ci")
 KINDS = {".py", ".c", ".sh", ".md", ".toml", ".mk", ".proto", ".dbc"}
 GENERATED = {"hil/telemetry/telemetry_pb2.py", "hil/telemetry/events_pb2.py", "docs/rig-file.md", "docs/python.md"}
-MOST_LINES = 400
+MANY_LINES = 400  # more: a warning with a list, so that nobody has to split a file in the midst of another change
+MOST_LINES = 600
 MOST_ARGUMENTS = 7
 
 # Words this project has given up -> what it says instead. Patterns are for names as well as for prose, and leave the
@@ -87,7 +89,11 @@ def test_the_patterns_find_names_and_prose_and_spare_ordinary_english() -> None:
 
 
 def test_no_file_is_long() -> None:
-    assert {name: count for name, text in sources() if (count := len(text.splitlines())) > MOST_LINES} == {}
+    counts = {name: len(text.splitlines()) for name, text in sources()}
+    long = sorted(f"{name}: {count}" for name, count in counts.items() if count > MANY_LINES)
+    if long:
+        warnings.warn(f"files of more than {MANY_LINES} lines, to be split: {', '.join(long)}", stacklevel=1)
+    assert {name: count for name, count in counts.items() if count > MOST_LINES} == {}
 
 
 def positional_arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:

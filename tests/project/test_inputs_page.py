@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from drivers.base.toml_file import DEEPEST, LARGEST, MOST_PROBLEMS
+from drivers.eds import reader as eds
 from drivers.protocols import dbc_codec
-from drivers.protocols.canopen import eds
-from drivers.toml_file import DEEPEST, LARGEST, MOST_PROBLEMS
-from hil.control import frequency_response
-from hil.operate import run_files, trace_file
+from hil.analysis import frequency_response
 from hil.rig import brought, npz_file, task_file
+from hil.runs import files as run_files
+from hil.runs import trace_file
 from hil.telemetry import codec, command_wire, mcap_items, session
 from tests.support.paths import ROOT
 

@@ -20,12 +20,15 @@ ROOMS = (
     "__main__",
     "connection",
     "studies",
-    "runs",
+    "identify",
     "operate",
+    "runs",
     "virtual",
     "telemetry",
     "live",
+    "events",
     "cycle",
+    "analysis",
     "control",
     "cli",
     "rig",
@@ -33,13 +36,14 @@ ROOMS = (
 PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
-        "teller run loop journal ring_events notes stop_line timing_record realtime task_file watched_file systemd "
-        "miss_ledger pacing ring mailbox mapped_file runtime_paths stop_page file_lock"
+        "teller run loop journal task_loading stop_line timing_record realtime task_file watched_file systemd "
+        "miss_ledger pacing goal_link ring mailbox goal_page mapped_file runtime_paths stop_page file_lock"
     ),
+    "events": "sources marks notes stream accuracy causes storm event table",
     "cycle": (
-        "event_notes events note event_storm event event_table task_loading step supervisor commissioning axes "
-        "record_builder limits damped_stop sampling fault_monitor oscillation fault_table inbox record gate "
-        "command_desk state_machine tick"
+        "step supervisor goal_desk commissioning axes record_builder limits damped_stop sampling drive_clock "
+        "reading_faults fault_monitor rest_watch travel oscillation fault_table inbox readings record gate "
+        "command_desk state_machine tick goal"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other
@@ -149,13 +153,18 @@ def test_the_gate_comes_with_next_to_nothing() -> None:
     assert len(names) < 190  # it was 380 once, for an exception class in the file of the DBC parser
 
 
+def test_a_tick_loads_every_file_of_the_cycle() -> None:
+    files = {name for name in modules() if name.startswith("hil.cycle")}
+    assert len(files) > 25
+    assert files <= set(loaded("import hil.cycle.step"))
+
+
 def test_the_cycle_comes_without_command_line_telemetry_and_can_libraries() -> None:
     assert unwanted(loaded("import hil.cycle.step"), (*LUGGAGE, *NOT_THEIRS, "hil.live", "argparse")) == []
 
 
 RUN_SHORTLY = """
-import os, sys, tempfile
-os.environ["HIL_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="hil-")
+import sys
 sys.argv[1:] = ["run", "deploy/rigs/paper.toml", "--ticks", "20", "--set", "timing.realtime=false",
     "--set", "timing.lock_memory=false", "--set", "timing.dma_latency=false", "--set", "bus.interface=local",
     "--set", "timing.allow_degraded=true"]
@@ -167,10 +176,13 @@ except SystemExit as end:
 """
 
 
-def test_the_control_process_comes_without_them_too_from_its_start_to_its_end() -> None:
+def test_the_control_process_comes_without_them_too_from_its_start_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
     names = loaded(RUN_SHORTLY)
     assert "hil.live.loop" in names
     assert unwanted(names, (*LUGGAGE, *NOT_THEIRS)) == []
     # It was 641 once. numpy, and pydantic, which reads the rig file, alone are 307 of them, with what they import
-    # (importlib.metadata, email, inspect); our own are 118, argparse, json and subprocess most of the others.
-    assert len(names) < 465
+    # (importlib.metadata, email, inspect); our own are 164, argparse, json and subprocess most of the others.
+    assert len(names) < 515

@@ -124,3 +124,33 @@ def test_a_recording_of_an_earlier_version_gives_the_rig_it_was_made_with() -> N
         with warnings.catch_warnings(), rig_of_run(recorded) as (again, _):
             warnings.simplefilter("error")
             assert rig_hash(again) == rig_hash(rig)
+
+
+@pytest.mark.parametrize(
+    ("override", "note"),
+    [
+        ("plant.friction_scale=1.5", "mass as the nominal model says; coulomb, viscous, quadratic 1.5 times what the"),
+        (
+            "plant.mass_scale=0.8",
+            "mass 0.8 times what the nominal model says; coulomb, viscous, quadratic as the nominal",
+        ),
+    ],
+)
+def test_a_stage_that_is_scaled_is_not_said_to_be_as_the_model(override: str, note: str) -> None:
+    (line,) = plant_notes(load_rig(PAPER, [override]))
+    assert note in line
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        ((), False),
+        (("plant.stage=ideal",), True),
+        (("plant.stage=ideal", "law.name=structured-kalman"), False),
+        (("plant.stage=air-bearing",), False),
+        (("plant.presliding=0.0",), True),
+    ],
+)
+def test_a_law_for_presliding_on_guides_without_it_is_told(overrides: tuple[str, ...], told: bool) -> None:
+    notes = plant_notes(load_rig(RIGS / "microscope.toml", overrides))
+    assert any("law will hunt" in note for note in notes) == told

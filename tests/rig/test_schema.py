@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.toml_file import LARGEST, MOST_PROBLEMS
+from drivers.base.toml_file import LARGEST, MOST_PROBLEMS
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError, TaskConfig

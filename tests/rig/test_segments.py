@@ -68,7 +68,7 @@ def test_a_dbc_message_is_of_one_segment(name: str, overrides: str, reason: str)
 @pytest.mark.parametrize("name", ["paper", "paper-dbc", "moteus", "odrive", "vesc"])
 def test_a_layout_tells_no_more_on_two_segments_than_on_one(name: str) -> None:
     hosts = [rig_layout(load_rig(RIGS / f"{name}.toml", overrides), RIGS) for overrides in ((), TWO)]
-    for what in ("checksum", "states", "causes", "fd", "sequence_modulus", "state_ns", "positions"):
+    for what in ("checksum", "states", "causes", "tells", "fd", "sequence_modulus", "state_ns", "positions"):
         one, two = (getattr(host, what) for host in hosts)
         assert one == two, what
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers import call_limit, plugins
+from drivers.base import call_limit, plugins
+from hil.analysis.feasibility import task_problems
 from hil.cli.app import build_app
-from hil.control.feasibility import task_problems
 from hil.control.trajectories import make_trajectory
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
@@ -83,8 +83,8 @@ def test_a_task_that_is_not_to_be_had_is_refused_by_name(kind: str, text: str, r
 @pytest.mark.parametrize(("override", "text"), [
     ("task.parameters.petal=5", "task.parameters.petal: ./rose.py:Rose has radius, petals, seconds"),
     ("task.axes=[]", "./rose.py:Rose needs the names of the axes it moves"),
-    ("task.axes=['x']", "./rose.py:13: ValueError: a rose needs two axes"),
-    ("task.parameters.radius='far'", "./rose.py:20: "),
+    ("task.axes=['x']", "./rose.py:16: ValueError: a rose needs two axes"),
+    ("task.parameters.radius='far'", "./rose.py:23: "),
     ("task.parameters.radius=2.0", "is outside axes.x.limits.position"),
     ("task.parameters=5", "task.parameters = 5"),
 ])  # fmt: skip

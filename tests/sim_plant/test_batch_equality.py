@@ -1,7 +1,5 @@
 """A batch of stages is bit for bit its members one by one, over every combination of what an axis can have."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,18 +7,8 @@ from hypothesis import strategies as st
 
 from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Stage, Truth
-from tests.support.plant_reference import (
-    EFFECTS,
-    FILE,
-    MS,
-    THERE_AND_BACK,
-    hash_of,
-    plant_with,
-    shown_by,
-    with_and_without,
-)
-
-KNOWN = json.loads(FILE.read_text(encoding="utf-8"))["plants"]
+from tests.golden.golden import hold
+from tests.golden.plants.tell import EFFECTS, MS, THERE_AND_BACK, lines, plant_with, shown_by, with_and_without
 
 plants = st.builds(
     lambda chosen, mass, coulomb, seed: PlantConfig(
@@ -77,13 +65,13 @@ def equal_step_by_step(members: list[PlantConfig], pieces: list[tuple[float, flo
 @pytest.mark.parametrize("effect", sorted(EFFECTS))
 def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effect: str) -> None:
     """A batch that lost the effect where another one is on would show what the plant without it does; and what it shows
-    has not changed, to the bit (tests/support/plant_reference.py).
+    has not changed, to the bit (tests/golden/plants).
     """
     pairs, plain = with_and_without(effect)
     shown = shown_by(equal_step_by_step([*pairs, *plain], THERE_AND_BACK, copies=1))
     same = [row for row in range(len(pairs)) if np.array_equal(shown[row], shown[row + len(pairs)])]
     assert not same, same
-    assert hash_of(shown) == KNOWN[effect]
+    hold("plants", effect, lines(effect, shown))
 
 
 def with_numbers_of_its_own(number: int) -> PlantConfig:
@@ -134,11 +122,6 @@ def test_noise_goes_on_where_it_was_when_brakes_grip_and_let_go() -> None:
             stage.advance(MS, [0.0] * 2)
             assert seen[-1][row] == stage.readings()
     assert len({tuple(shown[0]) for shown in seen}) == 4, "no draw of noise comes twice"
-
-
-def test_there_is_a_hash_for_every_effect() -> None:
-    assert set(KNOWN) == set(EFFECTS)
-    assert set(EFFECTS) <= set(PlantConfig.model_fields)
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,6 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim_plant.config import PlantConfig
+from sim_plant.physics.dynamic_batch import take
+from sim_plant.physics.events import dynamics_of
+from sim_plant.physics.real_axes import kinds_of, structure_of
 from sim_plant.physics.stage import Stage, Truth
 from sim_plant.physics.structure import Motion
 
@@ -224,10 +227,12 @@ def test_what_pulls_on_a_motor_that_friction_holds_is_the_sum_of_all_that_hangs_
     along = {"cogging": [{"amplitude": 0.2, "period": 0.01, "phase": 0.3}], "friction_variation": 0.1}
     along |= {"friction_period": 0.02, "stribeck_scale": 0.4, "stribeck_velocity": 0.01, "torque_lag": 1e-3}
     floor = {"vibration": [{"acceleration": 0.5, "frequency_hz": 30.0}]}
-    axis = stage_of(**X, **mode(200.0, 0.1), **cable, **along, **floor)._single.axes[0]
+    stage = stage_of(**X, **mode(200.0, 0.1), **cable, **along, **floor)
+    structure = structure_of(stage.truth, np.zeros(1))
+    axis = dynamics_of(take(structure, 0), int(kinds_of(stage.truth, structure)[0]))
     q, tool, speed, bent, lagged, t = 1.3e-3, 1.5e-3, -0.02, 0.4, 0.7, 0.011
     at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0)
-    net, hold = axis._engine.load_on_motor(at, t, (0.11, 9.0))
+    net, hold = axis.load_on_motor(at, t, (0.11, 9.0))
     ring = 2.0 * math.pi * 200.0
     coupling = 0.3 * 0.93 * (ring * ring * (tool - q) + 0.2 * ring * speed)
     pulls = coupling - 0.05 * bent - 20.0 * q + 0.2 * math.sin(2.0 * math.pi * q / 0.01 + 0.3)

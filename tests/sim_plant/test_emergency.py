@@ -1,6 +1,6 @@
 """Emergency messages of an emulated node: when they come, and when none may."""
 
-from drivers.protocols.canopen.cia301 import EMCY, PDO_INVALID, Emergency
+from drivers.families.cia402.cia301 import EMCY, PDO_INVALID, Emergency
 from sim_plant.drives.emergency import EmergencyProducer
 from sim_plant.drives.object_dictionary import ObjectDictionary, key_of
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.protocols.canopen.cia301 import DriveState
+from drivers.families.cia402.cia301 import DriveState
 from sim_plant.drives.motion_drive import (
     CSP,
     CST,

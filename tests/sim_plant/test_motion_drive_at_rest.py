@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import DriveState, NmtCommand
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import DriveState, NmtCommand
 from sim_plant.drives.motion_drive import HM, NEGATIVE_LIMIT, POSITIVE_LIMIT, PP, PV, TQ, MotionDrive
 from sim_plant.drives.motor import Motor
 from sim_plant.drives.servo import NEVER_NS, ServoDrive

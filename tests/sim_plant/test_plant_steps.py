@@ -11,7 +11,7 @@ from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Stage, Truth
 from sim_plant.physics.truth import FIRST_LINE
 from sim_plant.scenario.language import KINDS, PLANT_PREFIX
-from tests.support.plant_reference import EFFECTS, MS, shown_by
+from tests.golden.plants.tell import EFFECTS, MS, shown_by
 
 IDEAL = {"mass", "coulomb", "viscous", "quadratic", "gravity", "modelling_error", "puncture_depth", "seed"}
 IDEAL_BEGIN = ("stribeck", "ripple", "cell")

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import pytest
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import Abort, DriveState, Emergency
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.cia301 import Abort, DriveState, Emergency
 from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.motion_drive import CSP, CST, CSV, HOME_SWITCH, INTERLOCK, PV, TQ
 from sim_plant.drives.object_dictionary import key_of

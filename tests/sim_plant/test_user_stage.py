@@ -131,7 +131,7 @@ def test_check_refuses_a_stage_that_is_none(how: str, text: str, rig_file: Path)
 
 @pytest.mark.parametrize(("override", "text"), [
     ("plant.parameters.stifness=1.0", "it cannot be made: "),
-    ("plant.parameters.stiffness='much'", "./leaning.py:17: "),
+    ("plant.parameters.stiffness='much'", "./leaning.py:20: "),
 ])  # fmt: skip
 def test_its_parameters_are_its_own_to_check(override: str, text: str, rig_file: Path) -> None:
     with pytest.raises((RigError, PlantError)) as caught:

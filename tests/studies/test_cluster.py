@@ -43,7 +43,7 @@ def sweep(tmp_path: Path, name: str, *options: str) -> dict[str, Any]:
     sets = [word for change in QUICK for word in ("--set", change)]
     arguments = ["sweep", str(PAPER), "--plants", "7", "--seconds", "0.7", "--hard", "--worst", "1", *sets]
     outcome = CliRunner().invoke(
-        build_app("sweep"), [*arguments, "--output", str(tmp_path / name), "--json", str(target), *options]
+        build_app("sweep"), [*arguments, "--out", str(tmp_path / name), "--json", str(target), *options]
     )
     assert outcome.exit_code == 0, outcome.output
     return json.loads(target.read_text())["laws"]["structured-kalman"]  # type: ignore[no-any-return]
@@ -72,7 +72,9 @@ def ran(command: str, options: list[str], tmp_path: Path, name: str) -> str:
 
 BROUGHT = ["--set", "law.name=./lqr.py:Lqr", "--set", "task.kind=./rose.py:Rose", "--set", "task.axes=['x', 'y']",
            "--set", "plant.stage=./leaning.py:Leaning", "--set", "task.approach_s=0.2",
-           "--set", "plant.parameters.stiffness=0.1"]  # fmt: skip
+           "--set", "plant.parameters.stiffness=0.1",
+           # its springs move it before it has torque
+           "--set", "axes.x.limits.standstill=0.005", "--set", "axes.y.limits.standstill=0.005"]  # fmt: skip
 COMMANDS = {
     "compare": ["--laws", "pd-feedforward,./lqr.py:Lqr", "--seconds", "1", "--undisturbed"],
     "faults": ["--stride", "97", *BROUGHT],
@@ -89,7 +91,7 @@ def test_plug_ins_and_rig_travel_and_the_bytes_are_the_same(
         shutil.copy(ROOT / "examples" / file, tmp_path)
     shutil.copy(PAPER, tmp_path)
     options = ["paper.toml", *COMMANDS[command]]
-    here = ran(command, [*options, "--jobs" if command == "faults" else "--workers", "1"], tmp_path, "here")
+    here = ran(command, [*options, "--workers", "1"], tmp_path, "here")
     assert ran(command, [*options, "--scheduler", address], tmp_path, "there") == here
     assert not any((tmp_path / "runs" / ".unfinished").glob("*"))
 
@@ -179,7 +181,7 @@ def chunks_done(address: str) -> set[str]:
 def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.studies.crew.CONNECT_TIMEOUT_S", 0.2)
     outcome = CliRunner().invoke(
-        build_app("sweep"), ["sweep", str(PAPER), "--output", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]
+        build_app("sweep"), ["sweep", str(PAPER), "--out", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]
     )
     assert outcome.exit_code != 0
     assert "tcp://127.0.0.1:9" in str(outcome.exception)

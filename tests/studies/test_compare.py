@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from hil.analysis.stability import refuse_unstable
 from hil.cli.app import build_app
-from hil.control.stability import refuse_unstable
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.studies.compare.cases import LEARNING, case_rig, cases, disturbances, run_case

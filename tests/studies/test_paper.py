@@ -176,10 +176,10 @@ def test_runs_come_back_from_worker_processes_the_same(runs: dict[Job, Run]) -> 
 def test_the_command_writes_what_was_asked_for_and_refuses_unknown_claims(tmp_path: Path) -> None:
     app = build_app("reproduce")
     target = tmp_path / "claims.json"
-    arguments = ["reproduce", "--claims", "paper-gains-sampled", "--json", str(target), "--output", str(tmp_path)]
+    arguments = ["reproduce", "--claims", "paper-gains-sampled", "--json", str(target), "--out", str(tmp_path)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     (document,) = json.loads(target.read_text())["claims"]
     assert document["id"] == "paper-gains-sampled"
     assert (tmp_path / "report.html").exists()
-    refused = CliRunner().invoke(app, ["reproduce", "--claims", "pdff-exact", "cold-fusion", "--output", str(tmp_path)])
+    refused = CliRunner().invoke(app, ["reproduce", "--claims", "pdff-exact", "cold-fusion", "--out", str(tmp_path)])
     assert refused.exit_code == 2

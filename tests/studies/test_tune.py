@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import tomlkit
 
+from hil.analysis.stability import check_stability
 from hil.control.gain import Knob, knobs
 from hil.control.law_registry import law_class
-from hil.control.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig, RigError
@@ -252,7 +252,7 @@ def test_margins_of_candidates_are_those_of_hil_check() -> None:
 
 @pytest.mark.parametrize("law", SPACE)
 def test_gains_of_the_rig_are_whole_and_say_how_they_were_found(law: str) -> None:
-    """Every knob of every law from one command from mid-range. Their margins: tests/control/test_stability.py."""
+    """Every knob of every law from one command from mid-range. Their margins: tests/analysis/test_stability.py."""
     assert set(load_rig(PAPER).law.tuned[law]) == set(SPACE[law])
     section = PAPER.read_text().split(f"[law.tuned.{law}]", 1)[1]
     command = section.splitlines()[1]

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from drivers.config import BusConfig
+from drivers.config import BusConfig, Wiring
+from drivers.families.cia402.host import Cia402Host
+from drivers.families.cia402.node import Phase
 from drivers.frame import Frame
 from drivers.protocols.base import Command, Reject, Sample
-from drivers.protocols.canopen.host import Cia402Host
-from drivers.protocols.canopen.node import Phase
 from sim_plant.drives.canopen_drive import Cia402Drive
 from sim_plant.drives.servo import ServoDrive
 
@@ -26,7 +26,7 @@ class Bench:
 
     def __init__(self, rated: Sequence[float] = (5.3, 20.0, 0.04, 1.0)) -> None:
         self.rated = list(rated)
-        self.host = Cia402Host(BusConfig(protocol="cia402"), len(self.rated), self.rated)
+        self.host = Cia402Host(Wiring(BusConfig(protocol="cia402"), len(self.rated), self.rated))
         self.drives = [make_drive(axis + 1, force) for axis, force in enumerate(self.rated)]
         self.deaf: set[int] = set()
         self.now = 0

@@ -15,26 +15,32 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.injections import (
     Encoder,
+    answer_twice,
     axis_frames,
     babble,
     bend,
     disbelieve,
     drop_out,
+    encoder_creep,
     fail,
+    foreign_command,
     forge,
     law_asks,
     overruns,
     queue_full,
     says_enabled,
     set_to,
+    stamp_off,
     status_bit,
     swing,
     trip,
     withdrawn,
 )
 from hil.studies.fault_campaign.layout_capabilities import BABBLE
+from hil.studies.fault_campaign.sensors import beyond, falsified, skipping
 from hil.studies.fault_campaign.trial import Step, host_frames, once
 from hil.virtual.lockstep import LockstepRun, Observer
+from sim_plant.nodes.sensor import silent, stuck
 from tests.support.paths import RIGS
 
 BEGIN = 700  # tick from which the cause is there: the approach to the figure, both axes move
@@ -44,8 +50,9 @@ Y = "y"
 
 @dataclass(frozen=True)
 class Cause:
-    """step: as of a trial (hil/studies/fault_campaign/trial.py), from tick `begin` on. axis: whose the fault is, or
-    empty. rig: overrides. beside: what the drives' host takes the rig for, where that is not what it is.
+    """step: as of a trial (hil/studies/fault_campaign/trial.py), from tick `begin` on. axis: whose the fault is, a
+    sensor's name too, or empty. rig: overrides. beside: what the drives' host takes the rig for, where that is not what
+    it is.
     """
 
     fault: Fault
@@ -101,6 +108,7 @@ def _drifts(counts: int) -> Step:
 
 _LOOSE = tuple(f"axes.{axis}.limits.following_error=1.0" for axis in "xy")
 _PUSHES = tuple(f"axes.{axis}.push={{force={force}, distance=4e-3}}" for axis, force in (("x", 1.6), ("y", 0.4)))
+_SENSOR = ('sensors.force={can_id=0x300, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}',)
 _wire: Callable[..., Step] = host_frames
 
 CAUSES = (
@@ -139,5 +147,16 @@ CAUSES = (
     Cause(Fault.RIG_CHANGED, withdrawn("rig_ok")),
     Cause(Fault.DRIVE_STAYS_ENABLED, once(says_enabled), Y, activates=False),
     Cause(Fault.AXIS_NOT_AS_STATED, _nothing, "x", _PUSHES, begin=0, beside=("axes.x.encoder_resolution=1e-8",)),
+    Cause(Fault.FOREIGN_COMMAND, once(foreign_command)),
+    Cause(Fault.ANSWERS_DIFFER, answer_twice, Y),
+    Cause(Fault.STAMP, stamp_off(1_000_000), Y),
+    Cause(Fault.STAMP_GLITCH, stamp_off(60_000), Y),
+    Cause(Fault.STANDSTILL, once(encoder_creep), Y, activates=False),
+    Cause(Fault.AXIS_MOVED, once(encoder_creep), Y, begin=8),
+    Cause(Fault.LIMIT_SWITCH, status_bit(DriveStatus.LIMIT_HIGH), Y, ("axes.y.limits.switches=true",)),
     Cause(Fault.OSCILLATION, swing(0.9, 20), Y, inside=True),
+    Cause(Fault.SENSOR_SILENT, falsified(silent), "force", _SENSOR),
+    Cause(Fault.SENSOR_STUCK, falsified(stuck), "force", _SENSOR),
+    Cause(Fault.SENSOR_RANGE, falsified(beyond), "force", _SENSOR),
+    Cause(Fault.SENSOR_SEQUENCE, falsified(skipping), "force", _SENSOR),
 )

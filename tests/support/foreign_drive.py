@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import canopen
 
+from drivers.families.cia402 import cia301
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
 
 U8, U16, U32, I8, I16, I32, STRING = 0x5, 0x6, 0x7, 0x2, 0x3, 0x4, 0x9
 

@@ -15,7 +15,7 @@ from zlib import crc32
 from drivers.config import BusConfig
 from drivers.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from drivers.protocols import device_protocol, host_protocol
-from drivers.protocols.base import Command, Reject, Sample
+from drivers.protocols.base import EVERY_STATUS, Command, Reject, Sample
 from drivers.protocols.checksum import AUTOSAR_POLYNOMIAL, SAE_J1850_POLYNOMIAL, crc8, crc8_table
 from hil.cycle.inbox import Inbox
 from sim_plant.config import PlantConfig
@@ -34,7 +34,7 @@ class CheckedHost:
     def __init__(self, bus: BusConfig) -> None:
         self.inner = host_protocol(bus, 2, RATED, RIGS)
         self.name, self.n_axes, self.fd = self.inner.name, self.inner.n_axes, self.inner.fd
-        self.sequence_modulus = self.inner.sequence_modulus
+        self.sequence_modulus, self.checksum = self.inner.sequence_modulus, self.inner.checksum
         self.encode, self.messages = self.inner.encode, self.inner.messages
         self.samples = 0
         self.rejects = dict.fromkeys(Reject, 0)
@@ -49,7 +49,7 @@ class CheckedHost:
         assert type(axis) is type(position) is type(status) is type(sequence) is type(stamp) is int, (frame, outcome)
         assert 0 <= axis < self.n_axes, (frame, outcome)
         assert -(2**53) <= position <= 2**53, (frame, outcome)
-        assert 0 <= status < 128, (frame, outcome)
+        assert 0 <= status <= EVERY_STATUS, (frame, outcome)
         assert -1 <= sequence < max(self.sequence_modulus, 1), (frame, outcome)
         assert abs(stamp - frame.timestamp_ns) <= 2**31, (frame, outcome)
         self.samples += 1

@@ -1,16 +1,40 @@
-"""How many tests of which kind ran: a line that .ci/run collects. Hooks for tests/conftest.py.
+"""Which tests a lane runs, and how many of which kind ran: a line that .ci/run collects. Hooks for tests/conftest.py.
 
 unit: no process but pytest's own. lockstep: the whole loop in virtual time. live-local: processes on the local bus.
+
+`--slice N` runs one in N of the slow tests, and on the compiled build of the live ones and of those that merely use it,
+drawn by the commit: CI sees others with every commit. `make test-nightly` and `make test-compiled` see them all.
 """
 
+import hashlib
+import subprocess
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
 from hil.rig.provenance import control_path
+from tests.support.paths import ROOT
 
 KINDS = ("unit", "lockstep", "live-local")
 _WHOLE_LOOPS = ("hil.virtual.lockstep", "hil.studies.fault_campaign")  # what brings virtual time into a test's module
+
+# What runs the same code in either build, and so once: these read files, sources and tables, or compute on arrays,
+# which the build leaves to the interpreter (deploy/compiled/build.py). Each with the files that do need the build.
+SAME_IN_BOTH_BUILDS = {
+    "tests/analysis": (),
+    "tests/cli": (),
+    "tests/golden": (),
+    "tests/project": ("test_bench.py", "test_compiled.py", "test_examples.py", "test_wheel.py"),
+    "tests/rig": ("test_checks.py", "test_user_tasks.py"),
+}
+# What is not compiled, and uses what is as anybody does.
+_USERS = ("events", "identify", "operate", "runs", "studies", "telemetry")
+USERS_OF_THE_BUILD = tuple(f"tests/{name}" for name in _USERS)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slice", type=int, default=1, metavar="N", help="one in N of what is long, by commit")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -24,13 +48,54 @@ def _runs_lockstep(item: pytest.Function) -> bool:
     return any(origin.startswith(_WHOLE_LOOPS) for origin in origins)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def _folder(path: Path) -> str:
+    return path.parent.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
+
+
+def _same_in_both_builds(path: Path) -> bool:
+    folder = _folder(path)
+    return folder in SAME_IN_BOTH_BUILDS and path.name not in SAME_IN_BOTH_BUILDS[folder]
+
+
+def commit() -> str:
+    """The checkout's, or nothing where there is none."""
+    asked = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return asked.stdout.strip()
+
+
+def drawn(names: list[str], one_in: int, seed: str) -> set[str]:
+    """One in so many of these, rounded up: those whose hash with the seed is least."""
+    rank = {name: hashlib.sha256(f"{seed} {name}".encode()).digest() for name in names}
+    return set(sorted(names, key=rank.__getitem__)[: -(-len(names) // one_in)])
+
+
+def _is_sliced(item: pytest.Item) -> bool:
+    if item.get_closest_marker("slow") or control_path() != "compiled":
+        return bool(item.get_closest_marker("slow"))
+    return bool(item.get_closest_marker("live")) or _folder(item.path).startswith(USERS_OF_THE_BUILD)
+
+
+def _slice(config: pytest.Config, items: list[pytest.Item]) -> None:
+    sliced = [item for item in items if _is_sliced(item)]
+    kept = drawn([item.nodeid for item in sliced], config.getoption("--slice"), commit())
+    left_out = [item for item in sliced if item.nodeid not in kept]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in set(left_out)]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     not_compiled = pytest.mark.skip(reason="replaces methods of classes that are compiled here")
+    once = pytest.mark.skip(reason="runs the same code in either build: tests/support/lanes.py")
+    compiled = control_path() == "compiled"
     for item in items:
-        if item.get_closest_marker("replaces_methods") and control_path() == "compiled":
+        if compiled and item.get_closest_marker("replaces_methods"):
             item.add_marker(not_compiled)
+        elif compiled and not item.get_closest_marker("slow") and _same_in_both_builds(item.path):
+            item.add_marker(once)
         if isinstance(item, pytest.Function) and _runs_lockstep(item):
             item.add_marker("lockstep")
+    if config.getoption("--slice") > 1 and not config.getoption("lf"):  # what failed was in the slice
+        _slice(config, items)
 
 
 def _kind(keywords: dict[str, object]) -> str:

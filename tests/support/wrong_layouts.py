@@ -133,7 +133,7 @@ REFUSED = {
     "decodes an axis too many": (decode("sample.axis = 2"), "a Sample of axis 2; there are 2, from 0"),
     # A compiled Sample refuses these two itself.
     "decodes half a count": (decode("sample.position = 0.5"), "host().decode of 281#"),
-    "decodes unknown bits": (decode("sample.status = 128"), "status 128 has bits that DriveStatus does not know"),
+    "decodes unknown bits": (decode("sample.status = 1 << 12"), "status 4096 has bits that DriveStatus does not know"),
     "decodes no counter": (decode("sample.sequence = -1"), "sequence -1; sequence_modulus is 256"),
     "decodes no time": (decode("sample.stamp_ns = None"), "host().decode of 281#"),
     "decodes another axis": (decode("sample.axis = 1"), "makes no sample of what the drive of axis 0 answers"),

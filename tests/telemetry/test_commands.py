@@ -108,7 +108,7 @@ def asked(refusal: str = "", last: int = 0, **changes: int) -> Asked:
     [
         ({}, ""),
         ({"kind": 0}, "unknown command 0"),
-        ({"kind": 9}, "unknown command 9"),
+        ({"kind": 99}, "unknown command 99"),
         ({"kind": 2**32 - 1}, "unknown command"),
         ({"sequence": 0}, "replayed"),
         ({"last": 1}, "replayed"),

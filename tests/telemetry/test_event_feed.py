@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from hil.cycle.event_table import Kind
+from hil.events.table import Kind
 from hil.telemetry import events_pb2 as pb
 from hil.telemetry.event_feed import EventFeed
 from hil.telemetry.event_log import KEPT, EventLog, own_event
@@ -64,6 +64,17 @@ def test_a_message_that_was_lost_on_its_way_is_asked_for_again(
         tell(log, "b")
     tell(log, "c")
     assert sorted(gathered(feed, publisher, log, lambda names: len(names) == 2)) == ["b", "c"]
+
+
+def test_the_latched_fault_is_kept_whatever_storm_follows_until_it_is_cleared(publisher: Publisher) -> None:
+    log = EventLog("rig", publisher)
+    log.tell([own_event(Kind.FAULT_LATCHED, "speed", 1)])
+    tell(log, *map(str, range(KEPT + 1)))
+    log.tell([own_event(Kind.FAULT_SEEN, "slots", 2), own_event(Kind.FAULT_CLEARED, "slots", 3)])
+    assert log.latched is not None
+    assert (log.latched.name, log.latched.line) == ("speed", own_event(Kind.FAULT_LATCHED, "speed", 1).line)
+    log.tell([own_event(Kind.FAULT_CLEARED, "speed", 4)])
+    assert log.latched is None
 
 
 def test_what_is_kept_is_bounded_and_the_rest_counted(publisher: Publisher) -> None:

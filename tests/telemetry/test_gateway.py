@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from hil.cycle.limits import motion_limits
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -221,6 +222,7 @@ def test_stop_without_a_control_process_is_refused(desk: Desk) -> None:
 # reasons --------------------------------------------------------------------------------------------------------------
 
 WITH_HEARTBEAT = ["safety.heartbeat_s=0.5"]
+STILL_THERE = "the cause of the fault is still there, or an axis moved in the last 0.05 s"
 
 
 @pytest.mark.parametrize(
@@ -242,8 +244,8 @@ WITH_HEARTBEAT = ["safety.heartbeat_s=0.5"]
          "start"),
         (CommandKind.LOAD_TASK, tick(), 0, [], "refused: the task cannot begin where the axes stand"),
         (CommandKind.LOAD_TASK, tick(State.HOMING), 0, [], "LOAD_TASK is not possible in state HOMING"),
-        (CommandKind.RESET, tick(State.FAULT), 0, [], "refused in FAULT: the cause of the fault is still there"),
-        (CommandKind.RESET, tick(State.ESTOP), 0, [], "refused in ESTOP: the cause of the fault is still there"),
+        (CommandKind.RESET, tick(State.FAULT), 0, [], f"refused in FAULT: {STILL_THERE}"),
+        (CommandKind.RESET, tick(State.ESTOP), 0, [], f"refused in ESTOP: {STILL_THERE}"),
         (CommandKind.RESET, tick(State.READY), 0, [], "RESET is not possible in state READY"),
     ],
 )  # fmt: skip
@@ -254,13 +256,33 @@ def test_every_reason_of_a_refusal(
     assert explain(kind, NOW - late_ns, record, rig) == reason
 
 
+@pytest.mark.parametrize(("place", "target"), [(0.03, "0.02523"), (-0.03, "-0.02523")])
+def test_beyond_the_travel_the_commands_are_printed_that_lead_back(place: float, target: str) -> None:
+    rig = load_rig(RIGS / "microscope.toml")
+    record = tick()
+    record["position"][0] = place
+    told = explain(CommandKind.ACTIVATE, NOW, record, rig)
+    assert told.startswith("refused: the task cannot begin here: axis x: position")
+    assert told.endswith(f"hil command microscope activate-hold && hil move microscope x={target}")
+    fence = motion_limits(rig)[0]
+    assert fence.low < float(target) < fence.high
+
+
 def test_a_drive_that_is_silent_is_named_where_a_reset_is_refused(paper: RigConfig) -> None:
     record = tick(State.FAULT)
     record["age_ticks"][1] = 501
     text = explain(CommandKind.RESET, NOW, record, paper)
-    assert text == "refused in FAULT: the cause of the fault is still there; no answer from y for 0.5 s"
+    assert text == f"refused in FAULT: {STILL_THERE}; no answer from y for 0.5 s"
     record["age_ticks"][1] = 500
-    assert explain(CommandKind.RESET, NOW, record, paper).endswith("still there")
+    assert explain(CommandKind.RESET, NOW, record, paper).endswith(STILL_THERE)
+
+
+def test_an_axis_that_moves_is_named_where_a_reset_is_refused(paper: RigConfig) -> None:
+    record = tick(State.FAULT)
+    record["velocity_estimate"][0] = -0.25
+    assert (
+        explain(CommandKind.RESET, NOW, record, paper) == "refused in FAULT: x moves at 0.25 m/s: it has to rest first"
+    )
 
 
 def test_of_many_problems_three_are_said_each_cut_to_what_a_reply_holds(desk: Desk) -> None:

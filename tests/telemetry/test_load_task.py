@@ -35,7 +35,7 @@ def long_task() -> str:
     rows = 20_000
     random = np.random.default_rng(1)
     samples = np.column_stack([0.05 * np.arange(rows), 1e-6 * random.random((rows, 2))]).tolist()
-    return json.dumps({"kind": "path", "axes": ["x", "y"], "samples": samples})
+    return json.dumps({"kind": "path", "axes": ["x", "y"], "samples": samples, "beyond": 10.0})
 
 
 @pytest.fixture(params=["local", "remote"])
@@ -113,7 +113,8 @@ def test_a_live_rig_takes_another_task_and_its_recording_replays(tmp_path: Path)
     path = tmp_path / "line.csv"
     path.write_text("time_s,x\n" + "".join(f"{0.5 * k},{1e-3 * (k % 2)}\n" for k in range(400)))
     runner, words = CliRunner(env={"COLUMNS": "300"}), [sys.executable, "-m", "hil", "sidecar", str(PAPER)]
-    with emulated(), Control():
+    windows = [word for axis in "xy" for word in ("--set", f"axes.{axis}.motion.window=1e-3")]  # friction holds them
+    with emulated(), Control(*windows):
         sidecar = subprocess.Popen(
             [*words, "--listen", "tcp/127.0.0.1:7447", "--or-free-port", "--out", str(tmp_path)],
             cwd=ROOT, stdout=subprocess.DEVNULL,
@@ -137,10 +138,19 @@ def test_a_live_rig_takes_another_task_and_its_recording_replays(tmp_path: Path)
                 assert rig.command("activate").accepted
                 rig.wait_for("ACTIVE")
                 assert "READY" in rig.load_task(SMALL).reason
-                largest = max(np.abs(next(rig.telemetry())["setpoint_position"][:, 0]).max() for _ in range(60))
+                followed = (next(rig.telemetry())["setpoint_position"][:, 0] for _ in range(60))
+                largest = max(np.nan_to_num(np.abs(setpoint)).max() for setpoint in followed)  # NaN until ACTIVE
                 assert largest > 1e-5
                 assert rig.command("stop").accepted
                 rig.wait_for("READY")
+                assert rig.command("activate_hold").accepted
+                with rig.motion() as mover:
+                    assert "kind = circle: while the axes hold, only paths" in rig.load_task(SMALL).reason
+                    ended = mover.path({"x": [0.0, 1e-3, 0.0], "y": [0.0, 0.0, 1e-3]}, blend=1e-5).wait(30.0)
+                    assert ended.setpoint == [0.0, 1e-3]
+                    moving = mover.path({"x": [0.0, 1e-2], "y": [0.0, 0.0]}, speed=1e-2)
+                    assert "its motion PATH" in rig.load_task(SMALL).reason
+                    moving.cancel()
         finally:
             sidecar.terminate()
             sidecar.wait(20.0)

@@ -67,7 +67,7 @@ def test_cut_at_every_byte_of_the_last_chunk_it_is_recovered_and_at_most_a_secon
         assert kept == list(range(20 if size < start + length else 30))
         target = tmp_path / f"{size}.mcap"
         found = recover(path, target)
-        assert (found.ticks, found.whole) == (len(kept), False)
+        assert (found.ticks, bool(found.loss)) == (len(kept), True)
         assert read_by_any_reader(target) == kept
     assert length > 500
 
@@ -115,22 +115,24 @@ def test_replay_reads_on_through_the_parts_and_says_what_of_a_later_one_it_could
     assert (both.ticks, both.different, both.gap_at, both.not_compared, both.parts) == (len(ticks), 0, None, 0, 2)
     later = replay_run(tmp_path / "run.part-2.mcap")
     assert (later.ticks, later.gap_at, later.not_compared) == (0, 0, len(ticks) - half + 100)
-    shown = subprocess.run(
-        [sys.executable, "-m", "hil", "replay", str(tmp_path / "run.part-2.mcap")],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
+    words = [sys.executable, "-m", "hil", "replay", str(tmp_path / "run.part-2.mcap")]
+    shown = subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
     assert shown.returncode == 1
-    assert "it begins in the middle of a run" in " ".join(shown.stdout.split())
+    first = tmp_path / "run.mcap"
+    assert f"it begins in the middle of a run, whose first part is {first};" in " ".join(shown.stdout.split())
+    assert f"this replays all parts: hil replay {first}" in shown.stdout
     assert f"{later.not_compared} recorded ticks behind the gap are not compared" in " ".join(shown.stdout.split())
+    first.rename(tmp_path / "other")
+    alone = subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
+    assert alone.returncode == 1
+    assert "a replay needs its first part, run.mcap, in the same folder" in " ".join(alone.stdout.split())
 
 
 def test_a_whole_recording_and_one_of_the_earlier_layout_come_out_as_they_were(whole: Path, tmp_path: Path) -> None:
     earlier = write_earlier(tmp_path / "earlier.mcap", METADATA, _records([([], [], [], 0)] * 100))
     for place, path in enumerate((whole, earlier)):
         found = recover(path, tmp_path / f"{place}.mcap")
-        assert found.whole
+        assert not found.loss
         assert list(Recording(path)) == list(Recording(found.path))
         assert Recording(path).metadata == Recording(found.path).metadata
         assert found.path.stat().st_mode & 0o007 == 0

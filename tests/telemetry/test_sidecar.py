@@ -87,7 +87,12 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def end(process: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
     process.send_signal(number)
-    return process.wait(timeout=60)
+    try:
+        return process.wait(timeout=60)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGABRT)  # its faulthandler says on stderr where it stands
+        process.wait(timeout=60)
+        raise AssertionError(f"not ended 60 s after {signal.Signals(number).name}") from None
 
 
 @contextlib.contextmanager

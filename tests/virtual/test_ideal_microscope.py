@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.control.pulse_loop import pulse_response
-from hil.control.stability import check_stability
+from hil.analysis.pulse_loop import pulse_response
+from hil.analysis.stability import check_stability
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.sim import SimReport, simulate

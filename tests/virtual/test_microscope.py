@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil.control.loop_corners import check_corners
+from hil.analysis.loop_corners import check_corners
 from hil.rig.file import load_rig
 from hil.virtual.sim import SimReport, simulate
 from tests.support.paths import RIGS

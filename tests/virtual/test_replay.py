@@ -9,17 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import Writer
+from rich.console import Console
 
 from drivers.frame import Frame
+from hil import Recording as RunRecording
 from hil.cycle.tick import CycleResult, Tick
-from hil.operate.summary import load_run, summarise
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from hil.runs.summary import load_run, summarise
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.recorder import LockstepRecorder
 from hil.telemetry.recording import Recording, RecordingError
 from hil.telemetry.tick_schema import TickSchema
-from hil.virtual.replay import exact_motion, replay_run
+from hil.virtual.replay import Replayed, exact_motion, replay_run
+from hil.virtual.replay_command import _show_replay
 from hil.virtual.sim import simulate
 from tests.support.earlier_layout import Change, unchanged, write_earlier
 from tests.support.paths import ROOT
@@ -69,7 +72,9 @@ def test_a_recording_of_the_earlier_layout_replays_byte_for_byte_and_gives_the_s
     assert exact is not None
     old, new = load_run(earlier).columns, load_run(both[0])
     assert new.counters.sent == int(both[1]["port"][-1][1])
-    assert np.array_equal(old["following_error"], exact["following_error"])
+    followed = np.isfinite(old["following_error"])
+    assert followed.any()
+    assert np.array_equal(old["following_error"][followed], exact["following_error"][followed])
     steps = TickSchema(new.metadata["rig"]).scales
     for axis, name in enumerate(steps):
         for field in ("position", "velocity_estimate", "force"):
@@ -153,13 +158,24 @@ def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_n
 
 @pytest.mark.parametrize(("digit", "other"), [(b'"bandwidth": [0.2573', b"4"), (b'"rate_hz": 1000.0', b"2")])
 def test_a_rig_with_one_digit_changed_is_refused_and_not_blamed_on_the_cycle(
-    recording: Path, tmp_path: Path, digit: bytes, other: bytes
+    both: tuple[Path, np.ndarray], tmp_path: Path, digit: bytes, other: bytes
 ) -> None:
-    path = tmp_path / "flipped.mcap"
-    path.write_bytes(recording.read_bytes().replace(digit, digit[:-1] + other, 1))
+    described = json.dumps(Recording(both[0]).metadata).encode()
+    assert digit in described
+    path = tmp_path / "edited.mcap"
+    write_earlier(path, json.loads(described.replace(digit, digit[:-1] + other, 1)), both[1])
     result = hil("replay", str(path))
     assert result.returncode == 1
     assert result.stderr.startswith(f"hil replay: {path}: its rig does not have the hash that was recorded with it")
+
+
+def test_one_damaged_description_of_two_is_told_and_costs_nothing(recording: Path, tmp_path: Path) -> None:
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(recording.read_bytes().replace(b'"rate_hz": 1000.0', b'"rate_hz": 2000.0', 1))
+    result = hil("replay", str(path))
+    assert result.returncode == 1
+    assert "1200 ticks" in result.stdout
+    assert "the file is damaged" in result.stdout
 
 
 @pytest.mark.parametrize("description", [b"", b"[]", b"{}", b'{"rig": 5, "rig_hash": "", "version": ""}', b"\xff"])
@@ -258,3 +274,30 @@ def test_a_summary_is_made_of_what_was_recorded(recording: Path, rig: RigConfig)
 def test_a_recorder_that_cannot_write_says_so(rig: RigConfig) -> None:
     with pytest.raises(RecordingError, match="cannot be written"):
         LockstepRecorder(Path("/proc/nowhere/run.mcap"), rig, RIG_FILE)
+
+
+EARLIER = ROOT / "tests" / "reference" / "recording-0.1.0.mcap"
+
+
+def test_a_recording_of_the_first_version_opens_and_replays_or_both_versions_are_named() -> None:
+    """Written by 0.1.0 itself: 0.3 s of the paper's rig."""
+    report = replay_run(EARLIER)
+    assert report.ticks == 300
+    assert report.different == 0 or "0.1.0" in report.other_version
+    run = RunRecording(EARLIER)
+    assert run.metadata["version"] == "0.1.0"
+    assert len(run.time) == 300
+    assert run.state[-1] == "ACTIVE"
+
+
+def test_what_another_version_recorded_is_refused_or_differs_with_both_versions_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "9.9.9")
+    assert replay_run(EARLIER).other_version == "recorded by hil 0.1.0; this is hil 9.9.9"
+    with pytest.raises(RigError, match=r"recorded by hil 0\.1\.0; this is hil 9\.9\.9"):
+        replay_run(EARLIER, ("rate_hz=0",))
+    report = Replayed("run.mcap", "paper", "", "0.1.0", ticks=1, frames=1, different=1, first_different=0)
+    report.other_version = "recorded by hil 0.1.0; this is hil 9.9.9"
+    _show_replay(report, Console(), EARLIER)
+    assert "recorded by hil 0.1.0; this is hil 9.9.9" in capsys.readouterr().out

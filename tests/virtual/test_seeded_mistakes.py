@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from drivers.protocols.moteus_registers import _NUMBER, Mode, Register
+from drivers.families.moteus.registers import _NUMBER, Mode, Register
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.rig.bus_load import refuse_unschedulable
@@ -40,7 +40,7 @@ class Mistake(NamedTuple):
 
 
 def codec(what: str, *code: tuple[str, Any]) -> "Mistake":
-    """A mistake in the codec of moteus: names below drivers.protocols, and what stands there."""
+    """A mistake in the codec of moteus: names below drivers.families.moteus, and what stands there."""
     return Mistake("moteus", what, code=code)
 
 
@@ -93,7 +93,7 @@ def constant(signal: str, value: int) -> Callable[[Document], Any]:
 def renumbered(what: str, numbers: type[IntEnum], **changes: int) -> "Mistake":
     """A mistake in the codec of moteus: other numbers in one of its enumerations."""
     members: dict[str, int] = {member.name: member.value for member in numbers} | changes
-    return codec(what, (f"moteus.{numbers.__name__}", IntEnum(numbers.__name__, members)))
+    return codec(what, (f"layout.{numbers.__name__}", IntEnum(numbers.__name__, members)))
 
 
 BIG_ENDIAN = {kind: Struct(">" + form.format[1:]) for kind, form in _NUMBER.items()}
@@ -171,18 +171,18 @@ MISTAKES = (
     Mistake("moteus", "another frame layout", lambda rig: rig["bus"].update(protocol="stage_fd")),
     renumbered("current mode", Mode, POSITION=9),
     renumbered("zero velocity mode", Mode, POSITION=12),
-    codec("its own loop left on", ("moteus._NO_LOOP", b"")),
+    codec("its own loop left on", ("layout._NO_LOOP", b"")),
     renumbered("torque to the velocity command", Register, FEEDFORWARD_TORQUE=0x21),
     renumbered("torque to its limit", Register, FEEDFORWARD_TORQUE=0x25),
     renumbered("velocity for position", Register, POSITION=0x02),
     renumbered("torque for position", Register, POSITION=0x03),
     renumbered("mode read from another register", Register, MODE=0x0B),
-    codec("ten times too many counts", ("moteus.COUNTS_PER_TURN", 1_000_000)),
-    codec("positions in radians", ("moteus.COUNTS_PER_TURN", 100_000 * 6.2832)),
-    codec("positions of the other sign", ("moteus.COUNTS_PER_TURN", -100_000)),
+    codec("ten times too many counts", ("layout.COUNTS_PER_TURN", 1_000_000)),
+    codec("positions in radians", ("layout.COUNTS_PER_TURN", 100_000 * 6.2832)),
+    codec("positions of the other sign", ("layout.COUNTS_PER_TURN", -100_000)),
     renumbered("stopped means enabled", Mode, POSITION=0),
-    codec("big-endian floats", ("moteus_registers._NUMBER", BIG_ENDIAN)),
-    codec("no answer asked for", ("moteus._REPLY_WANTED", 0)),
+    codec("big-endian floats", ("registers._NUMBER", BIG_ENDIAN)),
+    codec("no answer asked for", ("layout._REPLY_WANTED", 0)),
     # CiA 402
     Mistake("cia402", "another rated torque", table(rated_torque=[50.0, 5.0])),
     Mistake("cia402", "rated torque in mN m", table(rated_torque=[0.005, 0.005])),
@@ -236,7 +236,7 @@ def test_a_mistake_is_caught_before_a_task_runs(
 ) -> None:
     run = right(mistake.drive, tmp_path / "right")
     for name, value in mistake.code:
-        monkeypatch.setattr(f"drivers.protocols.{name}", value)
+        monkeypatch.setattr(f"drivers.families.moteus.{name}", value)
     wrong = tmp_path / "wrong"
     wrong.mkdir()
     try:

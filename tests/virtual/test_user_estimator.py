@@ -14,7 +14,6 @@ from hil.studies.compare.cases import Case, run_case
 from hil.studies.fault_campaign.matrix import displaced, plan_chunks, run_chunk
 from hil.studies.sweep import plants
 from hil.telemetry.recorder import LockstepRecorder
-from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate
 from tests.support.paths import RIGS, ROOT
 
@@ -68,7 +67,7 @@ def test_its_text_is_part_of_the_rig_and_travels_with_it(rig_file: Path, tmp_pat
     file.write_text(file.read_text() + "\n# another version\n")
     assert rig_hash(load_rig(rig_file, MADE)) != rig_hash(rig)
     file.unlink()
-    replayed = replay_run(tmp_path / "run.mcap")
+    replayed = hil.replay(tmp_path / "run.mcap", run_its_code=True)
     assert (replayed.ticks, replayed.different) == (400, 0)
     again = build_rig(json.loads(rig.model_dump_json()))
     assert rig_hash(again) == rig_hash(rig)

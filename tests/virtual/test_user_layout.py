@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.call_limit import Watch
+import hil
+from drivers.base.call_limit import Watch
+from hil.analysis.stability import check_stability
 from hil.cli.app import build_app
-from hil.control.stability import check_stability
 from hil.rig.file import build_rig, load_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.fault_campaign.matrix import displaced, plan_chunks, run_chunk
 from hil.telemetry.recorder import LockstepRecorder
-from hil.virtual.replay import replay_run
 from hil.virtual.sim import simulate, usable
 from tests.support.paths import RIGS, ROOT
 from tests.support.wrong_layouts import MAKER, decode, drives, encode, write
@@ -87,7 +87,7 @@ def test_it_is_part_of_the_rigs_hash_and_of_the_recording(rig_file: Path, tmp_pa
     file.write_text(file.read_text() + "\n# another version\n")
     assert rig_hash(made(rig_file)) != rig_hash(rig)
     file.unlink()
-    assert replay_run(tmp_path / "run.mcap").different == 0
+    assert hil.replay(tmp_path / "run.mcap", run_its_code=True).different == 0
     again = build_rig(json.loads(rig.model_dump_json()))
     assert rig_hash(again) == rig_hash(rig)
     assert simulate(again, rig_file.parent, 0.4)[0].trace_sha256 == report.trace_sha256

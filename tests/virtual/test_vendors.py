@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.node import Phase
 from drivers.frame import Frame
-from drivers.protocols.canopen import cia301
-from drivers.protocols.canopen.node import Phase
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from drivers.bus_load.response_time import ErrorModel
 from drivers.bus_load.schedulability import Analysis, analyse, faults_tolerated
-from drivers.config import BusConfig
+from drivers.config import BusConfig, Wiring
+from drivers.families.cia402.host import Cia402Host, service_messages
 from drivers.protocols.base import Message
-from drivers.protocols.canopen.host import Cia402Host, service_messages
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.rig.bus_load import refuse_unschedulable
@@ -36,7 +36,7 @@ STAGE_FD = tick([("command", 0x080, 24)], (0x100, 16), fd=True)
 STAGE_CLASSIC = tick([("command", 0x080, 8)], (0x100, 8))
 CIA402 = tick([("torques", 0x201, 8), ("sync", 0x080, 1)], (0x181, 6))
 SEPARATE = tick([*((f"torque{i}", 0x201 + i, 4) for i in range(4)), ("sync", 0x080, 1)], (0x181, 8))
-CIA402_RIG = Cia402Host(BusConfig(protocol="cia402"), 4, [1.0] * 4).messages(MS)
+CIA402_RIG = Cia402Host(Wiring(BusConfig(protocol="cia402"), 4, [1.0] * 4)).messages(MS)
 SERVICE = [
     Message("sdo request", 0x604, 8, False, 10 * MS, 100 * MS, 0, "host"),
     Message("sdo answer", 0x584, 8, False, 10 * MS, 100 * MS, 0, "drive3"),

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from drivers.config import BusConfig
+from drivers.families.cia402.emergency import emergency_words
+from drivers.families.cia402.services import service_text
 from drivers.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Sample
-from drivers.protocols.canopen.emergency import emergency_words
-from drivers.protocols.frame_text import command_text, layout_reader, service_text
+from drivers.protocols.frame_text import command_text, layout_reader
 from tests.support.foreign_drive import CST_DRIVE, eds_text
 
 RATED = [5.0, 2.0]

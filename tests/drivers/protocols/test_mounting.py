@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.config import BusConfig
+from drivers.families.stage.stage_fd import StageFdHost
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, Sample
 from drivers.protocols.mounting import STRAIGHT, Mounting
-from drivers.protocols.stage_fd import StageFdHost
 from hil.cycle.state_machine import State
 from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun

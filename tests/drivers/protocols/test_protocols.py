@@ -142,23 +142,23 @@ def test_so_is_that_of_any_message(message: Message, data: st.DataObject) -> Non
 
 
 def test_a_value_that_does_not_fit_its_signal_is_never_cut_silently() -> None:
-    classic = load_dbc(ROOT / "drivers/protocols/stage_classic.dbc").get_message_by_name("Command")
+    classic = load_dbc(ROOT / "drivers/families/stage/stage_classic.dbc").get_message_by_name("Command")
     with pytest.raises(OverflowError):
         compile_codec(classic).pack(2048, 0, 0, 0, 0, 0, 0, 0)
-    fd = load_dbc(ROOT / "drivers/protocols/stage_fd.dbc").get_message_by_name("Command")
+    fd = load_dbc(ROOT / "drivers/families/stage/stage_fd.dbc").get_message_by_name("Command")
     with pytest.raises((struct.error, OverflowError)):
         compile_codec(fd).pack(0.0, 0.0, 0.0, 0.0, 65536, 0, 0)
 
 
 def test_a_contract_with_other_fields_than_the_code_expects_is_refused() -> None:
-    message = load_dbc(ROOT / "drivers/protocols/stage_fd.dbc").get_message_by_name("Feedback0")
+    message = load_dbc(ROOT / "drivers/families/stage/stage_fd.dbc").get_message_by_name("Feedback0")
     with pytest.raises(LayoutError, match="expected position"):
         compile_codec(message, ("position", "velocity"))
 
 
 def test_the_stage_codecs_write_what_cantools_reads() -> None:
     host, device = ends("stage_fd")
-    database = cantools.database.load_file(ROOT / "drivers/protocols/stage_fd.dbc")
+    database = cantools.database.load_file(ROOT / "drivers/families/stage/stage_fd.dbc")
     frame = host.encode(Command(70_000, [1.5, -20.0, 0.0, 0.25], 0b1011, True))[0]
     told = database.decode_message(0x80, frame.data)
     assert (told["force_0"], told["force_1"], told["force_3"]) == (1.5, -20.0, 0.25)

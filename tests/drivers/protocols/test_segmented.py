@@ -14,7 +14,7 @@ from drivers.frame import EXTENDED, Frame, on_segment, segment_of
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, LayoutError, Message, Reject, Sample
 from drivers.protocols.segmented import SegmentedDevice, SegmentedHost, on_each
-from drivers.segments import Segment
+from drivers.protocols.segments import Segment
 from tests.support.paths import ROOT
 
 RATED = [5.0, 20.0, 0.5, 1.0, 8.0, 0.1, 3.0, 40.0]
@@ -187,6 +187,8 @@ def fake(n_axes: int, **different: Any) -> Any:
         "checksum": False,
         "states": True,
         "causes": False,
+        "tells": 0,
+        "stamp_wraps_ns": [],
         "fd": False,
         "positions": [(-n_axes, n_axes)] * n_axes,
         "echo_id": None,

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers import call_limit, plugins
+from drivers.base import call_limit, plugins
 from drivers.config import LAYOUT_KIND, LAYOUTS, BusConfig
+from drivers.families import layouts
 from drivers.frame import ECHO, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import Command, DriveStatus, HostProtocol, Reject, Sample
@@ -86,14 +87,15 @@ def test_a_file_a_module_and_an_entry_point_are_the_same_layout(monkeypatch: pyt
 
 
 def test_ours_are_found_the_same_way_and_are_listed_once() -> None:
-    for name, target in LAYOUTS.items():
-        assert LAYOUT_KIND.own(name.replace("FILE", "any.dbc")) == target
-        assert all(callable(getattr(plugins.load(target), side)) for side in LAYOUT_KIND.methods)
+    for name, sides in layouts().items():
+        assert LAYOUT_KIND.own(name.replace("FILE", "any.dbc")) == LAYOUTS[name] == sides.host
+        assert callable(plugins.load(sides.host).encode)
+        assert callable(plugins.load(sides.drives).encode_feedback)
     assert LAYOUT_KIND.own("dbc") == LAYOUT_KIND.own("stage_fd:FILE") == LAYOUT_KIND.own("maker.py:dbc") == ""
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("stage_df", "the nearest is stage_fd; the frame layouts are stage_fd, stage_classic, cia402, moteus, dbc:FILE"),
+    ("stage_df", "the nearest is stage_fd; the frame layouts are stage_fd, stage_classic, cia402, mit, moteus, dbc:"),
     ("", "the frame layouts are stage_fd"),
 ])  # fmt: skip
 def test_a_layout_that_is_not_known_is_refused_by_name(name: str, text: str) -> None:

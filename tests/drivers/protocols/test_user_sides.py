@@ -7,7 +7,7 @@ import pytest
 
 from drivers.config import BusConfig, Wiring
 from drivers.frame import FD, Frame
-from drivers.protocols.base import Command, LayoutError, Reject, Sample
+from drivers.protocols.base import EVERY_STATUS, Command, LayoutError, Reject, Sample
 from drivers.protocols.user_sides import Maker, UserDrives, UserHost
 
 INT32_MAX = 2**31 - 1
@@ -96,7 +96,7 @@ def test_a_sample_has_a_sequence_number_of_its_layouts(
     [
         ("axis", (0, 1), (-1, 2)),
         ("position", (-INT32_MAX - 1, INT32_MAX), (-INT32_MAX - 2, INT32_MAX + 1)),
-        ("status", (0, 0x7F), (-1, 0x80)),
+        ("status", (0, EVERY_STATUS), (-1, EVERY_STATUS + 1)),
         ("stamp_ns", (0, 2**62), (-2, 2**62 + 1)),
     ],
 )

@@ -63,11 +63,12 @@ def test_a_recording_of_both_is_replayed_without_the_files():
     hil(f"sim {RIG} --seconds 0.6 --record {recording} --set law.name={NETWORK} {ESTIMATOR}")
     for source in ("network.py", "luenberger.py"):
         (PLACE / source).rename(PLACE / f"{source}.away")
-    assert "every torque frame is the same" in hil(f"replay {recording}")
+    assert "every torque frame is the same" in hil(f"replay {recording} --run-its-code")
     for source in ("network.py", "luenberger.py"):
         (PLACE / f"{source}.away").rename(PLACE / source)
 
 
+@pytest.mark.slow  # two minutes in this guest; tests/studies does the same from the sources
 def test_both_are_compared_swept_and_tried_on_faults():
     brief = f"{BRIEF} {ESTIMATOR}"
     assert NETWORK in hil(f"compare {RIG} --laws {NETWORK} --seconds 1 --workers 1 {brief}")

@@ -1,6 +1,7 @@
 """What of users' laws takes this guest ten minutes: tuned, judged and run live by the commands of the package.
 
-Not of the lane: HIL_VM_MARKS=slow deploy/vm/test_systemd.sh tests/vm/systemd/test_2_plug_ins_at_length.py
+Not of the lane: HIL_VM_MARKS=slow deploy/vm/test_systemd.sh tests/vm/systemd/test_2_plug_ins_at_length.py; and with all
+else that is slow there, the whole story: HIL_VM_MARKS=systemd make test-systemd
 """
 
 from pathlib import Path

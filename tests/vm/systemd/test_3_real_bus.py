@@ -3,6 +3,7 @@
 The stage's controller lives in a network namespace of its own: the service reaches it over the bus and in no other way.
 """
 
+import contextlib
 import json
 import re
 import shutil
@@ -37,8 +38,12 @@ SHIPPED = Path("/usr/share/hil/rigs/microscope.toml")
 
 def interfaces() -> set[str]:
     """CAN controllers in this network namespace, by name."""
-    types = {path.parent.name: path.read_text().strip() for path in Path("/sys/class/net").glob("*/type")}
-    return {name for name, kind in types.items() if kind == ARPHRD_CAN and not name.startswith("vcan")}
+    found = set()
+    for kind in Path("/sys/class/net").glob("*/type"):
+        with contextlib.suppress(OSError):  # pulled out, or renamed by udev, since it was listed
+            if kind.read_text().strip() == ARPHRD_CAN:
+                found.add(kind.parent.name)
+    return {name for name in found if not name.startswith("vcan")}
 
 
 def link(name: str) -> dict:

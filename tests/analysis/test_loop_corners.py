@@ -1,0 +1,258 @@
+"""The loop on the stage that is really there: lag, mode and the stiffness of friction at rest, off by the unknown."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
+from hil.analysis.frequency_response import LoopResponse, loop_response, measured_finding, read_response
+from hil.analysis.loop_corners import CornerFinding, check_corners
+from hil.analysis.pulse_loop import PulseLoop, RigidPlant
+from hil.analysis.stability import check_stability
+from hil.control.nominal_model import rig_model
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
+from tests.support.paths import RIGS
+
+PERIOD = 1e-3
+GUIDES = [f"axes.{axis}.model.presliding=[0.3e-6, 30e-6]" for axis in "xy"]
+
+
+def rig_of(*changes: str) -> RigConfig:
+    return load_rig(RIGS / "paper.toml", list(changes))
+
+
+Answering = tuple[RigConfig, LoopResponse]
+
+
+@pytest.fixture(scope="module")
+def answering() -> Answering:
+    """A rig, and what its loop answers, which takes a second to find."""
+    rig = rig_of()
+    return rig, loop_response(rig)
+
+
+def at_rest(found: list[CornerFinding]) -> list[CornerFinding]:
+    return [finding for finding in found if finding.at_rest]
+
+
+def test_without_lag_mode_and_stiffness_the_plant_is_the_rigid_one() -> None:
+    rng = np.random.default_rng(1)
+    rigid = RigidPlant(np.array([0.02, 0.5]), PERIOD, (1, 2))
+    flexible = FlexiblePlant([[AxisDynamics(0.02), AxisDynamics(0.5)]], PERIOD)
+    for force in rng.normal(size=(100, 1, 2)):
+        rigid.advance(force)
+        flexible.advance(force)
+    np.testing.assert_allclose(flexible.error, rigid.error, rtol=1e-9)
+    np.testing.assert_allclose(flexible.rate, rigid.rate, rtol=1e-9)
+
+
+COUPLED = """
+from hil import Law
+
+
+class Both(Law):
+    coupled = True
+
+    def reset(self, position, force): ...
+
+    def force(self, inputs):
+        return 1e3 * (inputs.end.position - inputs.position)
+"""
+
+
+@pytest.mark.parametrize(("law", "rows"), [("pd-feedforward", 2), ("./both.py:Both", 3)])
+def test_the_last_plant_of_every_copy_is_left_alone(law: str, rows: int, tmp_path: Path) -> None:
+    """A law that looks at all axes at once has a plant for every axis that is pulsed, any other law one for all."""
+    (tmp_path / "both.py").write_text(COUPLED)
+    (tmp_path / "rig.toml").write_text((RIGS / "paper.toml").read_text())
+    rig = load_rig(tmp_path / "rig.toml", [f"law.name={law}", "law.gains={}"])
+    loop = PulseLoop(rig, rig_model(rig), copies=3)
+    assert loop.shape == (3 * rows, 2)
+    alone = loop.alone(np.arange(3.0 * rows * 2).reshape(loop.shape))
+    assert (alone[:, 0] / 2).tolist() == [rows - 1, 2 * rows - 1, 3 * rows - 1]
+    pulsed = loop.pulse()
+    assert not loop.alone(pulsed).any()
+    assert (loop.beyond(pulsed) == 1.0).all()
+    assert np.count_nonzero(pulsed) == 3 * 2
+
+
+def test_a_sampled_mass_behind_a_hold_answers_as_the_textbook_says() -> None:
+    """T^2 / (2 m) (z + 1) / (z - 1)^2."""
+    omega = 2.0 * np.pi * np.array([1.0, 40.0, 333.0])
+    z = np.exp(1j * omega * PERIOD)
+    expected = PERIOD**2 / (2.0 * 0.5) * (z + 1.0) / (z - 1.0) ** 2
+    np.testing.assert_allclose(AxisDynamics(0.5).response(omega, PERIOD), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("axis", "expected_hz"),
+    [
+        (AxisDynamics(0.5, mode_hz=150.0, mode_load=0.3), 150.0 / 0.7**0.5),  # free: the motor swings against the tool
+        (AxisDynamics(0.5, stiffness=0.5 * (2 * np.pi * 134.0) ** 2), 134.0),  # stuck on its friction
+    ],
+)
+def test_an_axis_rings_where_the_textbook_says(axis: AxisDynamics, expected_hz: float) -> None:
+    eigenvalues = np.linalg.eigvals(axis.step_matrices(PERIOD)[0])
+    frequencies = np.abs(np.angle(eigenvalues)) / (2 * np.pi * PERIOD)
+    assert frequencies.max() == pytest.approx(expected_hz, rel=1e-9)
+
+
+def test_a_lag_answers_a_step_exponentially() -> None:
+    """v = F/m (t - tau (1 - exp(-t/tau)))."""
+    plant, lag, mass = FlexiblePlant([[AxisDynamics(0.5, lag=3e-3)]], PERIOD), 3e-3, 0.5
+    for _ in range(10):
+        plant.advance(np.ones((1, 1)))
+    assert plant.rate[0, 0] == pytest.approx((10e-3 - lag * (1 - np.exp(-10e-3 / lag))) / mass, rel=1e-9)
+
+
+def test_the_nominal_corner_is_the_plain_check() -> None:
+    rig = rig_of("axes.x.model.viscous=0", "axes.y.model.viscous=0")
+    plain = check_stability(rig).axes
+    nominal = [finding for finding in check_corners(rig) if finding.nominal]
+    assert [finding.axis for finding in nominal] == ["x", "y"]
+    for finding in nominal:
+        axis = plain[finding.axis]
+        assert axis.gain_margin is not None
+        assert finding.gain_db == pytest.approx(20 * np.log10(axis.gain_margin), abs=0.05)
+        assert finding.phase_deg == pytest.approx(axis.phase_margin_deg, abs=0.5)
+
+
+def test_a_lighter_axis_has_that_much_less_margin() -> None:
+    found = {(f.axis, f.corner): f for f in check_corners(rig_of())}
+    lost = found["x", "as the model says"].gain_db - found["x", "mass -20%"].gain_db
+    assert lost == pytest.approx(20 * np.log10(1 / 0.8), abs=0.1)
+
+
+def test_a_stage_that_says_nothing_of_presliding_has_no_corner_at_rest() -> None:
+    assert not at_rest(check_corners(rig_of()))
+
+
+def test_gains_for_motion_ring_on_a_stiff_guide() -> None:
+    """At rest the axis hangs on its friction as on a spring, and the spring is a mode that PD was not tuned for."""
+    found = at_rest(check_corners(rig_of("law.name=pd-feedforward", *GUIDES), 1000))
+    ringing = [finding for finding in found if not finding.stable]
+    assert ringing
+    assert all("um of presliding" in finding.lacks(least=True) for finding in ringing)
+    assert any(finding.stable for finding in found)  # and a soft guide is none of its troubles
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("free_hz", [0, 150, 160, 175, 190, 210, 240, 300, 360])
+def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(free_hz: int) -> None:
+    """6 dB and 30 degrees nominal, 3 dB and 15 degrees off it, 4.5 dB at rest; lag 0.2 ms. Modes of the free axis, at
+    and between those that the gains are given for (hil/control/laws/presliding_gains.py).
+    """
+    mode_hz = free_hz * 0.7**0.5  # with a held motor, of 30 % load
+    changes = ["law.name=presliding-kalman"]
+    for axis in ("x", "y", "z"):
+        model = f"axes.{axis}.model"
+        changes += [
+            f"{model}.presliding=[0.3e-6, 30e-6]",
+            f"{model}.mode_frequency_hz={mode_hz}",
+            f"{model}.torque_lag=2e-4",
+        ]
+    rig = load_rig(RIGS / "microscope-ideal.toml", changes)
+    found = [finding for finding in check_corners(rig) if finding.axis != "theta"]
+    assert len(found) >= 3 * (5 + 13)
+    assert [finding.lacks() for finding in found if finding.lacks()] == []
+
+
+def write_response(path: Path, frequency: np.ndarray, response: np.ndarray) -> Path:
+    rows = [f"{f},{abs(p)},{np.degrees(np.angle(p))}" for f, p in zip(frequency, response, strict=True)]
+    path.write_text("frequency_hz,magnitude,phase_deg\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_the_models_own_response_measured_changes_nothing(tmp_path: Path, answering: Answering) -> None:
+    rig, response = answering
+    path = write_response(tmp_path / "x.csv", response.frequency_hz, response.plant[:, 0])
+    nominal = next(finding for finding in check_corners(rig, 4000) if finding.nominal)
+    found = measured_finding(rig, response, "x", path)
+    assert found.stable
+    assert found.gain_db == pytest.approx(nominal.gain_db, abs=0.05)
+    assert found.phase_deg == pytest.approx(nominal.phase_deg, abs=0.5)
+
+
+def test_a_response_counts_from_its_first_to_its_last_frequency_and_between_them(
+    tmp_path: Path, answering: Answering
+) -> None:
+    """Where the phase turns, nothing was measured but a point below and one above it: the margin lies between."""
+    rig, response = answering
+    hz = response.frequency_hz
+    turns = measured_finding(rig, response, "x", write_response(tmp_path / "x.csv", hz, response.plant[:, 0]))
+    below, above = hz < 0.8 * turns.frequency_hz, hz > 1.2 * turns.frequency_hz
+    for kept, more in ((below, np.argmax(above)), (above, np.flatnonzero(below)[-1])):
+        gains = []
+        for chosen in (kept, kept | (np.arange(len(hz)) == more)):
+            path = write_response(tmp_path / "x.csv", hz[chosen], response.plant[chosen, 0])
+            gains.append(measured_finding(rig, response, "x", path).gain_db)
+        assert gains[0] > 30.0
+        assert gains[1] == pytest.approx(turns.gain_db, abs=0.5)
+
+
+def test_three_frequencies_within_the_loops_are_needed(tmp_path: Path, answering: Answering) -> None:
+    rig, response = answering
+    step = response.frequency_hz[1] - response.frequency_hz[0]
+    path = write_response(tmp_path / "x.csv", 100.0 + step * np.array([-1.0, 0.0, 1.0]), np.full(3, 1e-3))
+    assert measured_finding(rig, response, "x", path).axis == "x"
+    path = write_response(tmp_path / "x.csv", 100.0 + step * np.array([-0.9, 0.0, 1.0]), np.full(3, 1e-3))
+    with pytest.raises(RigError, match=r"99.775 to 100.25 Hz; allowed: below 500 Hz"):
+        measured_finding(rig, response, "x", path)
+
+
+def test_a_measured_mode_that_the_model_does_not_know_is_refused_with_its_frequency(
+    tmp_path: Path, answering: Answering
+) -> None:
+    rig, response = answering
+    mass = rig.axes["x"].model.mass
+    stage = AxisDynamics(mass, mode_hz=240.0, mode_damping=0.005, mode_load=0.3)
+    measured = stage.response(2 * np.pi * response.frequency_hz, rig.period_ns * 1e-9)
+    found = measured_finding(rig, response, "x", write_response(tmp_path / "x.csv", response.frequency_hz, measured))
+    assert not found.stable
+    assert 200 < found.frequency_hz < 320
+    assert "measured (x.csv)" in found.lacks(least=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("f,m,p\n1,1,1\n", "the first line has to be frequency_hz,magnitude,phase_deg"),
+        ("frequency_hz,magnitude,phase_deg\n1,1,1\n2,x,1\n", "line 3: '2,x,1' is not three numbers"),
+        *(
+            (f"frequency_hz,magnitude,phase_deg\n1,1,1\n{row}\n", "line 3: frequency and magnitude have to be positive")
+            for row in ("0,1,1", "inf,1,1", "nan,1,1", "2,0,1", "2,inf,1", "2,nan,1", "2,1,inf", "2,1,-inf", "2,1,nan")
+        ),
+        ("frequency_hz,magnitude,phase_deg\n2,1,1\n1,1,1\n", "line 3: frequency 1 is not above 2"),
+        ("frequency_hz,magnitude,phase_deg\n1,1,1\n", "1 frequencies; at least 3"),
+    ],
+)
+def test_a_damaged_response_is_refused_by_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text(text)
+    with pytest.raises(RigError, match=message):
+        read_response(path)
+
+
+def test_a_response_of_just_the_bounds_is_read_and_one_beyond_them_is_not(tmp_path: Path) -> None:
+    """100 000 lines, and 8 MiB, nearly all of it in the spaces behind 127 numbers."""
+    path, header = tmp_path / "x.csv", "frequency_hz,magnitude,phase_deg\n"
+    for lines, reason in ((100_000, "line 2: 'x' is not three numbers"), (100_001, "100001 lines: at most 100000")):
+        path.write_text(header + "x\n" * (lines - 1))
+        with pytest.raises(RigError, match=reason):
+            read_response(path)
+    wide = [f"{k},1,0".ljust(65535) + "\n" for k in range(1, 129)]
+    text = header + "".join(wide)[: (8 << 20) - len(header) - 1] + "\n"
+    path.write_text(text)
+    assert path.stat().st_size == 8 << 20
+    assert len(read_response(path)[0]) == 128
+    path.write_text(text + " ")
+    with pytest.raises(RigError, match=r"x\.csv: "):
+        read_response(path)
+
+
+def test_a_presliding_range_is_checked() -> None:
+    for value in ("[1e-6]", "[2e-6, 1e-6]", "[0, 1e-6]"):
+        with pytest.raises(RigError, match="presliding"):
+            rig_of(f"axes.x.model.presliding={value}")

@@ -1,0 +1,77 @@
+"""The command line a person reads: grouped, plain, one spelling."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from hil.cli.app import COMMANDS, build_app, run
+from hil.cli.help_text import present_spelling
+
+NAMES = [name for group in COMMANDS.values() for name in group if name != "run"]  # run parses its own arguments
+
+
+def hil(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "hil", *words], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_shows_every_bracket_of_its_texts(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rich would take [table] for a style, and drop it."""
+    app = build_app(name)
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    written = {bracket for one in command.params for bracket in re.findall(r"\[[a-z_.]+\]", one.help or "")}
+    monkeypatch.setattr(sys, "argv", ["hil", name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        run(app)
+    assert ended.value.code == 0
+    text = re.sub(r"[\s│]+", "", capsys.readouterr().out)
+    assert {bracket for bracket in written if bracket not in text} == set()
+
+
+def test_the_first_screen_says_what_hil_is_and_has_every_command_in_a_group() -> None:
+    text = hil("--help").stdout
+    assert "controls a cell-injection stage" in text
+    assert [group for group in COMMANDS if f"─ {group} ─" not in text] == []
+    assert [name for group in COMMANDS.values() for name in group if f"│ {name} " not in text] == []
+
+
+def test_types_are_words() -> None:
+    text = hil("sweep", "--help").stdout
+    assert "NUMBER from 1 to" in text
+    assert not re.search(r"<(int|float|str|path|bool|list)", text)
+
+
+def test_a_former_spelling_is_taken_once_more_and_said() -> None:
+    words, told = present_spelling(["sweep", "paper", "--output=x", "--jobs", "2", "--", "--jobs"])
+    assert words == ["sweep", "paper", "--out=x", "--workers", "2", "--", "--jobs"]
+    assert [line.split(";")[0] for line in told] == ["--output is now --out", "--jobs is now --workers"]
+
+
+@pytest.mark.parametrize(
+    ("words", "taken"),
+    [
+        (["sim", "paper", "--json"], ["sim", "paper", "--json", "-"]),
+        (["sim", "--json", "--seconds", "1", "paper"], ["sim", "--json", "-", "--seconds", "1", "paper"]),
+        (["sim", "paper", "--json", "-"], ["sim", "paper", "--json", "-"]),
+        (["sim", "paper", "--json", "x.json"], ["sim", "paper", "--json", "x.json"]),
+        (["events", "--json", "paper"], ["events", "--json", "paper"]),
+        (["doctor", "--json"], ["doctor", "--json"]),
+    ],
+)
+def test_json_without_a_file_is_standard_output(words: list[str], taken: list[str]) -> None:
+    assert present_spelling(words) == (taken, [])
+
+
+def test_a_misspelt_name_gets_the_nearest_one() -> None:
+    assert "Did you mean 'check'?" in hil("chek", "paper").stderr
+    assert hil("check", "microscop").stderr == "hil: microscop: no such file; did you mean microscope?\n"
+
+
+def test_rigs_lists_what_can_stand_for_a_rig() -> None:
+    text = hil("rigs").stdout
+    assert re.search(r"^microscope +x y z theta +1000 Hz +stage_fd +presliding-kalman", text, re.MULTILINE)

@@ -1,0 +1,58 @@
+"""Experiments as plans, and a push and an ordinary run identified end to end."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.identify.experiments import EXPERIMENTS, ROW_S, Known
+from hil.identify.lockstep import from_run, identify
+from hil.rig.file import load_rig
+from hil.rig.shipped import by_name
+from hil.runs.api import simulate
+from tests.identify import rigs
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_a_plan_stays_inside_the_limits_and_ends_at_rest(experiment: str) -> None:
+    for axis in load_rig(by_name("rigs", Path("microscope"))).axes.values():
+        plan = EXPERIMENTS[experiment](axis, Known(axis.model.mass, 0.0, axis.model.coulomb), 1.0)
+        low, high = axis.limits.position
+        assert low < plan.positions.min() <= plan.positions.max() < high
+        assert np.abs(np.diff(plan.positions)).max() / ROW_S < 0.6 * axis.limits.speed
+        assert np.ptp(plan.positions[-20:]) == 0.0
+        assert plan.gains.get("until_s", 0.0) < 1.0 + len(plan.positions) * ROW_S
+        for begin, end, speed in plan.spans:
+            rows = plan.positions[round((begin - 1.0) / ROW_S) : round((end - 1.0) / ROW_S) + 1]
+            assert np.diff(rows) / ROW_S == pytest.approx(speed)
+
+
+def test_a_push_finds_the_friction_of_a_stage_that_the_rig_file_does_not_know() -> None:
+    rig = rigs.one_axis()
+    found = identify(rig.config, rig.folder, ["x"], lambda text: None, ["push"])["x"]
+    assert found.refused == {}
+    assert found.found["push_coulomb"].holds(rigs.COULOMB)
+
+
+def test_an_ordinary_run_tells_mass_and_friction() -> None:
+    task = {"kind": "point_to_point", "axes": ["x"], "target": [2e-3], "move_s": 0.15, "dwell_s": 0.1}
+    rig = rigs.one_axis(task=task, law={"name": "pid"})
+    found = from_run(simulate(rig, 3.0), "x").found
+    assert found["mass"].value == pytest.approx(rigs.MASS, rel=0.05)
+    assert found["coulomb"].value == pytest.approx(rigs.COULOMB, rel=0.05)
+
+
+def test_a_run_without_motion_is_refused_by_name() -> None:
+    rig = rigs.one_axis(task={"kind": "hold"})
+    assert "not enough motion" in from_run(simulate(rig, 1.0), "x").refused["force balance"]
+
+
+@pytest.mark.slow
+def test_all_experiments_identify_a_stage() -> None:
+    rig = rigs.one_axis()
+    found = identify(rig.config, rig.folder, ["x"], lambda text: None)["x"].found
+    for name, truth, within in (
+        ("mass", rigs.MASS, 0.01), ("torque_lag", 2e-4, 0.1), ("coulomb", rigs.COULOMB, 0.03),
+        ("viscous", rigs.VISCOUS, 0.15), ("presliding", rigs.LENGTH, 0.2),
+    ):  # fmt: skip
+        assert found[name].value == pytest.approx(truth, rel=within), name
