@@ -2,14 +2,17 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV   := .venv
 BIN    := $(VENV)/bin
+TYPES  := build/types
+
+unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test review test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-setup: $(VENV)/.installed  ## make .venv from the hashed lock file (again only when it changes)
+setup: $(VENV)/.installed $(VENV)/.native  ## make .venv from the hashed lock file (again only when it changes)
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "hil needs Python 3.11 or newer; found $$($(PYTHON) --version)"; exit 1; }
@@ -19,11 +22,25 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
+# The stage in C, where there is a compiler: without it all computes the same in Python.
+$(VENV)/.native: $(VENV)/.installed $(wildcard sim_plant/native/*)
+	@$(BIN)/python -m sim_plant.native || true
+	@touch $@
+
 run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
-test: setup  ## unit tests, and the whole loop in virtual time (about four minutes)
+test: setup  ## unit tests, and the whole loop in virtual time (about ten minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not live and not slow and not vcan and not controller"
+
+review: setup  ## what the goldens of tests/golden would change: of all rooms, or `make review ROOM`
+	@$(BIN)/python -m tests.golden $(ROOM)
+
+ifeq (review,$(firstword $(MAKECMDGOALS)))  # the words behind it are a room, not goals
+ROOM := $(wordlist 2,9,$(MAKECMDGOALS))
+$(ROOM): review
+	@:
+endif
 
 test-live: setup  ## the same as real processes on the local bus: started, killed, watched (about two minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "live and not slow and not vcan and not controller"
@@ -31,10 +48,17 @@ test-live: setup  ## the same as real processes on the local bus: started, kille
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
-lint: setup  ## ruff and mypy --strict
+lint: setup $(TYPES)/.installed  ## ruff, mypy --strict, commit messages; users' programs as mypy and pyright see them
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/python -m tests.users
+	@$(BIN)/python -m tests.project.commit_messages
+
+$(TYPES)/.installed: tests/users/requirements.lock
+	@$(PYTHON) -m venv $(TYPES)
+	@$(TYPES)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $<
+	@touch $@
 
 lock:  ## renew the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
@@ -42,6 +66,11 @@ lock:  ## renew the lock files (needs uv)
 	uv pip compile tests/mutation/requirements.in -c requirements.lock --universal --python-version 3.11 \
 	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
 	    -o tests/mutation/requirements.lock
+	uv pip compile deploy/site/requirements.in -c requirements.lock --universal --python-version 3.11 \
+	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q -o deploy/site/requirements.lock
+	uv pip compile tests/users/requirements.in -c requirements.lock --universal --python-version 3.11 \
+	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
+	    -o tests/users/requirements.lock
 
 include deploy/vm/vm.mk
 include deploy/package.mk
@@ -50,8 +79,13 @@ include deploy/compiled.mk
 proto: setup  ## renew the generated protobuf module
 	@$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=. --pyi_out=. hil/telemetry/telemetry.proto hil/telemetry/events.proto
 
-docs: setup  ## renew the pages that are made from tables in code
+docs: setup  ## renew the pages that are made from code, and build the site into build/site
+	@$(BIN)/python -m docs.make_fault_numbers
 	@$(BIN)/python -m docs.make_pages
+	@$(BIN)/python -c "import material" 2>/dev/null || \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/site/requirements.lock
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f deploy/site/mkdocs.yml
+	@echo "site: build/site/index.html"
 
 mutants: setup  ## every mutant of gate and state machine; ARGS="--count 100": a random sample of all rooms, or --help
 	@$(if $(ARGS),$(BIN)/python -m tests.mutation $(ARGS),tests/mutation/mutants.sh)

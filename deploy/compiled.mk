@@ -2,11 +2,11 @@
 # is the reference, and what `make run` and `make test` run.
 COMPILED := .venv-compiled
 
-.PHONY: compiled test-compiled test-slow
+.PHONY: compiled test-compiled test-slow test-nightly
 
 compiled: $(COMPILED)/.built  ## .venv-compiled/bin/hil: the same program, its hot path compiled (needs a C compiler)
 
-$(COMPILED)/.built: $(VENV)/.installed $(shell find hil drivers sim_plant deploy/compiled -name '*.py' -o -name '*.dbc' -o -name '*.eds')
+$(COMPILED)/.built: $(VENV)/.installed $(shell find hil drivers sim_plant deploy/compiled -name '*.py' -o -name '*.dbc' -o -name '*.eds' -o -name '*.[ch]')
 	@$(BIN)/python deploy/compiled/build.py $(COMPILED)
 
 # The very tests of the source, but for those that put a bug into a class. PYTHONSAFEPATH: a working directory full of
@@ -14,9 +14,12 @@ $(COMPILED)/.built: $(VENV)/.installed $(shell find hil drivers sim_plant deploy
 test-compiled: setup  ## the compiled build computes the same bytes and passes the tests of the source
 	@$(BIN)/python deploy/compiled/build.py --check || { echo "test-compiled: skipped"; exit 0; }; \
 	$(MAKE) --no-print-directory compiled && \
-	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller"
+	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller" --slice $(or $(SLICE),1) $(ARGS)
 
-test-slow: setup  ## the long lanes: fuzzing, fault campaign, random kills; on the compiled build where there can be one
+test-slow: SLICE := 8
+test-slow: test-nightly  ## the long lanes, one in eight, drawn by the commit: others with every commit
+
+test-nightly: setup  ## the long lanes, whole: fuzzing, fault campaign, random kills; on the compiled build where there can be one
 	@if $(BIN)/python deploy/compiled/build.py --check; then \
 	    $(MAKE) --no-print-directory compiled && python=$(COMPILED)/bin/python; else python=$(BIN)/python; fi && \
-	PYTHONSAFEPATH=1 $$python -m pytest -n 2 --dist worksteal -m "slow and not vcan and not controller" --durations=10
+	PYTHONSAFEPATH=1 $$python -m pytest -n 2 --dist worksteal -m "slow and not vcan and not controller" --slice $(or $(SLICE),1) --durations=10 $(ARGS)

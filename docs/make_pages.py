@@ -2,21 +2,22 @@
 
 import inspect
 import json
+import re
 import sys
 from collections import defaultdict
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import hil
-from drivers.config import BusConfig
+from drivers.config import LAYOUTS, BusConfig
 from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.iterative_learning import LEARNING_GAINS
-from hil.cycle.event_table import FAULT_TEXTS, KINDS
-from hil.cycle.fault_table import RULES, Reaction
+from hil.cycle.fault_table import ROWS, Reaction
 from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, State
+from hil.events.table import KINDS
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
 from hil.rig.reference import Table, json_schema, tables
@@ -84,11 +85,11 @@ def faults_page() -> str:
     lines = [
         "# Faults",
         "",
-        "Made from `hil/cycle/fault_monitor.py` by `make docs`. Thresholds are keys of `[safety]` in the rig file.",
+        "Made from the rows in `hil/cycle/faults/` by `make docs`. Thresholds are keys of `[safety]` in the rig file.",
         "",
     ]
     lines += ["| number | fault | seen by | after | reaction | armed in |", "|---|---|---|---|---|---|"]
-    for fault, rule in RULES.items():
+    for fault, rule in ROWS.items():
         armed = ", ".join(state.name for state in State if state in rule.states)
         lines.append(
             f"| {fault.value} | {fault.name.lower()} | {rule.seen_by} | {rule.after} "
@@ -119,9 +120,9 @@ def _kind_lines() -> list[str]:
 def _advice_lines() -> list[str]:
     """What an event says of each fault: measured, usual cause, what to do next."""
     lines = ["", "## What to do", ""]
-    lines += ["Made from `hil/cycle/event_table.py`; every event of a fault carries the same words.", ""]
+    lines += ["Made from the rows in `hil/cycle/faults/`; every event of a fault carries the same words.", ""]
     lines += ["| fault | measured | unit | usual cause | what to do next |", "|---|---|---|---|---|"]
-    for fault, text in FAULT_TEXTS.items():
+    for fault, text in ROWS.items():
         lines.append(f"| {fault.name.lower()} | {text.measured} | {text.unit} | {text.cause} | {text.action} |")
     return lines
 
@@ -130,7 +131,8 @@ def _capability_lines() -> list[str]:
     """What a layout cannot tell, from the properties the campaign goes by."""
     has = {
         name: fixed_capabilities(host_protocol(BusConfig(protocol=name), 1, [1.0], FOLDER))
-        for name in ("stage_fd", "stage_classic", "cia402")
+        for name in LAYOUTS
+        if ":" not in name
     }
     lines = ["", "## What a layout cannot tell", ""]
     lines += [
@@ -212,11 +214,11 @@ def python_page() -> str:
     ]
     for name in sorted(hil.__all__):
         found = getattr(hil, name)
-        lines += ["", f"## `hil.{name}`", "", *_code(found)]
+        lines += ["", f"## `hil.{name}`", "", *_code(name, found)]
         if inspect.isclass(found):
             for key, member in vars(found).items():
                 if not key.startswith("_") and (text := inspect.getdoc(member)) and _is_own(member):
-                    lines += ["", f"**`{key}`** " + " ".join(text.split())]
+                    lines += ["", f"**`{key}{_call(member)}`** " + " ".join(text.split())]
     return "\n".join(lines) + "\n"
 
 
@@ -224,10 +226,35 @@ def _is_own(member: object) -> bool:
     return isinstance(member, property | cached_property | classmethod) or inspect.isfunction(member)
 
 
-def _code(found: object) -> list[str]:
-    """A signature's names, where it has some, and the text, as they stand in the source."""
-    names = f"({', '.join(inspect.signature(found).parameters)})" if inspect.isfunction(found) else ""
-    return ["```", *([names] if names else []), *(inspect.getdoc(found) or "").splitlines(), "```"]
+def _code(name: str, found: object) -> list[str]:
+    """How it is called, with types and defaults, and the text, as it stands in the source."""
+    if words := get_args(found):
+        return ["One of " + ", ".join(f"`{word!r}`" for word in words) + "."]
+    call = _call(found) or _call(vars(found).get("__init__")) if hasattr(found, "__dict__") else ""
+    return ["```", *([name + call, ""] if call else []), *(inspect.getdoc(found) or "").splitlines(), "```"]
+
+
+def _call(member: object) -> str:
+    """Parameters with types and defaults, and the type of the result; nothing for what is not called."""
+    if isinstance(member, property | cached_property):
+        function = member.fget if isinstance(member, property) else member.func
+        return ": " + _plain(inspect.formatannotation(inspect.signature(cast(Any, function)).return_annotation))
+    function = member.__func__ if isinstance(member, classmethod | staticmethod) else member
+    if not inspect.isfunction(function):
+        return ""
+    signature = inspect.signature(function)
+    parameters = [each for each in signature.parameters.values() if each.name not in ("self", "cls")]
+    result = "" if function.__name__ == "__init__" else f" -> {inspect.formatannotation(signature.return_annotation)}"
+    return _plain(str(signature.replace(parameters=parameters, return_annotation=inspect.Signature.empty)) + result)
+
+
+def _plain(text: str) -> str:
+    """Types as a program names them: hil.runs.api.Run is Run, quoted or not; long lists of literals by their name."""
+    text = re.sub(r"'([A-Z]\w*)'", r"\1", text)
+    literals = re.escape(str(hil.Column))
+    text = re.sub(literals, "Column", text)
+    text = re.sub(r"numpy\.ndarray\[tuple\[Any, \.\.\.\], numpy\.dtype\[(?:numpy\.)?(\w+)\]\]", r"NDArray[\1]", text)
+    return re.sub(r"\b(?:[a-z_]\w*\.)+(?=[A-Z]\w)", "", text).replace("~", "")
 
 
 def laws_page() -> str:

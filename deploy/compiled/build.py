@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT))  # run as a script, it finds its own folder only
 
 from deploy.compiled.flag_members import find_flags, hoist  # noqa: E402
 from deploy.compiled.named_tuples import find_named_tuples, rewrite  # noqa: E402
+from sim_plant.native import library  # noqa: E402
 
 WORK = ROOT / "build" / "compiled"
 PACKAGES = ("hil", "drivers", "sim_plant")
@@ -47,19 +48,25 @@ HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/
 
 # What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
-hil/cycle: axes command_desk commissioning damped_stop fault_monitor fault_table gate inbox limits oscillation
-hil/cycle: record_builder sampling state_machine step supervisor tick
+hil/cycle: axes command_desk commissioning damped_stop drive_clock fault_monitor fault_table gate goal_desk inbox
+hil/cycle: limits oscillation reading_faults readings record_builder rest_watch sampling state_machine step supervisor
+hil/cycle: tick travel
 hil/live: loop miss_ledger pacing timing_record
-sim_plant/physics: events real_axis single_axis single_stage
+sim_plant/physics: events native_axis real_axis single_axis single_stage
 """
 
 OTHERS = """
-hil/control/trajectories: base blends chosen_axes displaced figures minimum_jerk paths segments
-hil/cycle: record
+hil/control: reading
+hil/control/plans: *
+hil/control/trajectories: base blends chosen_axes displaced figures minimum_jerk paths rows segments
+hil/cycle: goal record
+hil/cycle/faults: number row
 hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length
 drivers/bus: port segmented_port counters local_link local_medium receive_block socketcan
-drivers/protocols: base checksum sampling_clock stage_common stage_classic stage_fd
+drivers/families/stage: common stage_classic stage_fd
+drivers/protocols: base checksum common sampling_clock
+drivers/sensors: base hil_frame
 drivers/wire: node segment wire
 sim_plant: emulator
 sim_plant/drives: servo
@@ -200,6 +207,14 @@ setup(name="hil-compiled", packages=[], py_modules=[], ext_modules=extensions)
         sys.exit("\n".join(["compiled: mypyc or the C compiler failed", *(left_out or told[-40:])]))
 
 
+def compile_kernel() -> None:
+    """Put the native kernel of the emulated stage beside the copies of its sources."""
+    try:
+        library.build(WORK / "sim_plant" / "native")
+    except library.BuildError as error:
+        sys.exit(f"compiled: {error}")
+
+
 def make_environment(directory: Path) -> None:
     """The copies and what was compiled from them as an environment with `bin/hil`."""
     shutil.rmtree(directory, ignore_errors=True)
@@ -231,6 +246,7 @@ def main() -> None:
     make_flags_ints()
     make_tuples_directly()
     compile_modules()
+    compile_kernel()
     make_environment(directory)
     environment = {**os.environ, "PYTHONSAFEPATH": "1"}
     subprocess.run([directory / "bin" / "hil", "--version"], env=environment, check=True)

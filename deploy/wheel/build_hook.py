@@ -54,6 +54,7 @@ class CompleteWheel(BuildHookInterface[Any]):
         build.copy_sources()
         build.instantiate()
         build.compile_modules()
+        build.compile_kernel()
         self._folder = tempfile.mkdtemp(prefix="hil-wheel-")
         tree = Path(self._folder)
         for item in (*build.WORK.glob("*.so"), *(build.WORK / package for package in build.PACKAGES)):

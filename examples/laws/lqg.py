@@ -3,15 +3,24 @@
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from hil import Law
+from hil import Law, LawInputs, Model
 
 
 class Lqg(Law):
     GAINS = {"error": 1e-3, "effort": 1.0, "walk": 10.0, "noise": 3e-8}
 
-    def __init__(self, model, period, force_limit, error=1e-3, effort=1.0, walk=10.0, noise=3e-8):
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: float,
+        error: float = 1e-3,
+        effort: float = 1.0,
+        walk: float = 10.0,
+        noise: float = 3e-8,
+    ) -> None:
         t, self.model, self.limit = period, model, force_limit
-        self.mass = model.mass
+        self.mass: float = model.mass
         # State [e, de/dt, disturbance]; input: net force on the error.
         self.a = np.array([[1.0, t, -t * t / (2 * self.mass)], [0.0, 1.0, -t / self.mass], [0.0, 0.0, 1.0]])
         self.b = np.array([t * t / (2 * self.mass), t / self.mass, 0.0])
@@ -26,11 +35,12 @@ class Lqg(Law):
         self.k = (x[2] @ late / (effort**-2 + x[2, 2]))[:2]
         self.reset(0.0, model.gravity)
 
-    def reset(self, position, force):
+    def reset(self, position: float, force: float) -> None:
         self.x = np.array([0.0, 0.0, 0.0])
-        self.known = self.known_before = self.model.gravity
+        self.known: float = self.model.gravity
+        self.known_before = self.known
 
-    def force(self, inputs):
+    def force(self, inputs: LawInputs) -> float:
         net = inputs.force_before - self.known_before
         self.x = self.a @ self.x + self.b * net
         if inputs.fresh:
@@ -41,4 +51,4 @@ class Lqg(Law):
         self.known_before = self.known
         self.known = m.mass * inputs.mean_acceleration + m.coulomb * inputs.mean_sign
         self.known += (m.viscous + m.quadratic * abs(v)) * v + m.gravity
-        return self.known + ahead[2] - float(self.k @ ahead[:2])
+        return float(self.known + ahead[2] - self.k @ ahead[:2])

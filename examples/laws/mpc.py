@@ -1,8 +1,13 @@
 """Model-predictive control with preview: all axes at once, the constraint on force met in the horizon's first step."""
 
-import numpy as np
+from typing import Any
 
-from hil import Law
+import numpy as np
+from numpy.typing import NDArray
+
+from hil import Law, LawInputs, Model
+
+Array = NDArray[np.float64]  # (axes,)
 
 HORIZON = 12
 
@@ -16,25 +21,27 @@ class PreviewMpc(Law):
     preview = HORIZON
     GAINS = {"effort": 1.0, "error": 2e-4}
 
-    def __init__(self, model, period, force_limit, effort=1.0, error=2e-4):
+    def __init__(self, model: Model, period: float, force_limit: Array, effort: Any = 1.0, error: Any = 2e-4) -> None:
         self.model, self.period, self.limit = model, period, force_limit
         n, t = HORIZON, period
-        effort = np.broadcast_to(effort, model.mass.shape)
-        error = np.broadcast_to(error, model.mass.shape)
+        masses: Array = model.mass
+        efforts, errors = np.broadcast_to(effort, masses.shape), np.broadcast_to(error, masses.shape)
         steps = np.arange(1, n + 1)
         self.free = np.stack([np.ones(n), steps * t], axis=1)  # (n, 2) of error and rate now
         age = steps[:, None] - steps[None, :]
         response = np.where(age >= 0, (age + 0.5) * t * t, 0.0)  # of the position to acceleration
-        self.gain = []
-        for mass, r, q in zip(model.mass, effort, error, strict=True):
-            g = response / mass
+        self.gain: list[Array] = []
+        for mass, r, q in zip(masses, efforts, errors, strict=True):
+            g: Array = response / mass
             # A feedback force that decays, for the error only: the reference's own force is fed forward.
-            self.gain.append(np.linalg.solve(g.T @ g / q**2 + np.eye(n) / r**2, g.T / q**2)[0])
+            weighted: Array = g.T @ g / q**2 + np.eye(n) / r**2
+            target: Array = g.T / q**2
+            self.gain.append(np.linalg.solve(weighted, target)[0])
 
-    def reset(self, position, force):
+    def reset(self, position: Array, force: Array) -> None:
         pass
 
-    def force(self, inputs):
+    def force(self, inputs: LawInputs) -> Array:
         m = self.model
         positions = np.array([reference.position for reference in inputs.preview])
         error = inputs.position_estimate - positions[0]
@@ -48,4 +55,5 @@ class PreviewMpc(Law):
         known = known + (m.viscous + m.quadratic * np.abs(v)) * v + m.gravity
         path = self.free @ np.stack([error, rate])  # (n, axes)
         feedback = np.array([gain @ path[:, axis] for axis, gain in enumerate(self.gain)])
-        return np.clip(known - feedback, -self.limit, self.limit)
+        force: Array = np.clip(known - feedback, -self.limit, self.limit)
+        return force

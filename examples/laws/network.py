@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil import Law
+from hil import Law, LawInputs, Model
 
 WIDTH = 8
 
@@ -12,25 +12,35 @@ class Network(Law):
 
     GAINS = {"stiffness": 0.0, "damping": 0.0, "reach": 0.4}
 
-    def __init__(self, model, period, force_limit, stiffness=0.0, damping=0.0, reach=0.4):
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        force_limit: float,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        reach: float = 0.4,
+    ) -> None:
         self.model = model
         omega = 0.25 / period
-        kp = stiffness or model.mass * omega**2
-        kd = damping or 1.4 * model.mass * omega
+        mass: float = model.mass
+        kp = stiffness or mass * omega**2
+        kd = damping or 1.4 * mass * omega
         self.out = reach * force_limit
         scale = np.linspace(0.5, 1.5, WIDTH)
         self.first = np.outer(scale, [kp, kd]) / self.out
         self.second = np.eye(WIDTH)
         self.last = np.full(WIDTH, self.out / scale.sum())
 
-    def reset(self, position, force):
+    def reset(self, position: float, force: float) -> None:
         pass
 
-    def force(self, inputs):
+    def force(self, inputs: LawInputs) -> float:
         error = inputs.position_estimate - inputs.start.position
         rate = inputs.velocity_estimate - inputs.start.velocity
         hidden = np.tanh(self.first @ np.array([error, rate]))
         feedback = self.last @ np.tanh(self.second @ hidden)
         m, v = self.model, inputs.mean_velocity
         known = m.mass * inputs.mean_acceleration + m.coulomb * inputs.mean_sign
-        return known + (m.viscous + m.quadratic * abs(v)) * v + m.gravity - float(feedback)
+        known = known + (m.viscous + m.quadratic * abs(v)) * v + m.gravity
+        return float(known - feedback)

@@ -12,7 +12,7 @@ bytes before it and of the identifier's low byte, modulo 256.
 
 import struct
 
-from hil import Command, DriveSide, DriveStatus, Frame, FrameLayout, HostSide, Message, Reject, Sample
+from hil import Command, DriveSide, DriveStatus, Frame, FrameLayout, HostSide, Message, Reject, Sample, Wiring
 
 GO_ID, TORQUE_ID, ANSWER_ID = 0x180, 0x201, 0x281
 
@@ -20,7 +20,7 @@ GO_ID, TORQUE_ID, ANSWER_ID = 0x180, 0x201, 0x281
 class Maker(FrameLayout):
     """torque_unit: N (N m) per step of the torque, as the drives are set."""
 
-    def __init__(self, wiring, torque_unit=1e-3):
+    def __init__(self, wiring: Wiring, torque_unit: float = 1e-3) -> None:
         super().__init__(wiring)
         for axis, rated in enumerate(wiring.rated_force):
             if not rated <= 32767 * torque_unit:
@@ -29,10 +29,10 @@ class Maker(FrameLayout):
                 )
         self.torque_unit = torque_unit
 
-    def host(self):
+    def host(self) -> "MakerHost":
         return MakerHost(self.wiring.n_axes, self.torque_unit)
 
-    def drives(self):
+    def drives(self) -> "MakerDrives":
         return MakerDrives(self.wiring, self.torque_unit)
 
 
@@ -51,11 +51,11 @@ class MakerHost(HostSide):
         0x02: DriveStatus.BRAKE,
     }
 
-    def __init__(self, n_axes, torque_unit):
+    def __init__(self, n_axes: int, torque_unit: float) -> None:
         self.n_axes, self.torque_unit = n_axes, torque_unit
 
-    def encode(self, command):
-        counter, frames = command.sequence % 256, []
+    def encode(self, command: Command) -> list[Frame]:
+        counter, frames = command.sequence % 256, list[Frame]()
         for axis in range(self.n_axes):
             torque = round(command.force[axis] / self.torque_unit)
             control = (command.enable >> axis & 1) | 2 * command.reset
@@ -63,7 +63,7 @@ class MakerHost(HostSide):
             frames.append(Frame(TORQUE_ID + axis, data + bytes([self.check(TORQUE_ID + axis, data)])))
         return [*frames, Frame(GO_ID, bytes([counter]))]
 
-    def decode(self, frame):
+    def decode(self, frame: Frame) -> Sample | Reject:
         axis = frame.can_id - ANSWER_ID
         if not 0 <= axis < self.n_axes:
             return Reject.UNKNOWN_ID
@@ -79,8 +79,8 @@ class MakerHost(HostSide):
         status = sum(int(meaning) for bit, meaning in self.STATUS.items() if state & bit)
         return Sample(axis, position, status, counter, -1)
 
-    def messages(self, period_ns):
-        host, due = [], period_ns
+    def messages(self, period_ns: int) -> list[Message]:
+        host, due = list[Message](), period_ns
         for axis in range(self.n_axes):
             host.append(Message(f"torque {axis}", TORQUE_ID + axis, 5, False, period_ns, due, 0, "host"))
         host.append(Message("go", GO_ID, 1, False, period_ns, due, 0, "host"))
@@ -91,7 +91,7 @@ class MakerHost(HostSide):
         return host + answers
 
     @staticmethod
-    def check(can_id, data):
+    def check(can_id: int, data: bytes) -> int:
         return (0xFF - sum(data) - can_id % 256) % 256
 
 
@@ -100,12 +100,13 @@ class MakerDrives(DriveSide):
 
     sequence_modulus = 256
 
-    def __init__(self, wiring, torque_unit):
+    def __init__(self, wiring: Wiring, torque_unit: float) -> None:
         self.rated, self.unit = list(wiring.rated_force), torque_unit
         self.force_resolution = max(0.5 * torque_unit / rated for rated in self.rated)
-        self.told = {}  # (force, power, clear, counter) of the drives that have heard their torque since the last GO
+        # (force, power, clear, counter) of the drives that have heard their torque since the last GO
+        self.told: dict[int, tuple[float, int, int, int]] = {}
 
-    def decode_command(self, frame):
+    def decode_command(self, frame: Frame) -> Command | Reject:
         if frame.can_id == GO_ID and not frame.flags:
             return self.go(frame.data)
         drive = frame.can_id - TORQUE_ID
@@ -123,7 +124,7 @@ class MakerDrives(DriveSide):
         self.told[drive] = force, frame.data[2] & 1, frame.data[2] & 2, frame.data[3]
         return Reject.SERVICE
 
-    def go(self, data):
+    def go(self, data: bytes) -> Command | Reject:
         told, self.told = self.told, {}
         if len(data) != 1:
             return Reject.WRONG_LENGTH
@@ -133,7 +134,7 @@ class MakerDrives(DriveSide):
         power = sum(1 << drive for drive, (_, on, _, _) in told.items() if on)
         return Command(data[0], force, power, any(clear for _, _, clear, _ in told.values()))
 
-    def encode_feedback(self, sample):
+    def encode_feedback(self, sample: Sample) -> Frame:
         power, fault, late, limited, homed, brake, encoder = (sample.status >> bit & 1 for bit in range(7))
         state = power << 7 | fault << 6 | late << 5 | limited << 4 | encoder << 3 | homed << 2 | brake << 1
         can_id = ANSWER_ID + sample.axis
