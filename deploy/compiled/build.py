@@ -89,10 +89,6 @@ HIDDEN_IMPORT = re.compile(
     re.MULTILINE,
 )
 
-# The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
-# where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math.
-FLAGS = ["-ffp-contract=off", "-g0"]
-
 LAUNCHER = """#!{python} -P
 import os
 
@@ -137,9 +133,11 @@ def missing() -> str:
 
 
 def copy_sources() -> None:
-    """The packages as they are now, without what an earlier build left."""
-    shutil.rmtree(WORK, ignore_errors=True)
+    """The packages as they are now, beside the objects of an earlier build, but without its libraries."""
+    for library_file in WORK.glob("*.so"):
+        library_file.unlink()
     for package in PACKAGES:
+        shutil.rmtree(WORK / package, ignore_errors=True)
         shutil.copytree(ROOT / package, WORK / package, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     shutil.copy(ROOT / "pyproject.toml", WORK)  # mypy's options
 
@@ -189,16 +187,7 @@ def change(path: Path, pattern: str, text: str) -> None:
 
 def compile_modules() -> None:
     """Put an extension module beside every copy in modules(). Exits where mypyc gives up or has to guess."""
-    script = f"""
-from mypyc.build import mypycify
-from setuptools import setup
-
-extensions = mypycify(["--follow-imports=silent", "--no-warn-unused-configs", *{modules()!r}], opt_level="2")
-for extension in extensions:
-    extension.extra_compile_args = extension.extra_compile_args + {FLAGS!r}  # a list that all of them share
-setup(name="hil-compiled", packages=[], py_modules=[], ext_modules=extensions)
-"""
-    command = [sys.executable, "-c", script, "-q", "build_ext", "--inplace"]
+    command = [sys.executable, ROOT / "deploy" / "compiled" / "extensions.py", *modules()]
     done = subprocess.run(command, cwd=WORK, capture_output=True, text=True, check=False)
     told = (done.stdout + done.stderr).splitlines()
     # A default that mypyc leaves out would be an attribute that is missing.
@@ -240,7 +229,7 @@ def main() -> None:
     if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
         sys.exit(__doc__)
     directory = ROOT / sys.argv[1]
-    print(f"compiling {len(modules())} modules (about two minutes)", flush=True)
+    print(f"compiling {len(modules())} modules (a minute and a half)", flush=True)
     copy_sources()
     instantiate()
     make_flags_ints()

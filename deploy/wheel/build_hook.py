@@ -2,7 +2,7 @@
 
 Every wheel carries the shipped rig files, scenarios and systemd units as `hil/deploy`. With HIL_COMPILED=1 in the
 environment it is a wheel for this platform and Python, its hot path compiled by deploy/compiled/build.py: that needs a
-C compiler, Python's headers and about two minutes.
+C compiler, Python's headers and a minute and a half.
 
     pip install .                   the interpreted source
     HIL_COMPILED=1 pip install .    the same, compiled
