@@ -19,6 +19,23 @@ Number = Any  # float, or an array of float64; every function maps one kind to t
 where: Callable[[Any, Any, Any], Any] = np.where
 
 
+def zeros_like(value: Number) -> Number:
+    """0 for every axis that the value has."""
+    if isinstance(value, np.ndarray):
+        return np.zeros_like(value)
+    return 0.0
+
+
+def full_like(value: Number, fill: Number) -> Number:
+    """`fill` for every axis that the value has."""
+    return zeros_like(value) + fill
+
+
+def copy(value: Number) -> Number:
+    """The value as it is now: arrays are written anew by who owns them."""
+    return value + 0.0
+
+
 def bounded(value: Number, bound: Number) -> Number:
     """value limited to [-bound, bound]; NaN stays NaN."""
     if isinstance(value, float):
@@ -31,6 +48,13 @@ def at_least(value: Number, low: Number) -> Number:
     if isinstance(value, float):
         return low if value < low else value
     return np.maximum(value, low)
+
+
+def at_most(value: Number, high: Number) -> Number:
+    """The smaller of both; NaN stays NaN."""
+    if isinstance(value, float):
+        return high if value > high else value
+    return np.minimum(value, high)
 
 
 def select(condition: Any, then: Number, otherwise: Number) -> Number:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from hil.control.laws.base import LawInputs
-from hil.control.number import Number, anywhere, select
+from hil.control.number import Number, anywhere, select, zeros_like
 
 FORGETTING: Final = 0.7  # of the squared errors, from one tick to the next
 ALPHA: Final = 0.9  # of the filter on the reference: shares of the innovation, for position and velocity
@@ -30,12 +30,12 @@ class MotionFilter:
     def __init__(self, gains: Sequence[Number], mass: Number) -> None:
         self._position_gain, self._velocity_gain, self._disturbance_gain = gains
         self._inverse_mass = 1.0 / mass
-        self.reseed(mass - mass)
+        self.reseed(zeros_like(mass))
 
     def reseed(self, position: Number) -> None:
         """At rest at `position`, without disturbance."""
         self.position = self.ahead_position = position
-        self.velocity = self.disturbance = self.innovation = self.ahead_velocity = position - position
+        self.velocity = self.disturbance = self.innovation = self.ahead_velocity = zeros_like(position)
 
     def correct(
         self, force: Number, interval: Number, measured: Number, fresh: Number = 1.0, stretch: Number = 1.0
@@ -103,7 +103,7 @@ class VelocityBlend:
         """At rest at `position` (m)."""
         self._follower.reseed(position)
         self._coaster.reseed(position)
-        self.velocity: Number = position - position
+        self.velocity: Number = zeros_like(position)
         self._errors_known: Number = self.velocity
         self._errors_followed: Number = self.velocity
         self._errors_alone: Number = self.velocity
@@ -116,7 +116,7 @@ class VelocityBlend:
         """
         follower, coaster = self._follower, self._coaster
         follower.correct(expected, interval, measured, fresh, stretch)
-        coaster.correct(expected - expected, interval, measured, fresh, stretch)
+        coaster.correct(zeros_like(expected), interval, measured, fresh, stretch)
         a = self._errors_known = FORGETTING * self._errors_known + known.innovation * known.innovation
         b = self._errors_followed = FORGETTING * self._errors_followed + follower.innovation * follower.innovation
         c = self._errors_alone = FORGETTING * self._errors_alone + coaster.innovation * coaster.innovation

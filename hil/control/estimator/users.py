@@ -17,7 +17,7 @@ from drivers.base.call_limit import FAILED, watch
 from drivers.base.guard import Guard
 from hil.control.estimator.contract import Estimator, Measurement
 from hil.control.laws.base import Array, AxisLaws, Law, LawInputs, Model, axis_model
-from hil.control.number import Number
+from hil.control.number import Number, copy
 from hil.control.setpoints import nominal_net_force
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ESTIMATOR_KIND
@@ -65,7 +65,7 @@ class _Watched:
         """This tick's."""
         net = self._net
         self._net = 0.0 if self._moving is None else nominal_net_force(x.force_last, self._model, *self._moving)
-        self._moving = x.mean_velocity + 0.0, x.mean_sign + 0.0  # copies, of arrays
+        self._moving = copy(x.mean_velocity), copy(x.mean_sign)
         self._age = (self._age + x.sample_interval) * (1.0 - x.fresh)
         return Measurement(
             x.position, x.fresh, self._age, x.sample_interval, x.ahead, x.force_before, x.force_last, net, self._net,

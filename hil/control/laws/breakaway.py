@@ -9,7 +9,7 @@ measures a breakaway force (Armstrong-Helouvry, Dupont, Canudas de Wit, Automati
 from typing import Any
 
 from hil.control.laws.structured_filter import TINY, Covariance
-from hil.control.number import Number, at_least, select
+from hil.control.number import Number, at_least, copy, select, zeros_like
 
 
 def anywhere(condition: Any) -> bool:
@@ -27,11 +27,11 @@ class Breakaway:
     def __init__(self, rate: Number, lag: Number) -> None:
         self._rate, self._lag = rate, lag
         self.ever = anywhere(rate > 0.0)
-        self.reset(rate - rate)
+        self.reset(zeros_like(rate))
 
     def reset(self, position: Number) -> None:
         """At rest at `position`, m."""
-        self._held = position + 0.0
+        self._held = copy(position)
         self._slides = position != position  # nowhere
 
     def watch(self, position: Number, fresh: Number, before: Number, after: Number) -> tuple[Any, Any, Number]:
@@ -55,7 +55,7 @@ class Breakaway:
         so that what is known of that direction stays as it is.
         """
         step = self._rate * time
-        step = select(error * velocity < -self._lag * abs(velocity), step, step - step)
+        step = select(error * velocity < -self._lag * abs(velocity), step, zeros_like(step))
         sign = select(velocity < 0.0, -1.0, 1.0)
         both = sign * p[12]
         bias, dry = at_least(p[11] + both, 0.0), at_least(p[15] + both, 0.0)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.terms import DAMPING, STIFFNESS, Feedforward, default_damping, default_stiffness
-from hil.control.number import Number, bounded
+from hil.control.number import Number, bounded, zeros_like
 
 
 class DisturbanceObserver(Law):
@@ -39,11 +39,11 @@ class DisturbanceObserver(Law):
         self._gravity = model.gravity
         self._limit = force_limit
         self._feedforward = Feedforward(model)
-        self.reset(model.mass - model.mass, model.gravity)
+        self.reset(zeros_like(model.mass), model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """No error; what `force` has beyond the gravity hold counts as disturbance."""
-        zero = position - position
+        zero = zeros_like(position)
         self._error, self._rate = zero, zero
         self._disturbance = bounded(zero + (force - self._gravity), self._limit)
         self._known_before = zero + self._gravity  # feedforward that belongs to force_before

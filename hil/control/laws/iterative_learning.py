@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from hil.control.gain import Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
-from hil.control.number import Number, bounded
+from hil.control.number import Number, bounded, zeros_like
 
 LEARNING_GAINS: dict[str, Gain] = {
     "learning_rate": Gain(0.9, "1", "part of the error corrected from one repeat to the next"),
@@ -81,12 +81,12 @@ class IterativeLearning(Law):
         self._weights = (inertia, stiffness - damping - inertia, stiffness + damping - inertia, inertia)
         self.coupled = inner.coupled
         self.preview = inner.preview
-        self.reset(model.mass - model.mass, model.mass - model.mass)
+        self.reset(zeros_like(model.mass), zeros_like(model.mass))
 
     def reset(self, position: Number, force: Number) -> None:
         """Everything learnt is forgotten."""
         self._inner.reset(position, force)
-        zero = position - position
+        zero = zeros_like(position)
         self._learnt = [zero] * self._count
         self._errors, self._good = [zero] * SAMPLES, [zero] * SAMPLES
         self._last, self._before = zero, zero
@@ -105,7 +105,7 @@ class IterativeLearning(Law):
             inputs.force_last, inputs.force_before = last, before
         self.denominator_floors = self._inner.denominator_floors
         self._before = self._last
-        self._last = self._learnt[tick % self._count] if tick >= 0 else self._last - self._last
+        self._last = self._learnt[tick % self._count] if tick >= 0 else zeros_like(self._last)
         return asked + self._last
 
     def _learn(self, inputs: LawInputs, tick: int) -> None:

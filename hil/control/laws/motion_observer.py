@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 from hil.control.laws.base import Model
 from hil.control.laws.breakaway import anywhere
-from hil.control.number import Number, at_least, root, select
+from hil.control.number import Number, at_least, at_most, root, select, zeros_like
 
 LEAST_LAG = 1e-3  # of a period: what no lag is calculated as
 SQUARINGS, TERMS = 12, 8  # of the matrix exponential
@@ -49,7 +49,7 @@ def _sum(a: Matrix, b: Matrix) -> Matrix:
 
 
 def _identity(n: int, one: Number) -> Matrix:
-    return [[one if i == k else one - one for k in range(n)] for i in range(n)]
+    return [[one if i == k else zeros_like(one) for k in range(n)] for i in range(n)]
 
 
 def _exponential(a: Matrix, one: Number) -> Matrix:
@@ -115,7 +115,7 @@ class MotionModel:
 
     def __init__(self, model: Model, period: float, mode_share: Number = 1.0) -> None:
         """mode_share: of the model's mode frequency that the observer takes the mode to have."""
-        zero = model.mass - model.mass
+        zero = zeros_like(model.mass)
         one = zero + 1.0
         load = zero + model.mode_load
         # The mode of the free axis, not that of the tool on a held motor.
@@ -159,7 +159,7 @@ class MotionModel:
         self.thrown = Gains(self.e_f / seen, self.v_f / seen, self.x_f / seen, self.n_f / seen, zero)
         n = self.n_f * period / select(rings, ring, one)
         self.swing = root(self.x_f * self.x_f + n * n) * self._seen
-        self.fade = -at_least(-root(self.x_x * self.n_n - self.x_n * self.n_x), -SLOWEST_FADE)
+        self.fade = at_most(root(self.x_x * self.n_n - self.x_n * self.n_x), SLOWEST_FADE)
         self._metre = metre
         self.time = period
 
@@ -168,7 +168,7 @@ class MotionModel:
         force and the disturbance's steps make, and the encoder's speed that the mode's own make.
         """
         one = self._one
-        zero = one - one
+        zero = zeros_like(one)
         by_force = [-self._transition[i][5] * force_noise for i in range(5)] + [zero]
         q = [[p * r for r in by_force] for p in by_force]
         q[4][4] = q[4][4] + mode_noise * mode_noise * self._seen

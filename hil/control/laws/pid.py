@@ -13,7 +13,7 @@ from hil.control.laws.terms import (
     error_rate,
     unless_saturated,
 )
-from hil.control.number import Number, bounded
+from hil.control.number import Number, bounded, full_like, zeros_like
 
 
 class Pid(Law):
@@ -40,11 +40,11 @@ class Pid(Law):
         self._gravity = model.gravity
         self._period = period
         self._limit = force_limit
-        self.reset(model.mass - model.mass, model.gravity)
+        self.reset(zeros_like(model.mass), model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """The integral takes over what `force` has beyond the gravity hold."""
-        self._integral = bounded(position - position + (force - self._gravity), self._limit)
+        self._integral = bounded(full_like(position, force - self._gravity), self._limit)
 
     def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.number import Number, bounded, select
+from hil.control.number import Number, bounded, select, zeros_like
 
 HALF = 31  # nodes on each side of position 0
 LAST_CELL = 30.999
@@ -23,7 +23,7 @@ class PositionTable:
         self._limit = limit
         self._floats = isinstance(limit, float)
         self._values: Any = [0.0] * NODES if self._floats else np.zeros((NODES, *np.shape(limit)))
-        zero = limit - limit
+        zero = zeros_like(limit)
         self._to_near, self._to_far = zero, zero  # learnt since the axis came between the nodes beside it
         _, self._near, self._far = self._place(zero)
 
@@ -55,7 +55,7 @@ class PositionTable:
         was_near, was_far, to_near, to_far = self._near, self._far, self._to_near, self._to_far
         left_near, left_far = (was_near != near) & (was_near != far), (was_far != near) & (was_far != far)
         if not self._floats or left_near or left_far:
-            zero = force - force
+            zero = zeros_like(force)
             self._grow(was_near, select(left_near, to_near, zero))
             self._grow(was_far, select(left_far, to_far, zero))
             self._to_near = select(near == was_near, to_near, select(near == was_far, to_far, zero))

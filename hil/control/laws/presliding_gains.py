@@ -6,7 +6,7 @@ made the tool's error after a step of force small. The slower the mode, the lowe
 for: a mode slower than expected turns the phase that the loop lives on.
 """
 
-from hil.control.number import Number, at_least, select
+from hil.control.number import Number, at_least, at_most, select, zeros_like
 
 # Swings of the free axis' mode in a period; straight lines between, and what the outermost have beyond.
 SWINGS = (0.15, 0.175, 0.2, 0.3)
@@ -35,11 +35,11 @@ OF_PRESLIDING: dict[str, float] = {"integral": 0.06}
 def of_model(name: str, swings: Number, presliding: Number) -> Number:
     """That gain for a mode of so many swings in a period, and the presliding that the model states; 0: none."""
     rigid, flexible = OF_MODE[name]
-    zero = swings - swings
+    zero = zeros_like(swings)
     value = zero + flexible[0]
     for place in range(1, len(flexible)):
         begin, end = SWINGS[place - 1], SWINGS[place]
         slope = (flexible[place] - flexible[place - 1]) / (end - begin)
-        value = value + slope * -at_least(-at_least(swings - begin, 0.0), begin - end)
+        value = value + slope * at_most(at_least(swings - begin, 0.0), end - begin)
     guided = select(presliding > 0.0, zero + OF_PRESLIDING.get(name, rigid), zero + rigid)
     return select(swings > 0.0, value, guided)

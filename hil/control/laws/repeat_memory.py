@@ -14,7 +14,7 @@ error:
 - MOST_HARM repeats worse than without since one that was better: no more is learnt, until the repeats without change.
 """
 
-from hil.control.number import Number, at_least, bounded, select
+from hil.control.number import Number, at_least, at_most, bounded, copy, select, zeros_like
 
 WARM_REPEATS = 2  # the law by itself: what it learns by other means comes first
 RATE, LEAST_RATE = 0.7, 0.1
@@ -65,11 +65,11 @@ class RepeatMemory:
     def best(self) -> list[Number]:
         """The force that left least, N, by tick; none where no more is learnt."""
         given_up = self._harm >= MOST_HARM
-        return [select(given_up, value - value, value) for value in self._best]
+        return [select(given_up, zeros_like(value), value) for value in self._best]
 
     def forget(self) -> None:
         """As at the start."""
-        zero = self._limit - self._limit
+        zero = zeros_like(self._limit)
         self._force: list[Number] = self._start[:] if self._start else [zero] * self._count
         self._best: list[Number] = self._force[:]
         self._missing: list[Number] = [zero] * self._count
@@ -95,7 +95,7 @@ class RepeatMemory:
         """What the sample seen in this tick says: N, m; good: 1.0, or 0.0 where it says nothing."""
         step = self.steps[0]
         self._history = h = [value - step for value in self._history[1:]]
-        h.append(disturbance + 0.0)
+        h.append(copy(disturbance))
         self._stepped = self._stepped + step
         self._spoilt = select(good > 0.0, at_least(self._spoilt - 1.0, 0.0), 0.0 * good + SAMPLES)
         if tick < 0:
@@ -112,7 +112,7 @@ class RepeatMemory:
 
     def force(self, tick: int) -> Number:
         """Learnt for the interval that begins now, N."""
-        force = step = self._limit - self._limit
+        force = step = zeros_like(self._limit)
         if tick >= 0:
             force, step = self._program(tick // self._count, tick % self._count)
         self.steps = (self.steps[1], step)
@@ -120,7 +120,7 @@ class RepeatMemory:
 
     def _program(self, repeat: int, slot: int) -> tuple[Number, Number]:
         """The force of a slot, and its step."""
-        zero = self._limit - self._limit
+        zero = zeros_like(self._limit)
         begins = repeat > self._repeat
         if begins:
             self._judge(repeat)
@@ -140,7 +140,7 @@ class RepeatMemory:
     def _judge(self, repeat: int) -> None:
         """The repeat that has just ended, and what the next one is to be."""
         square = self._squares / at_least(self._samples, 1.0)
-        zero = square - square
+        zero = zeros_like(square)
         one = zero + 1.0
         self._squares, self._samples, self._stepped, self._repeat = zero, zero, zero, repeat
         if repeat < WARM_REPEATS and not self._start:
@@ -159,7 +159,7 @@ class RepeatMemory:
         harm = select(helped > 0.0, zero, self._harm + harmful * self._compared)
         given_up = self._harm >= MOST_HARM
         harm = select(given_up & (square > CHANGED * self._without), zero, harm)
-        self._least = select(measured, square, -at_least(-square, -self._least))
+        self._least = select(measured, square, at_most(square, self._least))
         self._without = select(none & (self._harm < MOST_HARM), square, self._without)
         self._compared = at_least(self._compared, self._pauses)
         slower = at_least(0.5 * self._rate, LEAST_RATE)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.terms import Feedforward, default_damping, error, error_rate, unless_saturated
-from hil.control.number import Number, bounded, select
+from hil.control.number import Number, bounded, select, zeros_like
 
 
 class SlotineLi(Law):
@@ -44,11 +44,11 @@ class SlotineLi(Law):
             given["bias_gain"],
         ]
         self._gains = tuple([gain * period for gain in adaptation])
-        self.reset(model.mass - model.mass, model.gravity)
+        self.reset(zeros_like(model.mass), model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """Estimates restart; the bias takes over what `force` has beyond the gravity hold."""
-        zero = position - position
+        zero = zeros_like(position)
         bias = bounded(zero + (force - self._gravity), self._bounds[3])
         self._estimates = [zero, zero, zero, bias]
 

@@ -39,7 +39,7 @@ from hil.control.laws.structured_filter import (
     update,
 )
 from hil.control.laws.terms import DEFAULT_BANDWIDTH, DEFAULT_DAMPING
-from hil.control.number import Number, at_least, bounded, select
+from hil.control.number import Number, at_least, bounded, copy, select, zeros_like
 
 # Standard deviations at the start, at rest: m/s; of gravity and dry friction; of dry friction; of the force limit.
 PRIOR_SPEED, BIAS_PART, DRY_PART, SMALL_PART = 1e-3, 0.1, 1.0, 0.05
@@ -152,18 +152,18 @@ class StructuredKalman(Law):
         inertia: Number = 0.5 * model.mass if mass_prior is None else mass_prior
         prior = (measurement_noise, PRIOR_SPEED, bias, dry, wet, inertia)
         self._prior = diagonal(*(value * value for value in prior))
-        zero = model.mass - model.mass
+        zero = zeros_like(model.mass)
         self._breakaway = Breakaway(zero + breakaway_rate, zero + breakaway_lag)
         speed = zero + stribeck_velocity
         self._peaked = speed > 0.0
         self._has_peak = anywhere(self._peaked)
         self._slowness = 1.0 / select(self._peaked, speed, 1.0)
         self._bounds: Disturbance = (force_limit, force_limit, force_limit, 0.9 * model.mass)
-        self.reset(model.mass - model.mass, model.gravity)
+        self.reset(zeros_like(model.mass), model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """At rest, without error; what `force` has beyond the gravity hold is taken as bias."""
-        zero = position - position
+        zero = zeros_like(position)
         bias = bounded(zero + (force - self._model.gravity), self._bounds[0])
         self._error, self._rate = zero, zero  # at the newest sample, as all that follows
         self._disturbance: Disturbance = (bias, zero, zero, zero)
@@ -189,7 +189,7 @@ class StructuredKalman(Law):
             self._begun = True
         # Where no axis answered, the command was lost, and drives hold the force before it.
         last = select(inputs.answered != 0.0, last, before)
-        self._acting = last + 0.0  # arrays are reused by the caller: keep a copy
+        self._acting = copy(last)
         return before, last
 
     def _friction(self, mean_sign: Number, mean_velocity: Number) -> Number:
@@ -261,7 +261,7 @@ class StructuredKalman(Law):
                 learnt = self._crept(holds, lag, inputs, learnt)
                 covariance = choose(holds, standing(kept, self._measurement), covariance)
         self._error, self._rate, self._disturbance, self._covariance = error, rate, learnt, covariance
-        self._position, self._velocity = q1 + 0.0, v1 + 0.0
+        self._position, self._velocity = copy(q1), copy(v1)
         return error, rate, learnt
 
     def _crept(self, holds: Any, lag: Number, inputs: LawInputs, learnt: Disturbance) -> Disturbance:

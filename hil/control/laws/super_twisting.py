@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from hil.control.gain import Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.terms import Feedforward, error, error_rate, unless_saturated
-from hil.control.number import Number, at_least, bounded, root
+from hil.control.number import Number, at_least, bounded, full_like, root, zeros_like
 
 
 class SuperTwisting(Law):
@@ -43,11 +43,11 @@ class SuperTwisting(Law):
         self._linear = model.mass * (0.1 / period) if linear is None else linear
         self._smooth = at_least(smooth, 1e-12)
         self._damping = model.mass * self._rate
-        self.reset(model.mass - model.mass, model.gravity)
+        self.reset(zeros_like(model.mass), model.gravity)
 
     def reset(self, position: Number, force: Number) -> None:
         """The integral term takes over what `force` has beyond the gravity hold."""
-        self._w = bounded(position - position + (force - self._gravity), self._bound)
+        self._w = bounded(full_like(position, force - self._gravity), self._bound)
 
     def force(self, inputs: LawInputs) -> Number:
         """The law of the class's docstring."""

@@ -6,7 +6,7 @@ Innovation = sum of weight error times what a unit of it makes of an innovation 
 of a bias, IEEE TAC 14(4), 1969). Weights: 6 operators of hil/control/laws/presliding_bank.py (N) and the mass (kg).
 """
 
-from hil.control.number import Number, select
+from hil.control.number import Number, select, zeros_like
 
 Weights = tuple[Number, Number, Number, Number, Number, Number, Number]
 
@@ -19,7 +19,7 @@ Spread = tuple[
 
 def diagonal(v: Weights) -> Spread:
     """A covariance without correlations, of variances."""
-    o = v[0] - v[0]
+    o = zeros_like(v[0])
     return (
         v[0], o, o, o, o, o, o, v[1], o, o, o, o, o, v[2], o, o, o, o, v[3], o, o, o, v[4], o, o, v[5], o, v[6],
     )  # fmt: skip
