@@ -123,7 +123,8 @@ def _advice_lines() -> list[str]:
     lines += ["Made from the rows in `hil/cycle/faults/`; every event of a fault carries the same words.", ""]
     lines += ["| fault | measured | unit | usual cause | what to do next |", "|---|---|---|---|---|"]
     for fault, text in ROWS.items():
-        lines.append(f"| {fault.name.lower()} | {text.measured} | {text.unit} | {text.cause} | {text.action} |")
+        measured = text.measured.format(" / ".join(text.words)) if text.words else text.measured
+        lines.append(f"| {fault.name.lower()} | {measured} | {text.unit} | {text.cause} | {text.action} |")
     return lines
 
 

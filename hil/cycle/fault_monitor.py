@@ -174,9 +174,9 @@ class FaultMonitor:
         if port.state is not BusState.ERROR_ACTIVE or port.bus_off != before.bus_off or port.down != before.down:
             self._flag_bus_state(port)
             if port.bus_off != before.bus_off:
-                self.flag(Fault.BUS_OFF, BusState.BUS_OFF, BusState.ERROR_ACTIVE)
+                self.flag_state(Fault.BUS_OFF, BusState.BUS_OFF)
             if port.down != before.down:
-                self.flag(Fault.INTERFACE_DOWN, BusState.DOWN, BusState.ERROR_ACTIVE)
+                self.flag_state(Fault.INTERFACE_DOWN, BusState.DOWN)
         self._no_ack_ticks = self._no_ack_ticks + 1 if port.no_ack > before.no_ack else 0
         if self._no_ack_ticks >= NO_ACK_TICKS:
             self.flag(Fault.NO_ACK, self._no_ack_ticks, NO_ACK_TICKS)
@@ -202,11 +202,11 @@ class FaultMonitor:
 
     def _flag_bus_state(self, port: PortCounters) -> None:
         if port.state == BusState.ERROR_PASSIVE:
-            self.flag(Fault.BUS_PASSIVE, port.state, BusState.ERROR_ACTIVE)
+            self.flag_state(Fault.BUS_PASSIVE, port.state)
         elif port.state == BusState.BUS_OFF:
-            self.flag(Fault.BUS_OFF, port.state, BusState.ERROR_ACTIVE)
+            self.flag_state(Fault.BUS_OFF, port.state)
         elif port.state == BusState.DOWN:
-            self.flag(Fault.INTERFACE_DOWN, port.state, BusState.ERROR_ACTIVE)
+            self.flag_state(Fault.INTERFACE_DOWN, port.state)
 
     def check_timing(self, tick: Tick) -> None:
         """Skipped slots and long gaps between ticks."""
@@ -248,9 +248,9 @@ class FaultMonitor:
             if sample.status & _BAD_STATUS:
                 for bit, fault in _STATUS_FAULTS:
                     if sample.status & bit:
-                        self.flag(fault, 1.0, 0.0, axis)
+                        self.flag_state(fault, 1, axis)
             if enabled_seen and not sample.status & DriveStatus.ENABLED:
-                self.flag(Fault.DRIVE_DISABLED, 0.0, 1.0, axis)
+                self.flag_state(Fault.DRIVE_DISABLED, 0, axis)
 
     def check_switches(self, inbox: Inbox, *, homing: bool) -> None:
         """Limit switches that close. One that was closed at the last reset, or that the axis homes on, is no fault

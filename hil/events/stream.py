@@ -196,7 +196,7 @@ class EventStream:
     def _bus(self, record: np.void, before: int, now: int) -> Event:
         name = f"{BusState(before).name} -> {BusState(now).name}"
         healed = now == BusState.ERROR_ACTIVE
-        event = self._event(Kind.BUS, name, record, value=float(now), limit=float(BusState.ERROR_ACTIVE))
+        event = self._event(Kind.BUS, name, record)
         if not healed:
             return event
         return event._replace(severity=Severity.NOTICE, cause="the controller recovered", action="none")
@@ -212,8 +212,7 @@ class EventStream:
         for fault in bare:
             if not any(pair[0] == fault for pair in pairs):
                 pairs.add((int(fault), NO_AXIS))
-                measured = (0.0, 1.0) if fault in GRANTS else (_NAN, _NAN)
-                evidence = [*evidence, _Evidence(int(fault), NO_AXIS, *measured)]
+                evidence = [*evidence, _Evidence(int(fault), NO_AXIS, 0.0 if fault in GRANTS else _NAN, _NAN)]
         if all(fault in GRANTS for fault, _ in self._pairs):
             self._first = None
         fresh = [found for found in evidence if (found.fault, found.axis) not in self._pairs]
@@ -224,7 +223,7 @@ class EventStream:
             yield self._following(event)
         for number, axis in sorted(self._pairs - pairs):
             if number in GRANTS:
-                yield self._fault(Kind.FAULT_CLEARED, record, _Evidence(number, axis, 1.0, 1.0))
+                yield self._fault(Kind.FAULT_CLEARED, record, _Evidence(number, axis, 1.0, _NAN))
         self._pairs = pairs
         if unkept > 0:
             event = self._event(Kind.FAULT_SEEN, "more in one tick than a record keeps", record)
@@ -253,6 +252,7 @@ class EventStream:
         if before and self.latched:
             when = self._event(Kind.FAULT_CLEARED, "", record)
             cleared = self.latched._replace(kind=when.kind, severity=when.severity, tick=when.tick, action=when.action)
+            cleared = cleared._replace(measured="", value=_NAN, limit=_NAN)  # which is not so any more
             yield cleared._replace(time_ns=when.time_ns, run_ns=when.run_ns, cause="an operator's reset")
             self.latched = None
         if now:
@@ -344,8 +344,8 @@ class EventStream:
 
 
 def _measured(row: Row, value: float) -> str:
-    """What the value is of; of a state, with the value or the word that it stands for."""
-    if row.form is not Form.STATE or math.isnan(value):
+    """What the value is of; of a state or a grant, with the value or the word that it stands for."""
+    if row.form is Form.THRESHOLD or math.isnan(value):
         return row.measured
     return row.measured.format(row.words[int(value)] if row.words else int(value))
 

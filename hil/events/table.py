@@ -79,7 +79,7 @@ KINDS: Final[dict[Kind, KindText]] = {
         "the machine woke the control process late",
         "hil doctor, if it happens often",
     ),
-    Kind.BUS: KindText("bus", Severity.WARNING, "controller state", "", "error frames", "hil bus; check the cable"),
+    Kind.BUS: KindText("bus", Severity.WARNING, cause="error frames", action="hil bus; check the cable"),
     Kind.RIG_FILE: KindText(
         "rig file",
         Severity.WARNING,

@@ -225,6 +225,7 @@ def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> 
     assert not run.stage.drives[0].status & DriveStatus.WATCHDOG
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", ["stage_fd", "stage_classic", "cia402"])
 @pytest.mark.parametrize("first_slot", [0, 7])
 def test_a_restarted_process_leaves_to_the_operator_what_the_drives_latched(protocol: str, first_slot: int) -> None:

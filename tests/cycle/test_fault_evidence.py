@@ -49,7 +49,7 @@ def following(seen: Seen) -> tuple[float, float]:
 
 
 def bus(state: BusState) -> Callable[[Seen], tuple[float, float]]:
-    return lambda seen: (state, BusState.ERROR_ACTIVE)
+    return lambda seen: (state, math.nan)
 
 
 # (measured, limit) in the tick in which it becomes a fault.
@@ -66,12 +66,12 @@ OF_AN_AXIS: dict[Fault, Callable[[Seen], tuple[float, float]]] = {
     Fault.SPEED: lambda seen: (abs(seen.v), LIMIT.speed),
     Fault.NOT_FINITE: lambda seen: (math.nan, INNOVATION[AXIS]),
     Fault.FILTER_DIVERGED: lambda seen: (abs(seen.innovation), INNOVATION[AXIS]),
-    Fault.DRIVE_FAULT: lambda seen: (1.0, 0.0),
-    Fault.DRIVE_WATCHDOG: lambda seen: (1.0, 0.0),
-    Fault.ENCODER_FAULT: lambda seen: (1.0, 0.0),
+    Fault.DRIVE_FAULT: lambda seen: (1.0, math.nan),
+    Fault.DRIVE_WATCHDOG: lambda seen: (1.0, math.nan),
+    Fault.ENCODER_FAULT: lambda seen: (1.0, math.nan),
     Fault.ANSWERS_DIFFER: lambda seen: (0.0, math.nan),
     Fault.LIMIT_SWITCH: lambda seen: (0.0 if seen.status & DriveStatus.LIMIT_LOW else 1.0, math.nan),
-    Fault.DRIVE_DISABLED: lambda seen: (0.0, 1.0),
+    Fault.DRIVE_DISABLED: lambda seen: (0.0, math.nan),
     Fault.DRIVE_STAYS_ENABLED: lambda seen: (SAFETY.disable_timeout_ticks, SAFETY.disable_timeout_ticks),
 }
 OF_THE_RIG: dict[Fault, Callable[[Seen], tuple[float, float]]] = {

@@ -123,6 +123,7 @@ def test_a_new_target_on_the_way_is_taken_without_a_jump() -> None:
     held.hold_limits()
 
 
+@pytest.mark.long
 def test_a_jog_ends_by_itself_and_stays_inside_the_fence() -> None:
     held = Held()
     for _ in range(400):

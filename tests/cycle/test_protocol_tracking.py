@@ -21,6 +21,7 @@ def rig_on(protocol: str) -> RigConfig:
     return load_rig(RIGS / "paper.toml", [*OVERRIDES, f"bus.protocol={protocol}"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", ALLOWED)
 def test_the_rig_tracks_the_same_under_every_layout(protocol: str, lockstep: Callable[..., LockstepRun]) -> None:
     run = lockstep(rig_on(protocol))

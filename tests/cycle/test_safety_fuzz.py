@@ -269,6 +269,7 @@ def altered(name: str, changes: list[tuple[tuple[Any, ...], float]]) -> dict[str
     return document
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # overflow in a nonsensical plant is not the control's
 @settings(rare, max_examples=120)
 @given(rigs())

@@ -95,6 +95,7 @@ def test_before_ready_it_is_an_event_and_no_fault() -> None:
     assert (run.cycle.state, run.cycle.fault) == (State.CONNECTED, Fault.NONE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", ["paper.toml", "microscope-ideal.toml", "microscope.toml"])
 @pytest.mark.parametrize("end", [CommandKind.ESTOP, CommandKind.STOP])
 def test_an_axis_that_coasts_to_rest_behind_a_run_is_no_fault(rig: str, end: CommandKind) -> None:

@@ -200,7 +200,7 @@ def test_the_bus_and_the_rig_file_tell_how_they_changed_and_when_they_are_well_a
     records["flags"][2] = 0
     off, on, changed, again = told(records)
     assert (off.kind, off.name, off.tick) == (Kind.BUS, "ERROR_ACTIVE -> BUS_OFF", 21)
-    assert (off.value, off.limit) == (float(BusState.BUS_OFF), float(BusState.ERROR_ACTIVE))
+    assert off.text == "bus: ERROR_ACTIVE -> BUS_OFF"
     assert (on.name, on.severity, on.cause) == ("BUS_OFF -> ERROR_ACTIVE", Severity.NOTICE, "the controller recovered")
     assert off.severity.value < on.severity.value
     assert [(event.kind, event.name, event.tick) for event in (changed, again)] == [

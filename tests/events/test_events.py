@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
@@ -25,6 +26,7 @@ def test_every_kind_and_every_fault_has_its_text() -> None:
     assert all(text.measured and text.cause and text.action for text in ROWS.values())
 
 
+@pytest.mark.long
 def test_a_run_that_ends_in_a_fault_says_which_axis_when_and_by_how_much_and_replay_says_the_same(
     tmp_path: Path,
 ) -> None:

@@ -25,6 +25,7 @@ def test_every_story_has_a_golden_of_its_own_and_there_is_no_other(room: str) ->
     assert (golden.HERE / room / golden.REASONS).exists()
 
 
+@pytest.mark.long
 def test_a_new_kind_of_fault_moves_no_story(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its name sorts into the middle: whoever drew from a list of all kinds would draw others now."""
     monkeypatch.setitem(KINDS, "limit_probe", Kind("the drive says that its encoder cannot be trusted"))

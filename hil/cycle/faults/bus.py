@@ -4,7 +4,7 @@ from typing import Final
 
 from hil.cycle.faults.row import ALWAYS, RESET, Form, Reaction, Row, Trial
 
-_BUS: Final = "bus states: 0 active, 1 passive, 2 off, 3 down"
+_STATES: Final = ("active", "passive", "off the bus", "down")  # by BusState
 _CABLE: Final = "check the drive's supply and its cable"
 
 ROWS: Final = (
@@ -15,7 +15,9 @@ ROWS: Final = (
         after="1 tick",
         reaction=Reaction.COUNT,
         states=ALWAYS,
-        measured=f"controller state ({_BUS})",
+        form=Form.STATE,
+        measured="the controller is {}",
+        words=_STATES,
         cause="many errors on the bus: termination, bit rate, a bad cable",
         action="check the bus",
         trials=(Trial("no acknowledgement"),),
@@ -27,7 +29,9 @@ ROWS: Final = (
         after="1 tick",
         reaction=Reaction.SILENT,
         states=ALWAYS,
-        measured=f"controller state ({_BUS})",
+        form=Form.STATE,
+        measured="the controller is {}",
+        words=_STATES,
         cause="too many of our frames failed: a short circuit, or another bit rate",
         action=f"check cable and bit rate, {RESET}",
         trials=(Trial("bus-off"),),
@@ -78,7 +82,9 @@ ROWS: Final = (
         after="1 tick",
         reaction=Reaction.SILENT,
         states=ALWAYS,
-        measured=f"controller state ({_BUS})",
+        form=Form.STATE,
+        measured="the controller is {}",
+        words=_STATES,
         cause="the CAN interface was set down or unplugged",
         action=f"plug it in or set it up (ip link), {RESET}",
         trials=(Trial("interface down"),),

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from hil.cycle.faults.row import MOVING, RESET, RESTING, WATCHING, Reaction, Row, Trial
+from hil.cycle.faults.row import MOVING, RESET, RESTING, WATCHING, Form, Reaction, Row, Trial
 
 _CABLE: Final = "check the drive's supply and its cable"
 
@@ -16,7 +16,8 @@ ROWS: Final = (
         states=WATCHING,
         drive_latched=True,
         told_by_drives=True,
-        measured="fault bit",
+        form=Form.STATE,
+        measured="its fault bit is set",
         cause="the drive found a fault",
         action=f"read the drive's own log, {RESET}",
         trials=(
@@ -33,7 +34,8 @@ ROWS: Final = (
         states=WATCHING,
         drive_latched=True,
         told_by_drives=True,
-        measured="watchdog bit",
+        form=Form.STATE,
+        measured="its watchdog bit is set",
         cause="the drive heard no command for drives.watchdog_s",
         action=f"see the events before it, {RESET}",
         trials=(Trial("drive watchdog trips"),),
@@ -47,7 +49,8 @@ ROWS: Final = (
         states=MOVING,
         drive_latched=True,
         told_by_drives=True,
-        measured="enabled bit",
+        form=Form.STATE,
+        measured="its enabled bit is no longer set",
         cause="the drive switched itself off: its own limit, its stop input",
         action=f"{_CABLE}, {RESET}",
         trials=(Trial("drive drops out of operation"),),
@@ -74,7 +77,8 @@ ROWS: Final = (
         states=WATCHING,
         drive_latched=True,
         told_by_drives=True,
-        measured="encoder fault bit",
+        form=Form.STATE,
+        measured="its encoder fault bit is set",
         cause="the drive cannot read its encoder",
         action=f"check the encoder's cable, {RESET}",
         trials=(Trial("drive encoder fault bit"),),

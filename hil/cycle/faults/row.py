@@ -25,7 +25,7 @@ class Form(Enum):
     """What evidence of a fault is.
 
     THRESHOLD: a value beyond a limit. STATE: something is so; `measured` says what, with the word for its value.
-    GRANT: a permission, there (1) or not (0); it is told, too, when it comes back.
+    GRANT: a permission, there (1) or not (0), with a word for either; it is told, too, when it comes back.
     """
 
     THRESHOLD = "threshold"
