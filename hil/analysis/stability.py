@@ -27,6 +27,7 @@ STABLE_RADIUS = 1.0 - 1e-6
 NEGLIGIBLE = 1e-5  # singular values below this fraction of the greatest are rounding, or drift of a settling filter
 OFFSET_S = 600.0  # within which a kicked axis has to be back
 OFFSET_LEFT = 0.01  # of the greatest offset: it is back
+ROUNDING = 1e-9  # of a pole: one that is nearer to 1 is 1
 RATES_HZ = (50.0, 10_000.0)  # looked at
 RATE_TOLERANCE = 1e-3
 
@@ -251,7 +252,9 @@ def offset_s(motion: Array, period: float) -> float:
     averages = motion[-7 * width :].reshape(7, width).mean(axis=1)
     fitted, *_ = np.linalg.lstsq(np.stack([averages[1:-1], averages[:-2]], axis=1), averages[2:], rcond=1e-9)
     kept = float(np.abs(np.roots([1.0, *-fitted])).max())
-    return (len(motion) + width * math.log(left) / -math.log(kept)) * period if kept < 1.0 else math.inf
+    if kept >= 1.0 - ROUNDING:
+        return math.inf
+    return (len(motion) + width * math.log(left) / -math.log(kept)) * period
 
 
 def _judged(motion: Array, kicked: Array, period: float) -> AxisStability:

@@ -61,13 +61,14 @@ RECORD: Final = 3
 
 class ControlCycle:
     """The control service's one step. Construct once per process from a validated rig; `base_dir` is the rig file's
-    folder (DBC files). Raises ValueError naming what this rig cannot do: its task, law, filter or layout.
+    folder (DBC files). layout: the rig's, where who judged the rig has built it; it serves one cycle. Raises ValueError
+    naming what this rig cannot do: its task, law, filter or layout.
     """
 
-    def __init__(self, rig: RigConfig, base_dir: Path) -> None:
+    def __init__(self, rig: RigConfig, base_dir: Path, layout: HostProtocol | None = None) -> None:
         self.rig = rig
         axes = list(rig.axes.values())
-        self.protocol: HostProtocol = host_layout(rig, base_dir)
+        self.protocol: HostProtocol = layout or host_layout(rig, base_dir)
         self.readings = Readings(list(rig.sensors.values()), rig.period_ns) if rig.sensors else None
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings)
         self.axes = Axes(rig)

@@ -20,6 +20,7 @@ from typing import Final, NamedTuple
 
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
+from drivers.protocols.base import HostProtocol
 from hil.cycle.goal import Goal, GoalKind, MotionWord
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
@@ -49,8 +50,10 @@ class TimedCycle(ControlCycle):
     ...
     """
 
-    def __init__(self, rig: RigConfig, base_dir: Path, clock: Callable[[], int]) -> None:
-        super().__init__(rig, base_dir)
+    def __init__(
+        self, rig: RigConfig, base_dir: Path, clock: Callable[[], int], layout: HostProtocol | None = None
+    ) -> None:
+        super().__init__(rig, base_dir, layout)
         self.stamps = [0, 0, 0, 0]
         self._clock = clock
 

@@ -34,7 +34,7 @@ from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
-from hil.rig.bus_load import layout_problem, refuse_unschedulable
+from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.former_keys import show_former_keys
@@ -82,8 +82,8 @@ def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Ca
     """Validate, set up, loop; returns the exit status."""
     try:
         watched = WatchedFile(path)  # before the file is read: a change in between is a change
-        config = validated(path, overrides)
-        with control_loop(config, path.parent, watched, stage_clock) as loop:
+        config, layout = validated(path, overrides)
+        with control_loop(config, path.parent, watched, stage_clock, layout) as loop:
             return _run_to_end(loop, ticks)
     except RigError as error:
         return _refuse(EXIT_CONFIG, error.problems)
@@ -99,31 +99,34 @@ def _refuse(status: int, problems: list[str]) -> int:
     return status
 
 
-def validated(path: Path, overrides: list[str]) -> RigConfig:
-    """The rig, with everything checked that can be checked before a bus is touched. Raises RigError."""
+def validated(path: Path, overrides: list[str]) -> tuple[RigConfig, HostProtocol]:
+    """The rig and its layout, with everything checked that can be checked before a bus is touched. Raises RigError."""
     config = load_rig(path, overrides)
     try:
-        wrapping = encoder_range_problems(config, path.parent)
-    except (ValueError, OSError) as error:
-        raise RigError([f"{path}: {layout_problem(config, error)}"]) from None
-    if doubtful := [*wrapping, *unit_questions(config)]:
+        layout = refuse_unschedulable(config, path.parent)
+    except ValueError as error:
+        raise RigError([f"{path}: {error}"]) from None
+    if doubtful := [*encoder_range_problems(config, layout), *unit_questions(config)]:
         raise RigError([f"{path}: {problem}" for problem in doubtful])
     try:
-        refuse_unschedulable(config, path.parent)
         refuse_unstable(config)
     except ValueError as error:
         raise RigError([f"{path}: {error}"]) from None
-    return config
+    return config, layout
 
 
 @contextlib.contextmanager
 def control_loop(
-    rig: RigConfig, base_dir: Path, rig_file: WatchedFile, stage_clock: Callable[[], int]
+    rig: RigConfig,
+    base_dir: Path,
+    rig_file: WatchedFile,
+    stage_clock: Callable[[], int],
+    layout: HostProtocol | None = None,
 ) -> Iterator[ControlLoop]:
     """All the loop needs, in the order in which it may fail; real time after every import and large allocation."""
     files = runtime_paths(rig.name)
     try:
-        cycle = TimedCycle(rig, base_dir, stage_clock)
+        cycle = TimedCycle(rig, base_dir, stage_clock, layout)
     except ValueError as error:  # a task, law or filter this rig cannot have; no bus is open yet
         raise RigError([str(error)]) from None
     with contextlib.ExitStack() as stack:

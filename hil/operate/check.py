@@ -29,6 +29,7 @@ from hil.rig.bus_load import (
     messages_by_segment,
     microseconds,
     problems,
+    rig_layout,
 )
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
@@ -52,21 +53,22 @@ def check_rig(
     measured frequency response. frd: where the loop's frequency response goes, JSON.
     """
     rig = load_rig(rig_file, overrides)
-    analysis = analyse_rig(rig, rig_file.parent)
+    layout = rig_layout(rig, rig_file.parent)
+    analysis = analyse_rig(rig, layout)
     console = Console(stderr=json_path == "-")
-    warnings = layout_warnings(rig, rig_file.parent)
-    layout = [*feedback_notes(rig, rig_file.parent), *emulation_notes(rig)]
+    warnings = layout_warnings(layout)
     for note in [
         *encoder_notes(rig),
         *law_notes(rig),
         *estimator_notes(rig),
-        *layout,
+        *feedback_notes(rig, layout),
+        *emulation_notes(rig),
         *interface_notes(rig),
         *warnings,
     ]:
         console.print(note, soft_wrap=True, markup=False)
     console.print(bus_table(rig, analysis))
-    parts = messages_by_segment(rig, rig_file.parent)
+    parts = messages_by_segment(rig, layout)
     tolerated = min(faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate) for messages in parts)
     if tolerated >= 0:
         console.print(f"Bus errors that may hit one response without a deadline missed: {tolerated}")
@@ -75,7 +77,7 @@ def check_rig(
     console.print(f"One worst-case tick: {target}")
     found = problems(rig, rig_file.parent, analysis)
     try:
-        infeasible = [*encoder_range_problems(rig, rig_file.parent), *task_problems(rig), *excursion_problems(rig)]
+        infeasible = [*encoder_range_problems(rig, layout), *task_problems(rig), *excursion_problems(rig)]
         figures = task_figures(rig)
         stability = check_stability(rig, lowest_rate=True)
         corners = findings(rig, measured, frd) if stability.stable else []

@@ -87,13 +87,13 @@ def _problems(sketch: Sketch, folder: Path) -> list[str]:
     """What `hil check` would find, and whether a run can begin."""
     from drivers.base.toml_file import parse_toml
     from hil.analysis.stability import check_stability
-    from hil.rig.bus_load import analyse_rig, problems
+    from hil.rig.bus_load import analyse_rig, problems, rig_layout
     from hil.rig.file import build_rig
     from hil.virtual.sim import usable
 
     try:
         rig: RigConfig = build_rig(parse_toml(rig_text(sketch)))
-        found = problems(rig, folder, analyse_rig(rig, folder))
+        found = problems(rig, folder, analyse_rig(rig, rig_layout(rig, folder)))
         return [*found, *check_stability(usable(rig, folder / f"{sketch.name}.toml")).problems()]
     except RigError as error:
         return error.problems

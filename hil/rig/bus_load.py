@@ -28,14 +28,8 @@ def layout_problem(rig: RigConfig, error: Exception) -> str:
     return text if text.startswith(("bus.protocol = ", "sensors.")) else f"bus.protocol = {rig.bus.protocol!r}: {text}"
 
 
-def rig_messages(rig: RigConfig, base_dir: Path) -> list[Message]:
-    """All traffic the rig's layout puts on its bus. Raises RigError for a layout the rig cannot have."""
-    return rig_layout(rig, base_dir).messages(rig.period_ns)
-
-
-def feedback_notes(rig: RigConfig, base_dir: Path) -> list[str]:
+def feedback_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
     """What drives that sample in their own time cost the loop, for people; nothing for drives that are triggered."""
-    layout = rig_layout(rig, base_dir)
     acts_ns = layout.acts_ns
     if not acts_ns or family_of(rig.bus.protocol) is None:
         return []
@@ -77,24 +71,23 @@ def feedback_ns(layout: HostProtocol) -> int:
     return max(int(getattr(part, "feedback_ns", 0)) for part in _parts(layout))
 
 
-def layout_warnings(rig: RigConfig, base_dir: Path) -> list[str]:
-    """What is wrong with the file of the rig's layout beside what is used of it, for people."""
-    parts = _parts(rig_layout(rig, base_dir))  # all of them read the same file
+def layout_warnings(layout: HostProtocol) -> list[str]:
+    """What is wrong with the layout's file beside what is used of it, for people."""
+    parts = _parts(layout)  # all of them read the same file
     return list(dict.fromkeys(text for part in parts for text in getattr(part, "warnings", ())))
 
 
-def messages_by_segment(rig: RigConfig, base_dir: Path) -> list[list[Message]]:
-    """All traffic the rig's layout puts on each of its segments. Raises RigError for a layout it cannot have."""
-    layout = rig_layout(rig, base_dir)
+def messages_by_segment(rig: RigConfig, layout: HostProtocol) -> list[list[Message]]:
+    """All traffic that layout and sensors put on each of the rig's segments."""
     several = getattr(_unmounted(layout), "messages_by_segment", None)
     found: list[list[Message]] = several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
     found[0] = [*found[0], *sensor_messages(rig, layout)]
     return found
 
 
-def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
+def analyse_rig(rig: RigConfig, layout: HostProtocol) -> Analysis:
     """Worst-case response times on the rig's bus: on all its segments, with the load of the busiest."""
-    analyses = [analyse(part, rig.bus.bitrate, rig.bus.data_bitrate) for part in messages_by_segment(rig, base_dir)]
+    analyses = [analyse(part, rig.bus.bitrate, rig.bus.data_bitrate) for part in messages_by_segment(rig, layout)]
     if len(analyses) == 1:
         return analyses[0]
     return Analysis(
@@ -104,12 +97,15 @@ def analyse_rig(rig: RigConfig, base_dir: Path) -> Analysis:
     )
 
 
-def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> Analysis:
-    """The analysis of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late."""
-    analysis = analyse_rig(rig, base_dir)
+def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> HostProtocol:
+    """The layout of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late, and
+    for a layout that the rig cannot have.
+    """
+    layout = rig_layout(rig, base_dir)
+    analysis = analyse_rig(rig, layout)
     if not analysis.schedulable:
         raise RigError(problems(rig, base_dir, analysis))
-    return analysis
+    return layout
 
 
 def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
@@ -117,7 +113,8 @@ def highest_rate(rig: RigConfig, base_dir: Path) -> int | None:
     fits, too_much = LEAST_RATE_HZ - 1, math.ceil(rig.rate_hz)
     while too_much - fits > 1:
         middle = (fits + too_much) // 2
-        if analyse_rig(rig.model_copy(update={"rate_hz": middle}), base_dir).schedulable:
+        slower = rig.model_copy(update={"rate_hz": middle})
+        if analyse_rig(slower, rig_layout(slower, base_dir)).schedulable:
             fits = middle
         else:
             too_much = middle

@@ -1,16 +1,13 @@
 """Whether an axis' encoder can say every position of its travel: beyond, its count would wrap or stay at its end."""
 
-from pathlib import Path
-
-from hil.rig.layout import host_layout
+from drivers.protocols.base import HostProtocol
 from hil.rig.schema import RigConfig
 
 
-def encoder_range_problems(rig: RigConfig, base_dir: Path) -> list[str]:
+def encoder_range_problems(rig: RigConfig, layout: HostProtocol) -> list[str]:
     """A line for every axis whose travel, with limits.following_error beyond either end, is more than the layout's
-    position signal can carry. Raises ValueError or OSError for a layout that the rig cannot have.
+    position signal can carry.
     """
-    layout = host_layout(rig, base_dir)
     problems = []
     for (name, axis), counts in zip(rig.axes.items(), layout.positions, strict=True):
         least, greatest = (count * axis.encoder_resolution for count in counts)

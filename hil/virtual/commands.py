@@ -56,10 +56,10 @@ def sim(
     from hil.virtual.sim import simulate
 
     config = load_rig(rig, overrides or ())
-    refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
+    layout = refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     start = per_axis(config.plant.initial_position, len(config.axes)).tolist()
     try:
-        infeasible = [*encoder_range_problems(config, rig.parent), *task_problems(config, start)]
+        infeasible = [*encoder_range_problems(config, layout), *task_problems(config, start)]
         infeasible += excursion_problems(config)
     except ValueError as error:  # a task that cannot be planned
         raise RigError([f"{rig}: {error}"]) from None

@@ -18,7 +18,7 @@ import hil
 from drivers.eds import reader as eds
 from drivers.protocols.dbc_codec import LayoutError, compile_codec, load_dbc
 from hil.analysis.frequency_response import read_response
-from hil.rig.bus_load import rig_messages
+from hil.rig.bus_load import rig_layout
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.rig.task_file import TaskFileError, read_task_file
@@ -49,7 +49,8 @@ def _found(*patterns: str) -> Callable[[Path], list[Path]]:
 
 
 def _read_rig(path: Path) -> None:
-    rig_messages(load_rig(path), RIGS)
+    rig = load_rig(path)
+    rig_layout(rig, RIGS).messages(rig.period_ns)
 
 
 def _read_dbc(path: Path) -> None:

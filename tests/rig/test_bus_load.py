@@ -2,8 +2,9 @@
 
 import pytest
 
-from hil.rig.bus_load import analyse_rig, emulation_notes, feedback_notes, highest_rate, problems
+from hil.rig.bus_load import emulation_notes, feedback_notes, highest_rate, problems, rig_layout
 from hil.rig.file import load_rig
+from tests.support.judged import analysed
 from tests.support.paths import RIGS
 
 PAPER, ODRIVE = RIGS / "paper.toml", RIGS / "odrive.toml"
@@ -21,12 +22,14 @@ PAPER, ODRIVE = RIGS / "paper.toml", RIGS / "odrive.toml"
 def test_a_rig_is_told_what_feedback_in_the_drives_own_time_costs(
     overrides: list[str], age: str, counts: str, rest: str
 ) -> None:
-    (note,) = feedback_notes(load_rig(ODRIVE, overrides), RIGS)
+    rig = load_rig(ODRIVE, overrides)
+    (note,) = feedback_notes(rig, rig_layout(rig, RIGS))
     assert [part for part in (age, counts, rest) if part not in note] == []
 
 
 def test_drives_that_are_triggered_cost_nothing_of_that() -> None:
-    assert feedback_notes(load_rig(PAPER), RIGS) == []
+    rig = load_rig(PAPER)
+    assert feedback_notes(rig, rig_layout(rig, RIGS)) == []
 
 
 def test_a_users_layout_is_told_that_its_drives_are_emulated_by_itself_unless_they_are_not() -> None:
@@ -41,19 +44,19 @@ def test_a_users_layout_is_told_that_its_drives_are_emulated_by_itself_unless_th
 @pytest.mark.parametrize("rate", [4259, 8000, 8000.5])
 def test_a_rate_that_does_not_fit_is_told_the_highest_that_does(rate: float) -> None:
     rig = load_rig(PAPER, [f"rate_hz={rate}"])
-    analysis = analyse_rig(rig, RIGS)
+    analysis = analysed(rig)
     bus, frame = problems(rig, RIGS, analysis)
     assert bus.startswith(f"bus.protocol = 'stage_fd' at 1000000 bit/s does not fit rate_hz = {rate:g} with 2 axes: ")
     assert "past its deadline of" in frame
     assert frame.endswith("; rate_hz = 4258 or less, a higher bit rate or a leaner layout would do")
     fits = load_rig(PAPER, ["rate_hz=4258"])
-    assert problems(fits, RIGS, analyse_rig(fits, RIGS)) == []
+    assert problems(fits, RIGS, analysed(fits)) == []
 
 
 def test_the_numbers_of_a_refusal_are_those_of_the_analysis() -> None:
     """234.8 us of frames, the last of which but one ends 37.2 us late."""
     rig = load_rig(PAPER, ["rate_hz=8000"])
-    assert problems(rig, RIGS, analyse_rig(rig, RIGS)) == [
+    assert problems(rig, RIGS, analysed(rig)) == [
         "bus.protocol = 'stage_fd' at 1000000 bit/s does not fit rate_hz = 8000 with 2 axes: worst-case load 187.8%, "
         "cyclic part 234.8 us of 125.0 us per tick",
         "frame 'feedback 0' ends up to 162.2 us after the tick's start, 37.2 us past its deadline of 125.0 us; "
@@ -65,4 +68,4 @@ def test_the_numbers_of_a_refusal_are_those_of_the_analysis() -> None:
 def test_where_the_lowest_rate_does_not_fit_none_is_named(bitrate: int, highest: int | None) -> None:
     rig = load_rig(RIGS / "microscope-ideal.toml", [f"bus.bitrate={bitrate}", f"bus.data_bitrate={bitrate}"])
     assert highest_rate(rig, RIGS) == highest
-    assert (f"rate_hz = {highest} or less, " in problems(rig, RIGS, analyse_rig(rig, RIGS))[1]) == (highest is not None)
+    assert (f"rate_hz = {highest} or less, " in problems(rig, RIGS, analysed(rig))[1]) == (highest is not None)

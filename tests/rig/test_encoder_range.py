@@ -3,9 +3,9 @@
 import pytest
 
 from hil.live.run import validated
-from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
+from tests.support.judged import range_problems
 from tests.support.paths import RIGS
 
 FINE = "axes.y.encoder_resolution=4e-10"  # 2^32 counts are 1.718 m of the 2.4 m
@@ -13,7 +13,7 @@ FINE = "axes.y.encoder_resolution=4e-10"  # 2^32 counts are 1.718 m of the 2.4 m
 
 @pytest.mark.parametrize("name", ["paper", "paper-dbc", "microscope-ideal", "odrive", "vesc", "moteus"])
 def test_the_shipped_rigs_encoders_say_their_travel(name: str) -> None:
-    assert encoder_range_problems(load_rig(RIGS / f"{name}.toml"), RIGS) == []
+    assert range_problems(load_rig(RIGS / f"{name}.toml")) == []
 
 
 @pytest.mark.parametrize("protocol", ["stage_fd", "stage_classic", "cia402"])
@@ -30,12 +30,12 @@ def test_a_count_that_wraps_within_the_travel_is_refused_before_a_bus_is_opened(
 
 def test_so_is_one_that_an_offset_moves_to_its_end() -> None:
     resolution = "axes.x.encoder_resolution=1e-9"  # 4.29 m
-    assert encoder_range_problems(load_rig(RIGS / "paper.toml", [resolution]), RIGS) == []
+    assert range_problems(load_rig(RIGS / "paper.toml", [resolution])) == []
     moved = load_rig(RIGS / "paper.toml", [resolution, "axes.x.offset=1.5"])
-    (problem,) = encoder_range_problems(moved, RIGS)
+    (problem,) = range_problems(moved)
     assert "carries -0.647484 to 3.64748 m" in problem
 
 
 def test_a_signal_of_a_dbc_file_has_a_range_of_its_own() -> None:
-    (problem,) = encoder_range_problems(load_rig(RIGS / "paper-dbc.toml", [FINE]), RIGS)
+    (problem,) = range_problems(load_rig(RIGS / "paper-dbc.toml", [FINE]))
     assert "axes.y.limits.position" in problem

@@ -6,6 +6,7 @@ from tests.golden.golden import hold
 from tests.golden.refusals.tell import RIG_NAMES, VALUES, keys, lines, outcomes, stories
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("story", stories())
 def test_a_value_is_taken_or_refused_as_it_always_was(story: str) -> None:
     told = {key: [outcomes(key, rig) for rig in RIG_NAMES] for key in keys()[story]}

@@ -276,6 +276,7 @@ def test_any_override_gives_a_valid_finite_rig_or_a_refusal(overrides: list[str]
         assert math.isfinite(rig.rate_hz)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

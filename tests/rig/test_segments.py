@@ -8,11 +8,12 @@ from typer.testing import CliRunner
 
 from hil.cli.app import build_app
 from hil.operate.install import network_files, rig_links, unit_drop_in
-from hil.rig.bus_load import analyse_rig, messages_by_segment, rig_layout
+from hil.rig.bus_load import messages_by_segment, rig_layout
 from hil.rig.file import build_rig, load_rig
 from hil.rig.schema import RigError
 from hil.rig.segments import rig_on, segment_rigs
 from hil.studies.sweep.plants import jobs
+from tests.support.judged import analysed
 from tests.support.paths import RIGS
 from tests.support.two_segments import TWO, TWO_PAIRS
 
@@ -93,7 +94,8 @@ def test_a_sweep_which_has_one_wire_refuses_them() -> None:
 
 def test_no_two_drives_share_an_identifier_whatever_segment_they_are_on() -> None:
     for overrides in ((), ("bus.protocol=stage_classic",), ("bus.protocol=cia402",)):
-        parts = messages_by_segment(load_rig(MICROSCOPE, [*TWO_PAIRS, *overrides]), RIGS)
+        rig = load_rig(MICROSCOPE, [*TWO_PAIRS, *overrides])
+        parts = messages_by_segment(rig, rig_layout(rig, RIGS))
         ids = [[message.can_id for message in part if message.sender != "host"] for part in parts]
         assert not set(ids[0]) & set(ids[1])
         assert [{m.sender for m in part} for part in parts] == [
@@ -103,17 +105,17 @@ def test_no_two_drives_share_an_identifier_whatever_segment_they_are_on() -> Non
 
 
 def test_the_load_is_that_of_the_busiest_segment_and_less_than_of_one() -> None:
-    one = analyse_rig(load_rig(MICROSCOPE), RIGS)
-    two = analyse_rig(load_rig(MICROSCOPE, [*TWO_PAIRS]), RIGS)
-    uneven = analyse_rig(load_rig(MICROSCOPE, [segments(("can0", "x y z"), ("can1", "theta"))]), RIGS)
+    one = analysed(load_rig(MICROSCOPE))
+    two = analysed(load_rig(MICROSCOPE, [*TWO_PAIRS]))
+    uneven = analysed(load_rig(MICROSCOPE, [segments(("can0", "x y z"), ("can1", "theta"))]))
     assert two.bus_load < uneven.bus_load < one.bus_load
     assert {response.frame.split()[0] for response in two.responses} == {"can0", "can1"}
 
 
 def test_traffic_that_fits_no_single_segment_fits_two() -> None:
     rates = ["rate_hz=2000", "bus.protocol=stage_classic"]
-    assert not analyse_rig(load_rig(MICROSCOPE, rates), RIGS).schedulable
-    assert analyse_rig(load_rig(MICROSCOPE, [*rates, *TWO_PAIRS]), RIGS).schedulable
+    assert not analysed(load_rig(MICROSCOPE, rates)).schedulable
+    assert analysed(load_rig(MICROSCOPE, [*rates, *TWO_PAIRS])).schedulable
 
 
 def test_a_rig_travels_as_a_document() -> None:

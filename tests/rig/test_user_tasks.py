@@ -104,6 +104,7 @@ def test_a_task_that_goes_wrong_is_refused_with_its_line(how: str, rig_file: Pat
         assert "./task_misbehaves.py:" in str(caught.value)
 
 
+@pytest.mark.long
 def test_a_task_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)
     with pytest.raises(RigError, match=r"no answer within 0\.3 s"):

@@ -16,7 +16,15 @@ from hil.analysis.loop_corners import check_corners
 from hil.analysis.stability import check_stability
 from hil.analysis.start_ranges import start_ranges
 from hil.operate.check import as_json
-from hil.rig.bus_load import analyse_rig, emulation_notes, feedback_notes, highest_rate, layout_warnings, problems
+from hil.rig.bus_load import (
+    analyse_rig,
+    emulation_notes,
+    feedback_notes,
+    highest_rate,
+    layout_warnings,
+    problems,
+    rig_layout,
+)
 from hil.rig.difference import rig_differences
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
@@ -98,17 +106,18 @@ def rounded(value: Any) -> Any:
 
 def bus_of(rig: RigConfig) -> dict[str, Any]:
     """What its wire carries, and what is said of it."""
-    analysis = analyse_rig(rig, RIGS)
-    notes = [encoder_notes(rig), plant_notes(rig), emulation_notes(rig), feedback_notes(rig, RIGS)]
+    layout = rig_layout(rig, RIGS)
+    analysis = analyse_rig(rig, layout)
+    notes = [encoder_notes(rig), plant_notes(rig), emulation_notes(rig), feedback_notes(rig, layout)]
     return {
         **as_json(analysis),
         "tightest": analysis.tightest.frame,
         "highest_rate": highest_rate(rig, RIGS),
         # Whether the native kernel is built belongs to the machine, not to the rig
         "notes": [
-            note for part in (*notes, layout_warnings(rig, RIGS)) for note in part if "sim_plant.native" not in note
+            note for part in (*notes, layout_warnings(layout)) for note in part if "sim_plant.native" not in note
         ],
-        "problems": [*problems(rig, RIGS, analysis), *encoder_range_problems(rig, RIGS)],
+        "problems": [*problems(rig, RIGS, analysis), *encoder_range_problems(rig, layout)],
     }
 
 
