@@ -7,7 +7,7 @@ TYPES  := build/types
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test review test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test test-long review test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -30,8 +30,11 @@ $(VENV)/.native: $(VENV)/.installed $(wildcard sim_plant/native/*)
 run: setup  ## run the microscope rig on an emulated stage, live, about 20 s
 	@$(BIN)/hil demo deploy/rigs/microscope.toml
 
-test: setup  ## unit tests, and the whole loop in virtual time (about ten minutes)
-	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not live and not slow and not vcan and not controller"
+test: setup  ## unit tests, and the whole loop in virtual time (about three minutes)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long and not live and not slow and not vcan and not controller"
+
+test-long: setup  ## those that take a second or more, two minutes in all; SLICE=4: one in four, drawn by the commit
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "long and not live and not slow and not vcan and not controller" --slice $(or $(SLICE),1)
 
 review: setup  ## what the goldens of tests/golden would change: of all rooms, or `make review ROOM`
 	@$(BIN)/python -m tests.golden $(ROOM)

@@ -16,10 +16,10 @@ test-compiled: setup  ## the compiled build computes the same bytes and passes t
 	$(MAKE) --no-print-directory compiled && \
 	PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not vcan and not controller" --slice $(or $(SLICE),1) $(ARGS)
 
-test-slow: SLICE := 8
-test-slow: test-nightly  ## the long lanes, one in eight, drawn by the commit: others with every commit
+test-nightly: SLICE := 1
+test-nightly: test-long test-slow  ## what takes long, whole: fuzzing, fault campaign, random kills
 
-test-nightly: setup  ## the long lanes, whole: fuzzing, fault campaign, random kills; on the compiled build where there can be one
+test-slow: setup  ## what takes minutes, one in eight, drawn by the commit; on the compiled build where there can be one
 	@if $(BIN)/python deploy/compiled/build.py --check; then \
 	    $(MAKE) --no-print-directory compiled && python=$(COMPILED)/bin/python; else python=$(BIN)/python; fi && \
-	PYTHONSAFEPATH=1 $$python -m pytest -n 2 --dist worksteal -m "slow and not vcan and not controller" --slice $(or $(SLICE),1) --durations=10 $(ARGS)
+	PYTHONSAFEPATH=1 $$python -m pytest -n 2 --dist worksteal -m "slow and not vcan and not controller" --slice $(or $(SLICE),8) --durations=10 $(ARGS)

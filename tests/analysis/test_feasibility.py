@@ -183,6 +183,7 @@ def judged(sets: Mapping[str, Any]) -> bool:
     return True
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("filterpy_loaded")
 @given(tasks())
 @settings(max_examples=14, suppress_health_check=list(HealthCheck))

@@ -25,6 +25,7 @@ def stage(law: str = "pd-feedforward", **gains: float) -> RigConfig:
     return build_rig({"name": "mini", "axes": {"x": AXIS}, "law": {"name": law, "gains": gains}})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kp", [0.0, 1e-9])
 @pytest.mark.parametrize("kd", [2.0, 20.0, 200.0])
 def test_a_law_without_stiffness_does_not_hold_its_axis(kp: float, kd: float) -> None:
@@ -36,6 +37,7 @@ def test_a_law_without_stiffness_does_not_hold_its_axis(kp: float, kd: float) ->
         refuse_unstable(rig)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kd", [2.0, 20.0, 200.0])
 def test_the_time_back_is_that_of_the_slow_pole(kd: float) -> None:
     """kp over kd is the rate of return: 1 % is left after 4.6 kd / kp seconds."""
@@ -58,6 +60,7 @@ def test_a_loop_without_damping_is_unstable_and_no_more_than_that() -> None:
     assert "is unstable on axis 'x'" in report.problems()[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_of_ours_holds_its_axes_and_those_of_another_mass(law: str) -> None:
     for mass in (0.8, 1.0, 1.2):

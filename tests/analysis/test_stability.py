@@ -118,6 +118,7 @@ def test_a_loop_that_circles_for_ever_is_unstable_though_it_forgets_a_pulse() ->
     assert check_stability(load_rig(RIG, ["law.name=computed-torque", *(g.format(0.002) for g in gains)])).stable
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", load_rig(RIG).law.tuned)
 def test_every_tuned_law_of_the_rig_has_the_textbooks_margins(law: str) -> None:
     rig = load_rig(RIG, [f"law.name={law}"])

@@ -95,6 +95,7 @@ def test_a_sidecar_that_ends_while_one_looks_for_it_is_none(private_runtime_dir:
     assert known_sidecars() == []
 
 
+@pytest.mark.long
 def test_a_terminal_without_the_letters_gets_question_marks_and_the_whole_report(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "hil", "check", str(PAPER)],

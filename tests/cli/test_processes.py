@@ -26,6 +26,7 @@ def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lead_s", [0.0, 1.0], ids=["just started", "at work"])
 @pytest.mark.parametrize(
     "words",

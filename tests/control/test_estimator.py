@@ -152,6 +152,7 @@ def test_each_estimate_is_believed_where_it_is_right(paper: RigConfig) -> None:
         assert worst < 1.1e-3 * a if felt else worst < 0.5 * alone, (felt, expected, worst, alone)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("radius", "law"), [(3e-3, "structured-kalman"), (3e-3, "pd-feedforward"), (1e-4, "pid")])
 def test_the_velocity_shown_is_no_worse_than_a_finite_difference(radius: float, law: str) -> None:
     """3 mm at 1.7 Hz: where the filter alone erred by 756 / 661 um/s and a finite difference by 129."""

@@ -51,6 +51,7 @@ def start(child: str) -> str:
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.long
 def test_the_second_process_has_the_first_ones_design(paper: RigConfig, directory: Path) -> None:
     first = start("a child")
     assert only_file(directory).stat().st_mode & 0o077 == 0
@@ -73,6 +74,7 @@ def test_other_code_or_packages_make_another_design(monkeypatch: pytest.MonkeyPa
     assert load(PARAMETERS) is None
 
 
+@pytest.mark.long
 @given(st.integers(0, 10**6), st.integers(1, 255))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_damaged_file_is_no_design(directory: Path, place: int, change: int) -> None:

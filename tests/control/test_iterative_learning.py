@@ -47,6 +47,7 @@ def test_learning_removes_what_comes_back_every_repeat() -> None:
     assert max(largest[-50:]) < 0.1 * max(largest[50:100])
 
 
+@pytest.mark.long
 def test_structured_kalman_inside_learning_meets_what_neither_meets_alone() -> None:
     """Ripple that the model does not know; what is learnt is told to the filter, or both would diverge."""
     changes = ["task.radius=0.1", "task.approach_s=0.5", "task.settle_s=0.5", "plant.modelling_error=0.3"]

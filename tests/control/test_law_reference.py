@@ -8,6 +8,7 @@ from tests.golden.golden import hold
 from tests.golden.laws.tell import TICKS, laws, lines, models, play, stories
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", stories())
 def test_a_law_asks_for_what_it_always_did_on_arrays_and_on_floats(name: str) -> None:
     told = []

@@ -158,6 +158,7 @@ def test_a_law_is_symmetric_under_sign_change(name: str) -> None:
     assert np.array_equal(play(one, Scene(150)), -play(other, Scene(150, sign=-1.0)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_batch_is_its_members_one_by_one(name: str) -> None:
     scene = Scene(150, batch=(3,), seed=7)
@@ -214,6 +215,7 @@ def test_structured_kalman_shares_one_covariance_but_not_with_missing_samples() 
             assert np.array_equal(one.force(single), out[member])
 
 
+@pytest.mark.long
 def test_structured_kalman_holds_sub_micrometre_error_on_tasks_of_all_sizes() -> None:
     """The rig's gains, 0.3 N of friction it does not know: nominal and in every corner, on and off the sampling grid,
     with late and lost commands, on small figures and moves, where an axis sticks for long before it first moves.

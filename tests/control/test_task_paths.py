@@ -165,6 +165,7 @@ def test_a_spiral_turns_outwards_and_rests_at_both_ends() -> None:
     assert 3.0 < (angle[-1] - angle[0]) / (2 * np.pi) < 4.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["path", "waypoints", "blend", "spline", "raster", "spiral"])
 def test_a_path_is_followed_to_a_micrometre_and_a_batch_is_the_same(kind: str, tmp_path: Path) -> None:
     own = {

@@ -64,6 +64,7 @@ def run_of(rig: RigConfig, folder: Path, ticks: int = 400) -> LockstepRun:
     return run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", [
     (), ("wire.drop_probability=0.01",), ("law.name=pid",), ("law.iterative_learning=true", "task.frequency_hz=2.0"),
 ])  # fmt: skip
@@ -84,6 +85,7 @@ def test_nor_do_the_margins_change_by_it(rig_file: Path) -> None:
         assert theirs[name].phase_deg == pytest.approx(axis.phase_deg, abs=1e-4)
 
 
+@pytest.mark.long
 def test_a_rate_that_an_estimator_refuses_is_none_the_loop_is_stable_at(rig_file: Path) -> None:
     """Luenberger takes a quarter of the rate at most, 60 Hz here."""
     for rig, least in ((load_rig(rig_file, MADE), 240.0), (load_rig(rig_file, QUICK), 0.0)):
@@ -256,6 +258,7 @@ def test_one_that_is_not_to_be_had_is_refused_by_its_key(keys: list[str], text: 
     assert text in str(caught.value)
 
 
+@pytest.mark.long
 def test_another_name_takes_no_parameters_of_the_files(rig_file: Path) -> None:
     text = '[estimator]\nname = "./luenberger.py:Luenberger"\nparameters = { bandwidth_hz = [20, 30] }\n'
     rig_file.write_text(rig_file.read_text().replace("[estimator]\n", text))

@@ -61,6 +61,7 @@ def beside(name: str) -> str:
     return f"law.name=./{name}.py:{ {**GOOD, 'misbehaves': 'Misbehaves'}[name] }"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", GOOD)
 def test_a_users_law_follows_the_circle(name: str, rig_file: Path) -> None:
     rig = load_rig(rig_file, [beside(name), *QUICK])
@@ -290,6 +291,7 @@ def test_a_sweeps_worker_needs_nothing_but_the_job(name: str, rig_file: Path, tm
     assert reproduce(path, 0.8, figures.max_error[1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", GOOD)
 def test_a_slice_of_the_fault_campaign_passes_with_a_users_law(name: str, rig_file: Path) -> None:
     chunks = plan_chunks(load_rig(rig_file, [beside(name)]), rig_file.parent, stride=60)

@@ -87,6 +87,7 @@ def _refusal(kind: Kind, path: Path) -> str:
     return ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", HOSTILE)
 @pytest.mark.parametrize("name", KINDS)
 def test_a_hostile_file_is_refused_by_name(name: str, what: str, tmp_path: Path) -> None:
@@ -151,6 +152,7 @@ def _of_description(path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "expected"), [(_of_messages, "unfold to"), (_of_one_chunk, "damaged"), (_of_description, "run.mcap")]
 )

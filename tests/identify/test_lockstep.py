@@ -27,6 +27,7 @@ def test_a_plan_stays_inside_the_limits_and_ends_at_rest(experiment: str) -> Non
             assert np.diff(rows) / ROW_S == pytest.approx(speed)
 
 
+@pytest.mark.long
 def test_a_push_finds_the_friction_of_a_stage_that_the_rig_file_does_not_know() -> None:
     rig = rigs.one_axis()
     found = identify(rig.config, rig.folder, ["x"], lambda text: None, ["push"])["x"]

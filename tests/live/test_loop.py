@@ -110,6 +110,7 @@ def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path
     assert drives.recalls == 0
 
 
+@pytest.mark.long
 @pytest.mark.replaces_methods
 @pytest.mark.parametrize("kind", CommandKind, ids=lambda kind: kind.name)
 def test_after_bus_off_no_command_restarts_the_controller_but_reset(tmp_path, monkeypatch, kind):
@@ -128,6 +129,7 @@ def test_after_bus_off_no_command_restarts_the_controller_but_reset(tmp_path, mo
     assert (drives.recalls, len(rebound)) == ((1, 1) if kind is CommandKind.RESET else (0, 0))
 
 
+@pytest.mark.long
 def test_the_loop_is_woken_ahead_as_far_as_the_rig_file_lets_it(tmp_path, monkeypatch):
     ahead = [
         run_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch, 50, f"timing.wake_ahead_s={most}").pacer.ahead_ns
@@ -163,6 +165,7 @@ def slots_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: list[int],
     return loop.ledger.own, loop.ledger.host
 
 
+@pytest.mark.long
 def test_a_tick_answers_for_what_it_computed_and_not_for_the_wait_before_it(tmp_path, monkeypatch):
     quick = (50_000, 50_000)
     computed = [quick, (2_500_000, 2_500_000), quick, quick]

@@ -17,6 +17,7 @@ def run(*words: str) -> tuple[int, str]:
     return done.exit_code, done.output
 
 
+@pytest.mark.long
 def test_every_target_is_approached_from_both_sides_and_measured_twice() -> None:
     mover = hil.motion(hil.load_rig("microscope-ideal"))
     low, high = mover.range_of("x")
@@ -44,6 +45,7 @@ def test_backlash_of_the_stage_shows_as_its_reversal() -> None:
     assert figures["stiff"] < 5e-6
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_the_figures(tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     words = ["--axes", "y", "--runs", "2", "--json", str(target)]

@@ -28,6 +28,7 @@ def with_socketcan(monkeypatch):
     monkeypatch.setattr(doctor.socket, "socket", lambda *_: Socket())
 
 
+@pytest.mark.long
 def test_what_it_says_of_this_machine_is_true_by_other_witnesses():
     """Without CAN here, or with: the VM lane asks the same in guests that have it."""
     assert untruths([finding._asdict() for finding in doctor.examine()]) == []

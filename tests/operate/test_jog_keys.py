@@ -81,6 +81,7 @@ def test_the_step_is_set_within_bounds_and_a_jog_is_no_faster_than_goals_may_be(
     assert 0.0 < mover.status().velocity[0] <= mover.most_speed("x")
 
 
+@pytest.mark.long
 def test_at_the_end_of_the_travel_it_says_why_it_stays(jog: KeyJog, mover: hil.VirtualMover) -> None:
     for _ in range(len(STEPS)):
         press(jog, mover, "+", 0.001)

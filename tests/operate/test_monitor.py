@@ -181,6 +181,7 @@ def test_without_bokeh_the_command_says_what_to_install(
     assert 'pip install "hil[dashboard]"' in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ticks", [0, 1, 7, 5000])
 def test_a_picture_is_drawn_of_any_length_of_run(tmp_path: Path, paper: RigConfig, ticks: int) -> None:
     values = np.sin(np.arange(ticks)[:, None] * 1e-2 + np.arange(2))

@@ -36,6 +36,7 @@ def hil(*words: str) -> Result:
     return CliRunner(env={"COLUMNS": "300", "NO_COLOR": "1"}).invoke(build_app(words[0]), words)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("layout", "flags"), [("stage_fd", []), *((layout, FOUR) for layout in LAYOUTS)])
 def test_what_it_writes_passes_check_and_follows_its_task(layout: str, flags: list[str], tmp_path: Path) -> None:
     made = hil("new", "stage.toml", "--layout", layout, *flags)
@@ -75,6 +76,7 @@ def test_the_file_holds_what_was_said(tmp_path: Path) -> None:
     assert rig.axes["theta"].limits.position == [-0.5, 0.5]
 
 
+@pytest.mark.long
 def test_at_a_terminal_it_asks_for_what_no_flag_says(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     asked = subprocess.Popen(

@@ -137,6 +137,7 @@ def test_a_c_reference_compiles_and_says_how_it_is_called(source, first, tmp_pat
     assert f"{program.name} {first}" in done.stderr
 
 
+@pytest.mark.long
 @needs_compiler
 def test_the_program_that_walks_books_the_slots_that_it_works_through_as_its_own(tmp_path):
     rig = load_rig(RIG, ["timing.priority=1"])

@@ -176,6 +176,7 @@ except SystemExit as end:
 """
 
 
+@pytest.mark.long
 def test_the_control_process_comes_without_them_too_from_its_start_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def test_the_two_commands_a_newcomer_needs_are_shown_first() -> None:
     assert re.findall(r"^make ([a-z]+)", README, re.M)[:2] == ["run", "test"]
 
 
+@pytest.mark.long
 def test_the_program_shown_runs_and_shows_what_it_promises(tmp_path: Path) -> None:
     (program,) = re.findall(r"^```python\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)

@@ -154,6 +154,7 @@ def test_a_filter_that_cannot_be_meant_is_refused(words: str, said: str, runs: P
     assert (done.exit_code, said in " ".join(done.output.replace("│", "").split())) == (2, True)
 
 
+@pytest.mark.long
 def test_a_thousand_runs_are_listed_without_opening_a_recording(
     runs: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -221,6 +221,7 @@ def test_a_move_is_over_once_the_axes_have_been_in_position_for_twenty_milliseco
     assert np.abs(run.error[last, 0]).max() <= 2e-7
 
 
+@pytest.mark.long
 def test_an_axis_that_stays_beside_its_set_point_is_told_with_its_window() -> None:
     stuck = r"^not in position 5 s after the set-points came to rest: x is .* beyond axes\.x\.motion\.window = 1e-12"
     with moved("axes.x.motion.window=1e-12") as m, pytest.raises(hil.MotionError, match=stuck):

@@ -178,6 +178,7 @@ def test_a_law_that_failed_is_in_the_report(tmp_path: Path) -> None:
     assert "return inputs.nothing" in words
 
 
+@pytest.mark.long
 def test_the_commands_write_beside_the_run(folder: Path) -> None:
     for command, name in (("plot", "run.png"), ("report", "run.html"), ("export", "run.csv")):
         assert said(0, command, str(folder)).strip() == str(folder / name)

@@ -62,6 +62,7 @@ def equal_step_by_step(members: list[PlantConfig], pieces: list[tuple[float, flo
     return batch
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", sorted(EFFECTS))
 def test_with_any_two_effects_a_batch_is_its_members_and_each_effect_shows(effect: str) -> None:
     """A batch that lost the effect where another one is on would show what the plant without it does; and what it shows

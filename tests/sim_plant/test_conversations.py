@@ -7,6 +7,7 @@ from tests.golden.drives.tell import lines, pieces, statuses, stories
 from tests.golden.golden import hold
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", stories())
 def test_a_drive_says_and_does_what_it_always_did(name: str) -> None:
     told = pieces(name)

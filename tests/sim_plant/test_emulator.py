@@ -229,6 +229,7 @@ def test_a_rhythm_that_trembles_is_fetched_after_each_command_and_before_the_one
             assert stamp < rhythm.fetch_ns() < stamps[number + 1] + gap
 
 
+@pytest.mark.long
 def test_telling_the_status_leaves_no_garbage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The collector is off in this process: what only it would find would stay for good."""
     emulator, _, control = live_pair(tmp_path, monkeypatch)

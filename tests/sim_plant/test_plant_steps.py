@@ -65,6 +65,7 @@ def test_every_effect_of_the_plant_has_a_kind() -> None:
     assert [key for key, value in STEPS.items() if not KINDS[PLANT_PREFIX + key].low <= value] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", STEPS)
 def test_a_step_shows_on_its_axis_alone_and_is_to_the_bit_the_same_in_a_batch(key: str) -> None:
     stepped, steady = played(Stage(truth_of(1)), key), without()

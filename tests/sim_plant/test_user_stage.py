@@ -69,6 +69,7 @@ def leaning(rig_file: Path, *more: str) -> RigConfig:
     return load_rig(rig_file, [*LEANING, *more])
 
 
+@pytest.mark.long
 def test_a_users_stage_is_simulated(rig_file: Path) -> None:
     rig = leaning(rig_file)
     report, _ = simulate(rig, rig_file.parent, 1.0)
@@ -190,6 +191,7 @@ def test_a_slice_of_the_fault_campaign_passes_on_it(rig_file: Path) -> None:
     assert cells
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words", [["sim", "--seconds", "0.6"], ["compare", "--laws", "pd-feedforward", "--seconds", "1"]]
 )

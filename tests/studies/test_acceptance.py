@@ -98,6 +98,7 @@ def test_a_law_slower_than_half_the_period_is_found_out(rig_file: Path) -> None:
     assert "more than 50% of the period" in text
 
 
+@pytest.mark.long
 def test_measuring_a_law_does_not_change_what_it_does(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hil.studies.acceptance import law_cost as module
 

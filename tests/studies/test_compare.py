@@ -50,6 +50,7 @@ def test_compare_refuses_what_cannot_run_before_anything_runs(
         cases(PAPER, ["pd-feedforward", law], [change], rates, corners=False, disturbed=False, seconds=1.0)
 
 
+@pytest.mark.long
 def test_at_another_rate_gains_are_what_their_unit_makes_of_them() -> None:
     """A stiffness of 1 kHz would shake the axis at 250 Hz; gains without a unit of time stay."""
     changes = ["law.name=pid", "law.gains.kp=1600", "law.gains.kd=8", "law.gains.ki=[320, 640]"]

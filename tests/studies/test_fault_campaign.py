@@ -73,6 +73,7 @@ def name_of(chunk: Chunk) -> str:
     return f"{rig['name']}, {rig['bus']['protocol']}, {chunk.point.name}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chunk", CHUNKS + OTHERS, ids=map(name_of, CHUNKS + OTHERS))
 def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(chunk: Chunk) -> None:
     failed = [f"{cell.trial} / {cell.axis}: {cell.why}" for cell in run_chunk(chunk) if not cell.passed]

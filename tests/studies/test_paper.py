@@ -96,6 +96,7 @@ def test_each_claim_runs_at_two_steps_unless_its_solver_chooses_them() -> None:
     assert [len(jobs_of(claim)) for claim in CLAIMS] == [2, 1, 2, 2, 4, 2, 0]
 
 
+@pytest.mark.long
 def test_the_page_holds_all_ten_figures_and_needs_no_other_file(runs: dict[Job, Run], tmp_path: Path) -> None:
     figures = draw(runs, tmp_path)
     assert [figure.number for figure, _ in figures] == list(range(3, 13))

@@ -40,6 +40,7 @@ PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rig_file", "law"),
     [(PAPER, "pd-feedforward"), (PAPER, "structured-kalman"), (PAPER, "slotine-li"), (MICROSCOPE, "")],
@@ -77,6 +78,7 @@ def test_every_law_can_be_tuned_and_points_turn_back_into_gains(rig_file: Path) 
                 assert bench.point(one) == pytest.approx(points[candidate], abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["structured-kalman", "slotine-li"])
 def test_a_simulation_equals_a_batch_bit_for_bit(law: str) -> None:
     """One axis of many candidates beside other tasks, or both axes of one plant: the same errors."""
@@ -115,6 +117,7 @@ def test_late_and_lost_commands_in_a_simulation_are_those_of_the_wire() -> None:
         assert 0.5 < report.axes["x"]["rms_error"] / simulated[index] < 2.0
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_trials")
 def test_a_search_lowers_the_cost_and_never_loses_its_start() -> None:
     rig = load_rig(PAPER, ["task.radius=0.01", "task.frequency_hz=4", "task.approach_s=0.2", "law.gains.kp=300"])
@@ -307,6 +310,7 @@ def test_the_filters_parameters_are_learnt_at_a_rate_in_samples() -> None:
     assert some.gains(some.known())["coulomb_noise"] == pytest.approx(known["coulomb_noise"][0])
 
 
+@pytest.mark.long
 def test_the_middle_of_the_ranges_is_a_sensible_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Axes of different mass and friction: where a search begins, the law is already ten times better than a PD."""
     monkeypatch.setattr("hil.studies.tune.objective.SETTLE_S", 1.5)

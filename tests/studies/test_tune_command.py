@@ -26,6 +26,7 @@ def tuned(rig_file: Path, *words: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_trials")
 def test_the_same_command_gives_the_same_gains_whatever_the_file_had(tmp_path: Path) -> None:
     """And the rig that it writes loads, says where its gains came from, and is one that `hil run` does not refuse."""
@@ -141,6 +142,7 @@ def test_a_step_of_force_begins_in_the_middle_of_what_is_judged() -> None:
     assert figures.rms[0, 0] < 0.9 * figures.rms[0, 2]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_trials")
 def test_a_search_of_some_knobs_leaves_the_others_alone(tmp_path: Path) -> None:
     target = tmp_path / "rig.toml"
@@ -156,6 +158,7 @@ def test_a_search_of_some_knobs_leaves_the_others_alone(tmp_path: Path) -> None:
     assert code != 0
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_trials")
 def test_gains_without_the_margins_asked_for_are_not_written(tmp_path: Path) -> None:
     target = tmp_path / "rig.toml"

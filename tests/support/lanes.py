@@ -2,8 +2,9 @@
 
 unit: no process but pytest's own. lockstep: the whole loop in virtual time. live-local: processes on the local bus.
 
-`--slice N` runs one in N of the slow tests, and on the compiled build of the live ones and of those that merely use it,
-drawn by the commit: CI sees others with every commit. `make test-nightly` and `make test-compiled` see them all.
+`--slice N` runs one in N of the slow and the long tests, and on the compiled build of the live ones and of those that
+merely use it, drawn by the commit: CI sees others with every commit. `make test-nightly` and `make test-compiled` see
+them all.
 """
 
 import hashlib
@@ -70,9 +71,11 @@ def drawn(names: list[str], one_in: int, seed: str) -> set[str]:
 
 
 def _is_sliced(item: pytest.Item) -> bool:
-    if item.get_closest_marker("slow") or control_path() != "compiled":
-        return bool(item.get_closest_marker("slow"))
-    return bool(item.get_closest_marker("live")) or _folder(item.path).startswith(USERS_OF_THE_BUILD)
+    if any(item.get_closest_marker(name) for name in ("long", "slow")):
+        return True
+    return control_path() == "compiled" and (
+        bool(item.get_closest_marker("live")) or _folder(item.path).startswith(USERS_OF_THE_BUILD)
+    )
 
 
 def _slice(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -59,6 +59,7 @@ def test_a_task_is_loaded_and_recorded(client: tuple[CommandClient, CommandBench
     assert task.plan([0.0] * 4).phase_names == ("approach", "figure")
 
 
+@pytest.mark.long
 def test_the_longest_task_travels_in_parts(long_task: str, client: tuple[CommandClient, CommandBench]) -> None:
     asking, bench = client
     assert asking.load_task(long_task).accepted
@@ -67,6 +68,7 @@ def test_the_longest_task_travels_in_parts(long_task: str, client: tuple[Command
     assert asking.command(CommandKind.STOP).accepted  # the connection goes on
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("task", "text"), [
     ({**SMALL, "radius": 1.0}, "the task cannot begin here: axis x: force 12.7629 N 1.279 s after the start"),
     ({**SMALL, "frequency_hz": 300.0, "radius": 1e-6}, "change task.frequency_hz"),

@@ -51,6 +51,7 @@ def read_by_any_reader(path: Path) -> list[int]:
         return [tick.sequence for _, _, _, tick in reader.iter_decoded_messages(topics=["tick"])]
 
 
+@pytest.mark.long
 def test_cut_at_every_byte_of_the_last_chunk_it_is_recovered_and_at_most_a_second_is_lost(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     records = _records([([], [], [], 0)] * 30)
@@ -72,6 +73,7 @@ def test_cut_at_every_byte_of_the_last_chunk_it_is_recovered_and_at_most_a_secon
     assert length > 500
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.2, 0.7, 0.9, 0.99])
 def test_a_run_cut_anywhere_loses_less_than_a_second(whole: Path, tmp_path: Path, share: float) -> None:
     content = whole.read_bytes()
@@ -86,6 +88,7 @@ def test_a_run_cut_anywhere_loses_less_than_a_second(whole: Path, tmp_path: Path
     assert read_by_any_reader(found.path) == list(range(found.ticks))
 
 
+@pytest.mark.long
 def test_what_is_recovered_replays_and_says_how_much(whole: Path, tmp_path: Path) -> None:
     content = whole.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(content[: chunks(whole)[-1][0] + 100])
@@ -96,6 +99,7 @@ def test_what_is_recovered_replays_and_says_how_much(whole: Path, tmp_path: Path
     assert found.seconds == pytest.approx(found.ticks / load_rig(RIGS / "paper.toml").rate_hz, abs=0.1)
 
 
+@pytest.mark.long
 def test_replay_reads_on_through_the_parts_and_says_what_of_a_later_one_it_could_not_compare(
     whole: Path, tmp_path: Path
 ) -> None:

@@ -15,11 +15,13 @@ def expected() -> dict[str, str]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("situation", situations()[1:], ids=lambda situation: situation.name)
 def test_nothing_around_a_run_changes_a_bit_of_it(situation: Situation, expected: dict[str, str]) -> None:
     assert ask(situation, NAMES, TICKS) == expected
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_python_computes_the_same(version: str, expected: dict[str, str]) -> None:
     try:
@@ -29,6 +31,7 @@ def test_every_python_computes_the_same(version: str, expected: dict[str, str]) 
     assert ask(Situation(version, python, {}), NAMES, TICKS) == expected
 
 
+@pytest.mark.long
 def test_a_hash_tells_runs_apart_by_a_single_bit_of_the_seed(expected: dict[str, str]) -> None:
     from tests.support.hashes import run_hash
 

@@ -32,6 +32,7 @@ def test_every_axis_tracks_the_injection_plan_within_twenty_nanometres_rms() -> 
     assert report.faults == {}
 
 
+@pytest.mark.long
 def test_every_loop_has_the_margins_that_are_shown(ideal_microscope: RigConfig) -> None:
     axes = check_stability(ideal_microscope, ticks=2000).axes.values()
     up = np.array([axis.gain_margin or np.inf for axis in axes])
@@ -54,6 +55,7 @@ def settles_over_cia402(report: SimReport) -> None:
     assert max(figures["max_error"] for figures in report.axes.values()) < 3e-6
 
 
+@pytest.mark.long
 def test_no_axis_circles_over_cia402() -> None:
     """Z did, and fell by a micrometre first, when drives were enabled before they had torque."""
     settles_over_cia402(track("bus.protocol=cia402", seconds=4.0))

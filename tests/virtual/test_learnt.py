@@ -43,6 +43,7 @@ def rms(error: np.ndarray, begin: float, end: float) -> np.ndarray:
     return root
 
 
+@pytest.mark.long
 def test_the_next_run_begins_where_the_last_one_ended(kept: tuple[Path, np.ndarray]) -> None:
     folder, first = kept
     rig = load_rig(folder / "rig.toml", [*SETS, "law.learnt=learnt.json"])
@@ -52,6 +53,7 @@ def test_the_next_run_begins_where_the_last_one_ended(kept: tuple[Path, np.ndarr
     assert (rms(traces.error, 0.3, FEW) < 1.5 * rms(first, SECONDS - 0.6, SECONDS)).all()
 
 
+@pytest.mark.long
 def test_a_run_that_began_with_it_replays(kept: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     """The recording has what was learnt in it: the file is not needed."""
     folder, _ = kept

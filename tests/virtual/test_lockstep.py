@@ -74,6 +74,7 @@ def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
         assert axis["plateau_error"] == pytest.approx(0.3 / kp, rel=0.05)
 
 
+@pytest.mark.long
 def test_four_axes_follow_the_injection_plan_with_a_nominal_model_off_by_some_per_cent(
     ideal_microscope: RigConfig, lockstep: MakeRun
 ) -> None:

@@ -66,6 +66,7 @@ def command(text: str, folder: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("text", READING)
 def test_a_reading_command_does_not_run_it(text: str, folder: Path) -> None:
     done = command(text, folder)
@@ -96,6 +97,7 @@ def test_a_replay_that_was_asked_runs_it_where_it_cannot_write(folder: Path) -> 
     assert command("replay R", folder).returncode == 1  # it was asked once
 
 
+@pytest.mark.long
 def test_code_that_was_trusted_needs_no_asking_and_other_code_does(folder: Path) -> None:
     assert command("replay R --trust-its-code", folder).returncode == 0
     assert command("replay R --json x.json", folder).returncode == 0

@@ -11,6 +11,7 @@ from tests.golden.traces.tell import stories
 EVERY_TIME = ("microscope-ideal, structured-kalman", "paper, robust-pd", "paper, pd-feedforward, learning")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EVERY_TIME)
 def test_a_run_sends_and_receives_the_frames_it_always_did(name: str) -> None:
     hold("traces", name)

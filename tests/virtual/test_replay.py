@@ -134,6 +134,7 @@ def test_a_recording_cut_short_replays_as_far_as_it_goes(recording: Path, tmp_pa
     assert report.different == 0
 
 
+@pytest.mark.long
 def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_never_blamed_on_the_cycle(
     recording: Path, tmp_path: Path
 ) -> None:
@@ -240,6 +241,7 @@ def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -
     assert other.other_force["y"]["max"] == 0
 
 
+@pytest.mark.long
 def test_the_command_writes_its_report_and_its_exit_status_tells(recording: Path, tmp_path: Path) -> None:
     result = hil("replay", str(recording), "--json", "-")
     report = json.loads(result.stdout)

@@ -230,6 +230,7 @@ def test_without_a_mistake_the_task_runs(drive: str, tmp_path: Path) -> None:
     assert run.cycle.supervisor.commissioning.done
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: f"{mistake.drive}: {mistake.what}")
 def test_a_mistake_is_caught_before_a_task_runs(
     mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -241,10 +242,10 @@ def test_a_mistake_is_caught_before_a_task_runs(
     wrong.mkdir()
     try:
         rig = seeded(mistake, wrong)
-        refuse_unschedulable(rig, wrong)
-        if encoder_range_problems(rig, wrong):
+        layout = refuse_unschedulable(rig, wrong)
+        if encoder_range_problems(rig, layout):
             return
-        run.cycle = ControlCycle(rig, wrong)
+        run.cycle = ControlCycle(rig, wrong, layout)
     except (ValueError, RigError):
         return  # by `hil check`, before a bus is opened
     while run.index < TICKS and run.cycle.state not in (State.FAULT, State.ESTOP):

@@ -44,6 +44,7 @@ def wires(run: LockstepRun) -> list[Wire]:
     return run.wire.wires
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
@@ -201,6 +202,7 @@ def test_a_recording_replays_to_the_same_frames(tmp_path: Path, name: str, overr
 CAMPAIGN = [("paper", TWO), ("moteus", TWO), ("microscope-ideal", (*TWO_PAIRS, *CIA402))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "overrides"), CAMPAIGN)
 def test_faults_in_motion(filterpy_loaded: None, name: str, overrides: tuple[str, ...]) -> None:
     rig = displaced(rig_of(name, *overrides))

@@ -13,7 +13,7 @@ from drivers.protocols.base import Reject
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
-from hil.rig.bus_load import analyse_rig, refuse_unschedulable
+from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig, RigError
@@ -22,6 +22,7 @@ from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from sim_plant.scenario.language import Scenario
+from tests.support.judged import analysed
 from tests.support.paths import RIGS
 
 FORCE = 'sensors.force={can_id=0x3F1, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}'
@@ -67,6 +68,7 @@ def test_a_force_that_falls_by_three_quarters_of_a_millinewton_in_3_ms_is_no_fau
     assert np.std(rest) == pytest.approx(5e-6, rel=0.25)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_sensor_stands_beside_every_layout(name: str) -> None:
     rig = load_rig(RIGS / f"{name}.toml", (FORCE,))
@@ -76,7 +78,7 @@ def test_a_sensor_stands_beside_every_layout(name: str) -> None:
     assert kept.run.cycle.inbox.rejects == Kept(without).ticks(400).run.cycle.inbox.rejects
     assert kept.ages[200:].max() == 0
     assert 2e-6 < np.std(kept.values[200:]) < 10e-6
-    assert analyse_rig(rig, RIGS).bus_load > analyse_rig(without, RIGS).bus_load
+    assert analysed(rig).bus_load > analysed(without).bus_load
 
 
 def test_a_sensor_changes_no_frame_of_the_drives() -> None:

@@ -31,6 +31,7 @@ def rig_file(tmp_path: Path) -> Path:
     return tmp_path / "paper.toml"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [["sim", "--seconds", "0.5"], ["check"]])
 def test_commands_take_a_users_estimator(words: list[str], rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rig_file.parent)

@@ -93,6 +93,7 @@ def test_it_is_part_of_the_rigs_hash_and_of_the_recording(rig_file: Path, tmp_pa
     assert simulate(again, rig_file.parent, 0.4)[0].trace_sha256 == report.trace_sha256
 
 
+@pytest.mark.long
 def test_a_slice_of_the_fault_campaign_passes_over_it(rig_file: Path) -> None:
     chunks = plan_chunks(displaced(load_rig(rig_file, [MADE])), rig_file.parent, stride=40)
     cells = [cell for chunk in (chunks[2], chunks[6], chunks[8]) for cell in run_chunk(chunk)]

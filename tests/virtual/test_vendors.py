@@ -28,6 +28,7 @@ def two_makers(folder: Path, **settings: object) -> RigConfig:
     return RigConfig.model_validate(facts)
 
 
+@pytest.mark.long
 def test_the_papers_task_runs_on_drives_of_two_makers(tmp_path: Path) -> None:
     rig = two_makers(tmp_path)
     report, _ = simulate(rig, tmp_path, 8.0)

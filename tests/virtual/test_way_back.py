@@ -23,6 +23,7 @@ def beyond(place: float, *changes: str, rig: str = "microscope-ideal") -> hil.Vi
     return mover
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", ["microscope-ideal", "microscope"])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_it_is_held_where_it_rests_and_goals_lead_it_back(side: float, rig: str) -> None:

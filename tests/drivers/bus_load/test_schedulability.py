@@ -235,7 +235,7 @@ def test_hil_check_exits_78_naming_frame_and_margin_when_a_rig_does_not_fit(tmp_
 
 def test_hil_run_refuses_what_does_not_fit() -> None:
     path = RIGS / "microscope-ideal.toml"
-    assert refuse_unschedulable(load_rig(path), path.parent).schedulable
+    refuse_unschedulable(load_rig(path), path.parent)
     rig = load_rig(path, ["bus.bitrate=125000", "bus.data_bitrate=125000"])
     with pytest.raises(RigError, match=r"past its deadline|no bound"):
         refuse_unschedulable(rig, path.parent)
@@ -247,7 +247,7 @@ def test_hil_sim_refuses_what_does_not_fit_and_names_the_rate_that_would() -> No
     assert isinstance(outcome.exception, RigError)
     assert "bus.protocol = 'stage_fd' at 1000000 bit/s does not fit rate_hz = 10000" in str(outcome.exception)
     assert "; rate_hz = 2631 or less, a higher bit rate or a leaner layout would do" in str(outcome.exception)
-    assert refuse_unschedulable(load_rig(path, ["rate_hz=2631"]), path.parent).schedulable
+    refuse_unschedulable(load_rig(path, ["rate_hz=2631"]), path.parent)
     with pytest.raises(RigError):
         refuse_unschedulable(load_rig(path, ["rate_hz=2632"]), path.parent)
 

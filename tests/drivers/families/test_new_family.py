@@ -53,11 +53,13 @@ def rig(place: Path) -> Path:
     return file
 
 
+@pytest.mark.long
 def test_a_rig_of_it_is_written_checked_and_run(place: Path, rig: Path) -> None:
     assert "torque 0" in run(COMMAND, place, "check", rig)
     said = run(COMMAND, place, "sim", rig, "--seconds", "1")
     assert "rms" in said.lower()
 
 
+@pytest.mark.long
 def test_the_fault_campaign_plays_its_cells(place: Path, rig: Path) -> None:
     assert run(CELLS, place, rig).strip() == "[]"

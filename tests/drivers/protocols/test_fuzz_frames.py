@@ -14,6 +14,7 @@ NEVER_THERE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_no_frame_gets_further_than_it_may(protocol: str) -> None:
     outcome = fuzz(protocol, 25_000, seed=1)

@@ -9,6 +9,7 @@ from tests.golden.golden import hold
 from tests.golden.hosts.tell import frames_in_words, lines, outcomes, stories, talk, words
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", stories())
 def test_a_host_says_and_hears_what_it_always_did_and_people_read_the_same_words(name: str) -> None:
     pieces, told = list(talk(name)), frames_in_words(name)

@@ -52,6 +52,7 @@ def test_a_straight_rig_pays_nothing() -> None:
     assert type(host) is StageFdHost
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("layout", ["stage_fd", "stage_classic", "cia402"])
 def test_a_rig_with_mounted_drives_does_its_task_as_a_straight_one(layout: str) -> None:
     def worst(*overrides: str) -> tuple[float, float]:

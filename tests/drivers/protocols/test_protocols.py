@@ -100,6 +100,7 @@ def assert_same_as_cantools(message: Message, data: st.DataObject) -> None:
         assert value == expected[name] or (math.isnan(value) and math.isnan(float(expected[name])))  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("message", all_messages(), ids=lambda message: message.name)
 @given(data=st.data())
 def test_the_compiled_codec_of_every_shipped_message_is_cantools_own(message: Message, data: st.DataObject) -> None:

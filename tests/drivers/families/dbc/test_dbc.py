@@ -36,6 +36,7 @@ def signals(message: str, signal: str, **more: Any) -> list[dict[str, Any]]:
     return [{"message": f"{message}{drive}", "signal": signal, **more} for drive in "AB"]
 
 
+@pytest.mark.long
 @given(fractions=FRACTIONS, enable=st.integers(0, 3), sequence=st.integers(0, 99), counts=st.integers(-(2**30), 2**30))
 def test_a_bound_dbc_carries_a_rig(fractions: list[float], enable: int, sequence: int, counts: int) -> None:
     bus = dbc_bus()

@@ -70,6 +70,7 @@ def test_positions_are_what_cantools_reads(drawn: Drawn, data: bytes) -> None:
             assert outcome is Reject.INVALID_VALUE
 
 
+@pytest.mark.long
 @given(drawn=dbc_files(), share=st.lists(st.floats(-1, 1), min_size=3, max_size=3), counts=st.integers(-900, 900))
 def test_torques_are_what_cantools_reads_and_a_drive_hears(drawn: Drawn, share: list[float], counts: int) -> None:
     host, device = ends(drawn.text, drawn.binding, drawn.n_axes)
@@ -95,6 +96,7 @@ def test_torques_are_what_cantools_reads_and_a_drive_hears(drawn: Drawn, share: 
     assert sorted(s.axis for s in heard_samples) == list(range(drawn.n_axes))
 
 
+@pytest.mark.long
 @given(drawn=dbc_files())
 def test_what_nobody_binds_is_a_warning(drawn: Drawn) -> None:
     host, _ = ends(drawn.text, drawn.binding, drawn.n_axes)
