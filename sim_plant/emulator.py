@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from drivers.config import BusConfig, DrivesConfig
 from drivers.frame import SEGMENT, Frame, on_segment, segment_of
-from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from drivers.protocols.segments import segments_of
 from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive, Switches
+from sim_plant.drives.sides import drives_side
 from sim_plant.nodes.sensor import SensorNode
 from sim_plant.physics.stage import Truth, per_axis_array
 from sim_plant.user_stage import stage_of
@@ -83,7 +83,7 @@ class EmulatedStage:
         self._segments = [axes for axes, _ in segments_of(bus, n_axes)]
         self._segment_numbers = [number for number, axes in enumerate(self._segments) for _ in axes]
         nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
-        self._protocol = None if nodes else device_protocol(bus, n_axes, rated_force, base_dir)
+        self._protocol = None if nodes else drives_side(bus, n_axes, rated_force, base_dir)
         self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
         self._decode = getattr(self._protocol, "decode_part", getattr(self._protocol, "decode_command", None))
         self._stage = stage_of(

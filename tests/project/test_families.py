@@ -63,7 +63,11 @@ def test_nobody_else_names_a_family() -> None:
 
 
 STANDARDS = {"drivers.families.cia402.cia301"}  # numbers of public standards
-WHAT_A_RIG_SAYS = {"drivers.families.cia402.config", "drivers.families.cia402.host.node_ids"}
+WHAT_A_RIG_SAYS = {
+    "drivers.families.stage.config",
+    "drivers.families.cia402.config",
+    "drivers.families.cia402.host.node_ids",
+}
 WHAT_A_RIG_SAYS |= {f"drivers.families.moteus.layout.{name}" for name in ("COUNTS_PER_TURN", "moteus_nodes")}
 WHAT_A_RIG_SAYS |= {f"drivers.families.mit.layout.{name}" for name in ("CODES", "mit_drives")}
 FOR_PEOPLE = {"drivers.families.cia402.services"}
@@ -71,9 +75,7 @@ SHARED = STANDARDS | WHAT_A_RIG_SAYS | FOR_PEOPLE
 
 
 def test_an_emulated_drive_is_written_apart_from_the_layout_it_is_the_truth_for() -> None:
-    """Neither a side of the layout nor its codec. Not so yet: stage_fd and stage_classic, whose drives are the layout's
-    own drives' side (sim_plant/emulator.py).
-    """
+    """Neither a side of the layout nor its codec."""
     imports = set()
     for path in (ROOT / "sim_plant").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
