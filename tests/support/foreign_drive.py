@@ -147,6 +147,7 @@ class ForeignDrive:
         for index, value in (values or {}).items():
             self.node.object_dictionary[index].default = value
         self._network = network
+        self.node.add_write_callback(self._show_mode)
         self.node_id = node_id
         self.state = cia301.DriveState.SWITCH_ON_DISABLED
         self.operational = False
@@ -174,6 +175,11 @@ class ForeignDrive:
         elif self.operational and frame.can_id == self._get(0x1400, 1):
             self._take(frame.data)
         return list(self._sent)
+
+    def _show_mode(self, index: int, data: bytes, **_: Any) -> None:
+        """6061h says the mode that is written."""
+        if index == cia301.MODE and cia301.MODE_DISPLAY in self.node.object_dictionary:
+            self.node.set_data(cia301.MODE_DISPLAY, 0, data)
 
     def _get(self, index: int, subindex: int = 0) -> int:
         return int.from_bytes(self.node.get_data(index, subindex), "little")

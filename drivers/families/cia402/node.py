@@ -1,8 +1,11 @@
 """The CANopen master's side of one drive: finds it, configures it over SDO, starts it, follows its states.
 
 Rules. Steps are made in order, one SDO transfer at a time; one that is required and fails refuses the drive, with a
-reason for people, and after a while it is tried again from the start. A boot-up message starts over at any time, so a
-drive may boot late, or twice. A drive that was lost (neither heartbeat nor TPDO) is configured anew.
+reason for people, and after a while it is tried again from the start; one that is optional and gets no answer is left
+out. At the end what was written is read back: a drive that acknowledged and did otherwise is refused. What a drive's
+application was told is read back after every fault, too, and where it is no longer so the drive is configured anew. A
+boot-up message starts over at any time, so a drive may boot late, or twice. A drive that was lost (neither heartbeat
+nor TPDO) is configured anew.
 
 Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clock.
 """
@@ -20,6 +23,8 @@ from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
 
 SDO_TIMEOUT_TICKS = 100
+MOST_ASKED = 3  # times, for a step that is optional
+APPLICATION = 0x6000  # first object of a drive's own profile
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
 LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
 
@@ -55,6 +60,10 @@ class NodeMaster:
         """autostart: it goes to operational by itself and is not started by NMT."""
         self.node_id = node_id
         self._steps = tuple(steps)
+        proofs = [at for at, step in enumerate(steps) if step.proof and step.object_index >= APPLICATION]
+        self._application = proofs[0] if proofs else len(self._steps)  # what is read back after a fault
+        self._left_out: set[tuple[int, int]] = set()
+        self._proving = False  # after a fault
         self._autostart = autostart
         self.problem = ""
         self.emergency = ""
@@ -73,8 +82,9 @@ class NodeMaster:
         self.alarms = 0
         self.emergency, self._closing = "", b""
         self.answers.clear()
-        self._step = 0
-        self._transfer = Transfer(self._steps[0])
+        self._left_out.clear()
+        self._proving = False
+        self._begin(0)
         self._asked_tick = -1  # of the request not answered yet
         self._since_tick = self._tick  # of the current phase
 
@@ -91,9 +101,11 @@ class NodeMaster:
     def on_state(self, state: DriveState) -> None:
         """The state in a TPDO."""
         self._heard_tick = self._tick
-        if self.state is DriveState.FAULT and state is not DriveState.FAULT:
-            self.alarms, self.emergency = 0, ""
+        recovered = self.state is DriveState.FAULT and state is not DriveState.FAULT
         self.state = state
+        if recovered:
+            self.alarms, self.emergency = 0, ""
+            self._prove()
         if self.phase is Phase.START:
             self._enter(Phase.RUNNING)
 
@@ -127,7 +139,7 @@ class NodeMaster:
             if step.required:
                 self.refuse(f"{object_name(step.object_index, step.subindex)} {aborted}")
             else:
-                self._next()
+                self._leave_out(step)
         elif progress is Progress.DONE and not step.size:
             self._check(step, transfer.value)
         elif progress is Progress.DONE:
@@ -140,9 +152,24 @@ class NodeMaster:
         if value & step.mask == step.value:
             self._note(f"is {value:#x}")
             self._next()
+        elif self._proving:
+            self.restart()  # it lost that with the fault
         else:
             self._note(f"is {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
-            self.refuse(f"{step.object_index:04X}h = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}")
+            name = object_name(step.object_index, step.subindex).removesuffix(":00")
+            written = ": it does not keep what is written" if step.proof else ""
+            self.refuse(f"{name} = {value:#x}; expected {step.value:#x} in the bits {step.mask:#x}{written}")
+
+    def _prove(self) -> None:
+        """Read back what the drive's application was told; until that is done it is not enabled."""
+        if self.phase is Phase.RUNNING and self._application < len(self._steps):
+            self._enter(Phase.CONFIGURE)
+            self._proving = True
+            self._begin(self._application)
+
+    def _leave_out(self, step: Step) -> None:
+        self._left_out.add((step.object_index, step.subindex))
+        self._next()
 
     def _note(self, text: str) -> None:
         """The answer to the step under way; one that is asked again has its last."""
@@ -151,13 +178,23 @@ class NodeMaster:
             self.answers.pop()
         self.answers.append(Answer(step, text))
 
+    def _begin(self, at: int) -> None:
+        """That step is under way."""
+        self._step, self._asked = at, 0
+        self._transfer = Transfer(self._steps[at])
+
     def _next(self) -> None:
-        self._step += 1
-        if self._step == len(self._steps):
-            self.problem = ""
-            self._enter(Phase.START)
-        else:
-            self._transfer = Transfer(self._steps[self._step])
+        at = self._step + 1
+        while at < len(self._steps) and self._steps[at].proof and self._place(at) in self._left_out:
+            at += 1
+        if at < len(self._steps):
+            self._begin(at)
+            return
+        self.problem, self._proving = "", False
+        self._enter(Phase.START)
+
+    def _place(self, at: int) -> tuple[int, int]:
+        return self._steps[at].object_index, self._steps[at].subindex
 
     def refuse(self, reason: str) -> None:
         """It cannot be used as it is; it is asked again after a while, or once it boots."""
@@ -201,6 +238,11 @@ class NodeMaster:
             return None
         step = self._transfer.step
         self._note("no answer")
+        self._asked += 1
+        if not step.required and self._asked == MOST_ASKED:
+            overdue = self._transfer
+            self._leave_out(step)
+            return self._frame(overdue.abort(Abort.TIMEOUT))
         if not self.problem:
             self._silent = True
             self.problem = f"node {self.node_id}: no answer to {object_name(step.object_index, step.subindex)}"

@@ -38,6 +38,7 @@ _NO_RTR = 1 << 30  # of a TPDO's COB-ID
 _MODES = ("PP", "VL", "PV", "TQ", None, "HM", "IP", "CSP", "CSV", "CST", "CSTCA")  # bits of 6502h
 _PDOS = 8  # looked at
 _AT_SYNC, _AT_ONCE = 1, 255  # transmission types
+_ORDERS = (0x1010, 0x1011)  # store, restore: what is read there is no value that was written
 
 
 # Options that decide what force a drive applies on its own account; bus.cia402.write may state others.
@@ -89,7 +90,7 @@ class DrivePlan:
     """What is to be done with one drive. unit: 6076h in mN m (mN), None where it is read from the drive at the start.
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
-    its emergency messages, 0 where it sends none.
+    its emergency messages, 0 where it sends none. proofs: what is read back of what was planned.
     """
 
     name: str
@@ -101,6 +102,7 @@ class DrivePlan:
     limit: int = FULL_SCALE
     emcy_id: int = 0
     planned: list[Planned] = field(default_factory=list)
+    proofs: list[Step] = field(default_factory=list)
     reasons: list[Reason] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -117,7 +119,7 @@ class DrivePlan:
     @property
     def steps(self) -> list[Step]:
         """What the master makes, in this order."""
-        return [planned.step for planned in self.planned if not planned.skipped]
+        return [*(planned.step for planned in self.planned if not planned.skipped), *self.proofs]
 
 
 def rated_torque(rated_force: float) -> tuple[int, int]:
@@ -141,6 +143,11 @@ def plan_drives(drives: Sequence[Eds], axes: Sequence[Axis], settings: Cia402Con
     if all(plan.usable for plan in with_shared):
         return with_shared
     return plans(False)
+
+
+def _is_identifier(index: int, subindex: int) -> bool:
+    """Whether the object is a COB-ID."""
+    return ((0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00) and subindex == 1) or index in (0x1005, 0x1014)
 
 
 def _writable(eds: Eds, index: int, subindex: int = 0) -> bool:
@@ -167,6 +174,7 @@ class _Planner:
         self._endings()
         for item in settings.write:
             self._write(*item.place, item.value, "extra", "bus.cia402.write")
+        self._proofs()
         self.plan.warnings += eds.warnings[:20]
 
     # parts of the plan ------------------------------------------------------------------------------------------------
@@ -312,6 +320,27 @@ class _Planner:
         for index, subindex, value, why in _ENDINGS if self._settings.stop_options == "release" else ():
             if not self._is_stated(index, subindex):
                 self._write(index, subindex, value, "optional", why)
+
+    def _proofs(self) -> None:
+        """What was written is read back at the end, by value that was written last: an answer to a write is no proof
+        of it. The drive's own application comes last, as it is asked again after every fault.
+        """
+        written = {
+            (planned.step.object_index, planned.step.subindex): planned.step
+            for planned in self.plan.planned
+            if planned.step.size and not planned.skipped and planned.step.object_index not in _ORDERS
+        }
+        if self._eds.entry(cia301.MODE_DISPLAY) is not None:
+            written[cia301.MODE_DISPLAY, 0] = Step(cia301.MODE_DISPLAY, 0, cia301.TORQUE_MODE, 1, width=1)
+        for (index, subindex), step in sorted(written.items()):
+            entry = self._eds.entry(index, subindex)
+            if entry is None or entry.access == "wo":
+                continue
+            mask = (1 << 8 * step.size) - 1
+            if _is_identifier(index, subindex):
+                mask &= PDO_INVALID | cia301.STANDARD_IDS  # the rest is flags of the drive's own
+            proof = step._replace(size=0, value=step.value & mask, mask=mask, required=False, proof=True)
+            self.plan.proofs.append(proof)
 
     def _is_stated(self, index: int, subindex: int) -> bool:
         return any(item.place == (index, subindex) for item in self._settings.write)

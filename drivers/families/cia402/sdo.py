@@ -29,7 +29,8 @@ LONGEST_STRING = 256  # bytes
 class Step(NamedTuple):
     """One access to make. size: bytes of `value` to write; or 0: read, and check that the answer & mask is `value`.
 
-    required: the drive is refused where it fails. width: bytes of the object, for answers that do not tell.
+    required: the drive is refused where it fails. width: bytes of the object, for answers that do not tell. proof: it
+    reads back what an earlier step wrote, and is not made where that was left out.
     """
 
     object_index: int
@@ -39,6 +40,7 @@ class Step(NamedTuple):
     mask: int = 0
     required: bool = True
     width: int = 4
+    proof: bool = False
 
 
 class Progress(Enum):
@@ -91,7 +93,10 @@ class Transfer:
             return self._follow_block(self._block, data)
         if self._segmented and command & _COMMAND == _SEGMENT_ANSWER:
             return self._segment(command, data[1:])
-        if (index, subindex) != (self.step.object_index, self.step.subindex):
+        named = (index, subindex)
+        if command == _ABORT and named == (0, 0):  # some servers name no object in it
+            named = (self.step.object_index, self.step.subindex)
+        if named != (self.step.object_index, self.step.subindex):
             return Progress.FOREIGN
         if command == _ABORT:
             return self._aborted(int.from_bytes(payload, "little"))

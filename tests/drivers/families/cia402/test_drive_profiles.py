@@ -118,7 +118,7 @@ def test_6076h_is_read_and_never_written_unless_the_rig_asks() -> None:
 def test_interpolation_period_and_stated_objects_are_written_where_they_exist() -> None:
     facts = {**CST_DRIVE, (0x60C2, 1): Fact(U8), (0x60C2, 2): Fact(0x2), (0x1029, 1): Fact(U8)}
     made = plan(facts, write=[ObjectValue(object="1029h:01", value=1)])
-    steps = {(step.object_index, step.subindex): step for step in made.steps}
+    steps = {(step.object_index, step.subindex): step for step in made.steps if step.size}
     assert (steps[0x60C2, 1].value, steps[0x60C2, 2].value) == (1, 0xFD)  # 1 * 10^-3 s
     assert steps[0x1029, 1].required
     refused = plan(CST_DRIVE, write=[ObjectValue(object="1029h:01", value=1)])
@@ -138,7 +138,7 @@ def test_a_drive_is_told_to_let_go_by_itself_unless_the_rig_says_otherwise() -> 
     assert OPTIONS.items() <= {(s.object_index, s.subindex): s.value for s in made.steps if s.size}.items()
     assert not any(step.required for step in made.steps if (step.object_index, step.subindex) in OPTIONS)
     stated = plan(facts, write=[ObjectValue(object="605Ch", value=1)])
-    assert [s.value for s in stated.steps if s.object_index == 0x605C] == [1]
+    assert [s.value for s in stated.steps if s.object_index == 0x605C and s.size] == [1]
     kept = plan(facts, stop_options="keep")
     assert not OPTIONS.keys() & {(s.object_index, s.subindex) for s in kept.steps}
 
@@ -147,7 +147,10 @@ def test_a_drive_that_turns_signs_round_is_refused_unless_the_rig_says_so(tmp_pa
     facts = CST_DRIVE | {(0x607E, 0): Fact(U8, "rw", "0")}
     assert Step(0x607E, 0, 0, mask=0xFF, width=1) in plan(facts).steps
     stated = plan(facts, write=[ObjectValue(object="607Eh", value=0x80)])
-    assert [(s.size, s.value) for s in stated.steps if s.object_index == 0x607E] == [(1, 0x80)]
+    assert [(s.size, s.value, s.proof) for s in stated.steps if s.object_index == 0x607E] == [
+        (1, 0x80, False),
+        (0, 0x80, True),
+    ]
 
 
 @pytest.mark.parametrize(
