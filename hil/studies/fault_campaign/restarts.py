@@ -11,7 +11,7 @@ from hil.studies.fault_campaign.trial import Limit, Step, Trial, ticks, watchdog
 
 _BRIEFLY = 2  # ticks: no drive has noticed
 _RESET_EVERY = 100  # ticks: one that meets drives which are still being configured clears nothing
-_CONFIGURED = 600  # ticks in which any drives are, and have been reset since (the microscope over cia402: 470)
+_CONFIGURED = 1000  # ticks in which any drives are, and have been reset since (the microscope over cia402: 770)
 
 
 def _long(rig: RigConfig) -> int:
