@@ -6,7 +6,7 @@ run shows it.
 
 from collections.abc import Callable, Sequence
 from struct import Struct
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 from zlib import crc32 as _crc32
 
 import numpy as np
@@ -74,7 +74,7 @@ class StageClassicDrives:
     name = "stage_classic"
     fd = False
     sequence_modulus = 32
-    force_resolution = 0.5 / FULL_SCALE
+    force_resolution: ClassVar[float] = 0.5 / FULL_SCALE
 
     def __init__(self, host_id: int, feedback_id: int, rated_force: Sequence[float]) -> None:
         """rated_force: N, an axis each."""
