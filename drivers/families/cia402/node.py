@@ -23,7 +23,7 @@ from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
 
 SDO_TIMEOUT_TICKS = 100
-MOST_ASKED = 3  # times, for a step that is optional
+MOST_ASKED = 2  # times, for a step that is optional
 APPLICATION = 0x6000  # first object of a drive's own profile
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
 LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
@@ -63,6 +63,7 @@ class NodeMaster:
         proofs = [at for at, step in enumerate(steps) if step.proof and step.object_index >= APPLICATION]
         self._application = proofs[0] if proofs else len(self._steps)  # what is read back after a fault
         self._left_out: set[tuple[int, int]] = set()
+        self._mute: set[int] = set()  # objects without an answer
         self._proving = False  # after a fault
         self._autostart = autostart
         self.problem = ""
@@ -83,6 +84,7 @@ class NodeMaster:
         self.emergency, self._closing = "", b""
         self.answers.clear()
         self._left_out.clear()
+        self._mute.clear()
         self._proving = False
         self._begin(0)
         self._asked_tick = -1  # of the request not answered yet
@@ -185,7 +187,7 @@ class NodeMaster:
 
     def _next(self) -> None:
         at = self._step + 1
-        while at < len(self._steps) and self._steps[at].proof and self._place(at) in self._left_out:
+        while at < len(self._steps) and self._is_left_out(self._steps[at]):
             at += 1
         if at < len(self._steps):
             self._begin(at)
@@ -193,8 +195,10 @@ class NodeMaster:
         self.problem, self._proving = "", False
         self._enter(Phase.START)
 
-    def _place(self, at: int) -> tuple[int, int]:
-        return self._steps[at].object_index, self._steps[at].subindex
+    def _is_left_out(self, step: Step) -> bool:
+        if step.proof and (step.object_index, step.subindex) in self._left_out:
+            return True
+        return not step.required and step.object_index in self._mute
 
     def refuse(self, reason: str) -> None:
         """It cannot be used as it is; it is asked again after a while, or once it boots."""
@@ -241,6 +245,7 @@ class NodeMaster:
         self._asked += 1
         if not step.required and self._asked == MOST_ASKED:
             overdue = self._transfer
+            self._mute.add(step.object_index)
             self._leave_out(step)
             return self._frame(overdue.abort(Abort.TIMEOUT))
         if not self.problem:
