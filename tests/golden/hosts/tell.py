@@ -26,7 +26,7 @@ from tests.support.fuzz_frames import Mutator
 from tests.support.paged_dbc import TEXT, bound
 from tests.support.paths import RIGS
 
-PIECES, TICKS = 8, 100
+TICKS = 100
 SWITCH, BEAT = {"message": "Switch", "signal": "On"}, {"message": "Beat", "period_s": 0.005}
 
 NODES = (
@@ -37,20 +37,25 @@ NODES = (
 
 
 class Talk(NamedTuple):
-    """A rig and what is changed of it. binding: of paged_dbc.py's file, in place of the rig's layout."""
+    """A rig and what is changed of it. binding: of paged_dbc.py's file, in place of the rig's layout. pieces: of TICKS,
+    so many that the drives are configured early in them.
+    """
 
     rig: str
     overrides: tuple[str, ...] = ()
     binding: dict[str, Any] | None = None
+    pieces: int = 8
 
 
 TALKS = {
     "stage_fd": Talk("microscope-ideal"),
     "stage_fd, turned": Talk("paper", ("axes.x.direction=-1",)),
     "stage_classic": Talk("microscope-ideal", ("bus.protocol=stage_classic",)),
-    "cia402": Talk("microscope-ideal", ("bus.protocol=cia402",)),
+    "cia402": Talk("microscope-ideal", ("bus.protocol=cia402",), pieces=14),
     "cia402, rpdos of their own": Talk(
-        "microscope-ideal", ("bus.protocol=cia402", f'bus.cia402.eds=["{EDS}"]', "bus.cia402.rpdo=own", *NODES)
+        "microscope-ideal",
+        ("bus.protocol=cia402", f'bus.cia402.eds=["{EDS}"]', "bus.cia402.rpdo=own", *NODES),
+        pieces=14,
     ),
     "dbc": Talk("paper-dbc"),
     "odrive": Talk("odrive"),
@@ -111,7 +116,7 @@ def talk(name: str, seen: list[Frame] | None = None) -> Iterator[list[str]]:
     draw, mutator, heard = Random(name), Mutator(rig.bus.protocol, 1), list[Frame]()
     enable = 0
     head = _facts(host, device, rig.period_ns)
-    for piece in range(PIECES):
+    for piece in range(TALKS[name].pieces):
         lines = head if piece == 0 else []
         for tick in range(piece * TICKS, (piece + 1) * TICKS):
             now_ns = (tick + 1) * rig.period_ns
