@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from drivers.eds.reader import object_name
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import NmtState
+from drivers.families.cia402.master import SERVICE_TICKS
 from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.node_scan import NodeIdentity, NodeScan
 from drivers.families.cia402.profile import MASTER_ID, DrivePlan
@@ -151,8 +152,13 @@ class Survey:
             self._scan.on_frame(frame)
         request = self._scan.service()
         if self._scan.done:
-            self._enter(self._configure, CONFIGURE_S)
+            self._enter(self._configure, max(CONFIGURE_S, self._configure_ticks() * self._period_s))
         return [] if request is None else [request]
+
+    def _configure_ticks(self) -> int:
+        """In which a slow rig's drives are configured, some requests twice."""
+        master = self.host.cia402
+        return 2 * SERVICE_TICKS * sum(len(plan.steps) for plan in master.plans) if master else 0
 
     def _configure(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
         """Until every drive is configured, refused or known to be absent."""
