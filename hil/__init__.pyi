@@ -22,6 +22,11 @@ from hil.control.laws.base import Law as Law
 from hil.control.laws.base import LawInputs as LawInputs
 from hil.control.laws.base import Model as Model
 from hil.control.laws.base import Reference as Reference
+from hil.control.motion.contract import Motion as Motion
+from hil.control.motion.contract import Observation as Observation
+from hil.control.motion.contract import References as References
+from hil.control.motion.contract import Surroundings as Surroundings
+from hil.control.reading import Reading as Reading
 from hil.cycle.goal import GoalRefusedError as GoalRefusedError
 from hil.cycle.goal import MotionError as MotionError
 from hil.operate.moving import motion as motion

@@ -48,9 +48,9 @@ HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/
 
 # What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
-hil/cycle: axes command_desk commissioning damped_stop drive_clock fault_monitor fault_table gate goal_desk inbox
-hil/cycle: limits oscillation reading_faults readings record_builder rest_watch sampling state_machine step supervisor
-hil/cycle: tick travel
+hil/cycle: axes command_desk commissioning damped_stop decided_motion drive_clock fault_monitor fault_table gate
+hil/cycle: goal_desk inbox limits oscillation output_gate reading_faults readings record_builder rest_watch sampling
+hil/cycle: state_machine step supervisor tick travel
 hil/live: loop miss_ledger pacing timing_record
 sim_plant/physics: events native_axis real_axis single_axis single_stage
 """
@@ -64,6 +64,7 @@ hil/cycle/faults: number row
 hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length
 drivers/bus: port segmented_port counters local_link local_medium receive_block socketcan
+drivers/outputs: hil_frame
 drivers/families/stage: common stage_classic stage_fd
 drivers/protocols: base checksum common sampling_clock
 drivers/sensors: base hil_frame

@@ -23,6 +23,7 @@ from hil.control.plans.pace import MOST_RATE, Pace, change_rate
 from hil.control.plans.together import State, line, moves
 from hil.control.trajectories import Trajectory
 from hil.cycle.axes import Axes
+from hil.cycle.decided_motion import DecidedMotion
 from hil.cycle.goal import LINE, MOST_GOALS, MOST_JOG_S, RELATIVE, Goal, GoalKind, MotionWord, Refusal
 from hil.cycle.sampling import Sampling
 
@@ -43,14 +44,18 @@ class GoalDesk:
     """
 
     def __init__(
-        self, axes: Axes, sampling: Sampling, limits: Sequence[MotionLimits], paths: Sequence[float], interrupt: bool
-    ) -> None:
-        """paths: accelerations that a change of a path's rate may take, m/s^2 by axis. interrupt: goals end a task."""
+        self, axes: Axes, sampling: Sampling, limits: Sequence[MotionLimits], paths: Sequence[float], interrupt: bool,
+        decided: DecidedMotion | None = None,
+    ) -> None:  # fmt: skip
+        """paths: accelerations that a change of a path's rate may take, m/s^2 by axis. interrupt: goals end a task.
+        decided: the motion that takes the task's place.
+        """
         self._axes, self._sampling, self._limits = axes, sampling, list(limits)
         self._hard = [
             MotionLimits(li.speed, most, li.jerk, li.low, li.high) for li, most in zip(limits, paths, strict=True)
         ]
         self._interrupt = interrupt
+        self.decided = decided
         self.word = MotionWord.NONE
         self.handled: list[tuple[Goal, int]] = []
         self.number = self.limited = self.superseded = self.refused = 0
@@ -66,8 +71,19 @@ class GoalDesk:
         duration = None if path is None else path.duration_ns
         self._ends_ns = -1 if duration is None else duration
 
+    def decide(self, decided: DecidedMotion, origin_ns: Sequence[int]) -> None:
+        """From rest, a motion that decides says where the axes go, first in this tick's `advance`; its time 0 is at
+        `origin_ns`.
+        """
+        position = [x.end.position for x in self._axes.inputs]
+        self._course, self._path, self.word = Course(position), None, MotionWord.MOTION
+        self._axes.setpoints.follow(self._course, origin_ns)
+        decided.begin(position)
+
     def leave(self) -> None:
         """The axes are no longer ours to move."""
+        if self.decided is not None:
+            self.decided.end()
         self._course = self._path = None
         self.word = MotionWord.NONE
 
@@ -78,12 +94,24 @@ class GoalDesk:
 
     def advance(self, goals: Sequence[Goal], begin_path: Callable[[list[float]], Trajectory | None]) -> None:
         """One tick in ACTIVE. begin_path: the task's plan from rest at positions; None: it may not begin there."""
+        if self.decided is not None and not self.decided.runs:
+            self.decided.end()
         if goals:
             self._take(goals, begin_path)
-        if self._course is not None:
+        if self.word is MotionWord.MOTION:
+            self._decide_on(self._course, self.decided)
+        elif self._course is not None:
             self._watch_course(self._course)
         elif self._path is not None and 0 <= self._ends_ns <= self._axes.setpoints.task_ns:
             self._path, self.word = None, MotionWord.HOLD
+
+    def _decide_on(self, course: Course | None, decided: DecidedMotion | None) -> None:
+        """Where next; a motion that is over leaves the axes to come to rest on the plan in hand."""
+        assert course is not None
+        assert decided is not None
+        decided.advance(course)
+        if not decided.runs:
+            self.word = MotionWord.MOVE
 
     def _watch_course(self, course: Course) -> None:
         """Once all axes have come to rest, also where the samples are, the setpoints merely hold again."""
@@ -150,7 +178,7 @@ class GoalDesk:
             if self._path is None:
                 return Refusal.NO_PATH
             return Refusal.NONE if 0.0 <= goal.speed <= MOST_RATE else Refusal.NOT_FINITE
-        if self.word is MotionWord.TASK and not self._interrupt:
+        if self.word in (MotionWord.TASK, MotionWord.MOTION) and not self._interrupt:
             return Refusal.TASK
         if not 0.0 < goal.speed <= 1.0 or not 0 <= goal.due_ns < 1 << 40:
             return Refusal.NOT_FINITE
@@ -243,6 +271,8 @@ class GoalDesk:
                 else:
                     course.add(axis, Stretch(at, plan))
             self.word = _WORDS[goal.kind]
+            if self.decided is not None:
+                self.decided.end()
         else:
             self.limited = limited
         self._update()

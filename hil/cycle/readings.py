@@ -85,7 +85,7 @@ class Readings:
         n = len(self.age)
         self._last_sequence = [-1] * n
         self.repeats = [0] * n
-        self.age, self._waited = [0] * n, [0] * n
+        self.age[:] = self._waited[:] = [0] * n  # motions look at the same lists all the time
         for clock in self._clocks:
             clock.known = False
 

@@ -276,6 +276,15 @@ class RecordBuilder:
             for k in range(_GOAL_WORDS):
                 words[at + k] = read_i64_le(packed, 8 * k)
 
+    def decided(self, outputs: int, phase: int, cell: int, limited: int) -> None:
+        """Of a motion that decides: the outputs set, its phase and cell, and what was brought within limits so far.
+        Behind `motion`.
+        """
+        words = self._words
+        words[_MOVING] = words[_MOVING] & 0xFF00FFFF | outputs << 16 | phase << 32
+        words[_MOVING + 1] = words[_MOVING + 1] & ~0xFFFFFFFF | cell
+        words[_MOVING + 2] = words[_MOVING + 2] & 0xFFFFFFFF | (limited & 0x7FFFFFFF) << 32
+
     def traffic(
         self, commands: Sequence[tuple[OperatorCommand, bool]], sent: Sequence[Frame], received: Sequence[Frame]
     ) -> np.void:

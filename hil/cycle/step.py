@@ -42,6 +42,7 @@ from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import axis_limits, force_limits, return_forces
+from hil.cycle.output_gate import OutputGate
 from hil.cycle.reading_faults import check_readings
 from hil.cycle.readings import Readings
 from hil.cycle.record_builder import RecordBuilder
@@ -80,8 +81,9 @@ class ControlCycle:
             one_command=not rig.bus.segments,
         )  # fmt: skip
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
-        self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes)
+        self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
+        self.outputs = OutputGate(list(rig.outputs.values()), rig.period_ns) if rig.outputs else None
         self._return_force = return_forces(rig)
         self._soft = [False] * len(axes)  # axes that have no more than that: those on their way back
         self.records = RecordBuilder(len(axes))
@@ -109,8 +111,9 @@ class ControlCycle:
 
     @property
     def failure(self) -> str:
-        """Why a user's law no longer counts, with file and line; empty where all is well."""
-        return self.axes.law.failure
+        """Why a user's law or motion no longer counts, with file and line; empty where all is well."""
+        decided = self.supervisor.goals.decided
+        return self.axes.law.failure or ("" if decided is None else decided.failure)
 
     @property
     def silent(self) -> bool:
@@ -149,6 +152,8 @@ class ControlCycle:
         before = self.supervisor.machine.state
         self.supervisor.advance(tick)
         out = self._act(tick) if self.supervisor.sends(before) else self._stay_silent()
+        if self.outputs is not None:
+            self._switch(self.outputs, out)
         self.axes.note_applied(self.gate.force)
         self._sent_now_ns = tick.now_ns
         self._mark(RECORD)
@@ -254,6 +259,16 @@ class ControlCycle:
         except ArithmeticError:  # floats raise where arrays would say NaN; the gate knows what to do with that
             return [math.nan] * len(self.inputs)
 
+    def _switch(self, outputs: OutputGate, out: list[Frame]) -> None:
+        """Behind the drives' frames that of the outputs, as the motion asks."""
+        decided, supervisor = self.supervisor.goals.decided, self.supervisor
+        if not out:
+            outputs.cut()
+            return
+        asked = 0 if decided is None else decided.outputs
+        permitted = supervisor.machine.state is State.ACTIVE and not self.monitor.active and not supervisor.fault
+        out.append(outputs.release(asked, permitted=permitted))
+
     def _stay_silent(self) -> list[Frame]:
         """No force, and no frame."""
         for x in self.inputs:
@@ -278,6 +293,9 @@ class ControlCycle:
         if desk.handled or desk.word != records.word or records.goals:  # mostly nothing of it changes
             counts = (desk.number, desk.limited, desk.superseded, desk.refused)
             records.motion(desk.word, counts, desk.handled)
+        if desk.decided is not None:
+            bits = 0 if self.outputs is None else self.outputs.set
+            records.decided(bits, desk.decided.phase, desk.decided.cell, desk.limited + desk.decided.limited)
         records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])
         refused = supervisor.commands.refused
         records.counters(tick.port, inbox.rejects, inbox.lost, supervisor.machine.refused, refused)

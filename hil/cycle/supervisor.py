@@ -26,18 +26,21 @@ from typing import Final
 from drivers.bus.counters import BusState
 from drivers.protocols.base import UNHEALTHY, DriveStatus
 from hil.analysis.start_ranges import start_ranges
+from hil.control.motion.asked import AskedMotion
 from hil.control.trajectories import Trajectory, plan_task
 from hil.control.trajectories.homing import plan_homing
 from hil.cycle.axes import Axes
 from hil.cycle.command_desk import CommandDesk
 from hil.cycle.commissioning import Commissioning
 from hil.cycle.damped_stop import DampedStop
+from hil.cycle.decided_motion import DecidedMotion
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.goal import MotionWord
 from hil.cycle.goal_desk import GoalDesk
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import motion_limits, path_accelerations
+from hil.cycle.readings import Readings
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
@@ -56,7 +59,10 @@ class Supervisor:
     torque, and none has taken it back. start_ranges: by axis, where the task may begin, m (rad).
     """
 
-    def __init__(self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes) -> None:
+    def __init__(
+        self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes,
+        readings: Readings | None = None,
+    ) -> None:  # fmt: skip
         self.machine = StateMachine()
         self.commands = CommandDesk()
         self.fault = Fault.NONE
@@ -71,7 +77,11 @@ class Supervisor:
         self._plan, self._plan_homing = plan_task(rig.task, rig.axis_names, rig.period_ns, rig.counts), plan_homing(rig)
         self.start_ranges = start_ranges(rig)
         limits, paths = motion_limits(rig), path_accelerations(rig)
-        self.goals = GoalDesk(axes, sampling, limits, paths, rig.motion.interrupt and not rig.law.iterative_learning)
+        decided: DecidedMotion | None = None
+        if rig.motion.name:
+            decided = DecidedMotion(AskedMotion(rig, limits), axes, sampling, limits, readings, rig.period_ns)
+        interrupt = rig.motion.interrupt and not rig.law.iterative_learning
+        self.goals = GoalDesk(axes, sampling, limits, paths, interrupt, decided)
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
     @property
@@ -301,9 +311,14 @@ class Supervisor:
         if self.machine.state is State.ACTIVE and self.commands.hold_asked:
             self.goals.begin(None, MotionWord.HOLD)
             return
+        origin = [tick.now_ns + clock.latency for clock in sampling.clocks]
+        decided = self.goals.decided
+        if self.machine.state is State.ACTIVE and decided is not None:
+            self.goals.decide(decided, origin)
+            return
         begin = self._plan_homing if self.machine.state is State.HOMING else self._plan
         trajectory = begin([x.sample.position for x in self._axes.inputs])
-        setpoints.follow(trajectory, [tick.now_ns + clock.latency for clock in sampling.clocks])
+        setpoints.follow(trajectory, origin)
         setpoints.update(sampling.instants, sampling.starts)
         if self.machine.state is State.ACTIVE:
             self.goals.begin(trajectory, MotionWord.TASK)

@@ -13,6 +13,7 @@ from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.base.toml_file import shown
 from drivers.config import LAYOUT_KIND
 from hil.rig import law_names
+from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ESTIMATOR_KIND
 from hil.rig.task_file import TaskFileError, read_task_file
@@ -20,7 +21,7 @@ from hil.rig.task_kinds import KIND, is_users, run_task
 from sim_plant.config import STAGE_KIND
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-PLUGINS = (law_names.KIND, ESTIMATOR_KIND, KIND, STAGE_KIND, LAYOUT_KIND)
+PLUGINS = (law_names.KIND, ESTIMATOR_KIND, KIND, MOTION_KIND, STAGE_KIND, LAYOUT_KIND)
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
@@ -72,7 +73,7 @@ def _read_source(document: dict[str, Any], plugin: Kind, folder: Path, *, chosen
     if not isinstance(table, dict):
         return
     name, source = table.get(plugin.key), table.pop("source", "")
-    if not isinstance(name, str) or plugin.own(name):
+    if not isinstance(name, str) or not name or plugin.own(name):
         return
     file = file_of(name)
     try:

@@ -10,6 +10,7 @@ from drivers.families import family_of
 from drivers.protocols.base import HostProtocol, Message
 from drivers.protocols.mounting import MountedHost
 from hil.rig.layout import host_layout
+from hil.rig.outputs import output_messages
 from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
 from hil.rig.sensors import sensor_messages
 
@@ -25,7 +26,11 @@ def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
 def layout_problem(rig: RigConfig, error: Exception) -> str:
     """Why the rig cannot have its layout, with the key."""
     text = str(error)
-    return text if text.startswith(("bus.protocol = ", "sensors.")) else f"bus.protocol = {rig.bus.protocol!r}: {text}"
+    return (
+        text
+        if text.startswith(("bus.protocol = ", "sensors.", "outputs."))
+        else f"bus.protocol = {rig.bus.protocol!r}: {text}"
+    )
 
 
 def feedback_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
@@ -78,10 +83,10 @@ def layout_warnings(layout: HostProtocol) -> list[str]:
 
 
 def messages_by_segment(rig: RigConfig, layout: HostProtocol) -> list[list[Message]]:
-    """All traffic that layout and sensors put on each of the rig's segments."""
+    """All traffic that layout, outputs and sensors put on each of the rig's segments."""
     several = getattr(_unmounted(layout), "messages_by_segment", None)
     found: list[list[Message]] = several(rig.period_ns) if several else [layout.messages(rig.period_ns)]
-    found[0] = [*found[0], *sensor_messages(rig, layout)]
+    found[0] = [*found[0], *output_messages(rig), *sensor_messages(rig, layout)]
     return found
 
 

@@ -14,10 +14,11 @@ from drivers.base.plugins import code_digest
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.config import LAYOUT_KIND
 from hil.rig import law_names
+from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ESTIMATOR_KIND
 
-_KINDS = (law_names.KIND, ESTIMATOR_KIND, LAYOUT_KIND)  # tasks and stages do not run in a replay
+_KINDS = (law_names.KIND, ESTIMATOR_KIND, MOTION_KIND, LAYOUT_KIND)  # tasks and stages do not run in a replay
 _LARGEST = 2**20  # bytes of the file of trusted digests
 
 
@@ -40,7 +41,7 @@ def carried_code(rig: RigConfig) -> list[Code]:
     for kind in _KINDS:
         table = getattr(rig, kind.table)
         name = getattr(table, kind.key)
-        if not kind.own(name):
+        if name and not kind.own(name):
             found.append(Code(kind.path, name, code_digest(name, table.source)))
     return found
 

@@ -1,7 +1,15 @@
 """The tables of a rig file about goals to a running rig: [motion] and [axes.NAME.motion]."""
 
+from typing import Any
+
+from pydantic import model_validator
+
 from drivers.base.keys import Table, key
+from drivers.base.plugins import Kind, known, unknown
 from sim_plant.config import Positive
+
+MOTIONS: dict[str, str] = {"cells": "hil.control.motion.injection.cells:CellInjection"}
+MOTION_KIND = Kind("motion", "motions", "motion", "name", "hil.motions", MOTIONS, ("begin", "step"))
 
 
 class AxisMotionConfig(Table):
@@ -35,6 +43,23 @@ class AxisMotionConfig(Table):
 
 
 class MotionConfig(Table):
-    """[motion]: goals to a running rig."""
+    """[motion]: goals to a running rig, and what decides its motion in place of a task."""
 
     interrupt: bool = key(True, "a goal stops the task along its path and takes over; false: it is refused")
+    name: str = key(
+        "",
+        f"what decides the motion tick by tick, once ACTIVE: {', '.join(MOTIONS)}; or a motion of your own: its "
+        "registered name, package.module:Class, or ./file.py:Class beside the rig file; none: [task] is followed",
+    )
+    parameters: dict[str, Any] = key({}, "of that motion: what its class takes")
+    source: str = key(
+        "", "of a motion of your own: its file's text, or its package's digest; filled in when the rig is loaded"
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> "MotionConfig":
+        if self.name and not self.source and not known(MOTION_KIND, self.name):  # with it: of a package not here
+            raise ValueError(unknown(MOTION_KIND, self.name))
+        if self.parameters and not self.name:
+            raise ValueError("parameters: of a motion; name = '' names none")
+        return self

@@ -16,6 +16,7 @@ from drivers.base.plugins import load
 from drivers.base.toml_file import short
 from drivers.config import BusConfig, DrivesConfig, WireConfig
 from drivers.families import Circumstances, family_of
+from drivers.outputs.config import MAX_OUTPUTS, OutputConfig
 from drivers.protocols.mounting import Mounting
 from drivers.sensors.config import MAX_SENSORS, SensorConfig
 from hil.rig.plant import completed
@@ -88,6 +89,9 @@ class RigConfig(Table):
     sensors: Annotated[dict[Annotated[str, Field(pattern=AXIS_NAME)], SensorConfig], Field(max_length=MAX_SENSORS)] = (
         key({}, "nodes that measure something else than a position, by name", exclude_if=lambda sensors: not sensors)
     )
+    outputs: Annotated[dict[Annotated[str, Field(pattern=AXIS_NAME)], OutputConfig], Field(max_length=MAX_OUTPUTS)] = (
+        key({}, "what a motion can switch, by name", exclude_if=lambda outputs: not outputs)
+    )
     wire: WireConfig = key(WireConfig(), "the simulated bus of runs in virtual time")
     timing: TimingConfig = key(TimingConfig(), "what the control process asks of the kernel")
     safety: SafetyConfig = key(SafetyConfig(), "thresholds of the fault detectors")
@@ -127,6 +131,8 @@ class RigConfig(Table):
             *_task_problems(self),
             *_watchdog_problems(self),
             *_sensor_problems(self),
+            *_output_problems(self),
+            *_motion_problems(self),
             *_family_problems(self),
         ]
         if problems:
@@ -254,6 +260,29 @@ def _sensor_problems(rig: RigConfig) -> list[str]:
             there = ", ".join(rig.sensors) or "none"
             problems.append(f"{where}: sensor = '{entry.sensor}': no such sensor; those of [sensors] are: {there}")
     return problems
+
+
+def _output_problems(rig: RigConfig) -> list[str]:
+    """Outputs of two frames, or two of one bit."""
+    problems = []
+    users: dict[int, str] = {}
+    ids = {output.can_id for output in rig.outputs.values()}
+    if len(ids) > 1:
+        names = ", ".join(f"{name}: {output.can_id:#x}" for name, output in rig.outputs.items())
+        problems.append(f"outputs: all are in one frame; can_id is now {names}")
+    for name, output in rig.outputs.items():
+        other = users.setdefault(output.bit, name)
+        if other != name:
+            problems.append(f"outputs.{name}.bit = {output.bit}: it is the bit of outputs.{other}, too")
+    return problems
+
+
+def _motion_problems(rig: RigConfig) -> list[str]:
+    """A motion that decides, and a task as well."""
+    if rig.motion.name and rig.task.kind != "hold":
+        return [f"motion.name = {rig.motion.name!r}: it takes the place of a task; task.kind = {rig.task.kind!r}, "
+                "expected 'hold'"]  # fmt: skip
+    return []
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:

@@ -57,6 +57,9 @@ ROOMS = {
          *_RUNS, *_LOCKSTEP),
     ),
     "plans": Room(("hil/control/plans",), ("tests/control/plans",)),
+    "motions": Room(
+        ("hil/control/motion", "drivers/outputs"), ("tests/control/motion", "tests/cycle/test_decided_motion.py")
+    ),
     "sensors": Room(("drivers/sensors",), ("tests/drivers/sensors", "tests/cycle/test_readings.py")),
     "eds": Room(("drivers/eds",), ("tests/drivers/eds",)),
     "estimator": Room(

@@ -49,6 +49,7 @@ NO_MODULES = {
     "sim_plant.floats",
     "hil.estimators",
     "hil.laws",
+    "hil.motions",
     "hil.layouts",
     "hil.tasks",
     "hil.stages",

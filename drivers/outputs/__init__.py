@@ -1,0 +1,1 @@
+"""Outputs: a node that switches valves, pulses and lights, beside any frame layout."""

@@ -1,0 +1,86 @@
+"""Asking a motion: a call in a limited time, whose answer is checked before anything is done with it."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from drivers.base import plugins
+from drivers.base.call_limit import FAILED, watch
+from drivers.base.guard import Guard
+from hil.control.motion.contract import Observation, References, Surroundings
+from hil.control.plans.axis_plan import MotionLimits
+from hil.rig.motion_tables import MOTION_KIND
+from hil.rig.schema import RigConfig
+
+_MOST_OUTPUTS = 0xFF
+_MOST_PHASE = 0xFFFF
+_MOST_CELL = 0xFFFFFFFF
+
+
+class AskedMotion:
+    """The motion that [motion] names. motion: itself. failure: why it no longer counts, with file and
+    line; empty where all is well.
+
+    Raises ValueError naming the key.
+    """
+
+    def __init__(self, rig: RigConfig, limits: Sequence[MotionLimits]) -> None:
+        """limits: what the axes are held to."""
+        config, sensors = rig.motion, rig.sensors
+        made = plugins.find(MOTION_KIND, config.name, config.source)
+        plugins.check_parameters(MOTION_KIND, config.name, made, config.parameters, given=1)
+        self._guard = Guard(MOTION_KIND, config.name, made)
+        self._n = len(rig.axes)
+        around = Surroundings(
+            list(rig.axis_names), rig.period_ns * 1e-9, list(limits), list(sensors),
+            [sensor.noise for sensor in sensors.values()],
+            {name: output.bit for name, output in rig.outputs.items()},
+        )  # fmt: skip
+        self.motion: Any = self._guard.call("it cannot be made", made, around, **config.parameters)
+        self.failure = ""
+
+    def begin(self, position: Sequence[float]) -> None:
+        """From rest at `position`, m; what it failed of before is forgotten."""
+        self.failure = ""
+        self._call("begin", self.motion.begin, list(position))
+
+    def step(self, seen: Observation) -> References | None:
+        """Its answer; None where there is none that can be used, and `failure` says why."""
+        if self.failure:
+            return None
+        answer: References | None = self._call("step", self.motion.step, seen)
+        return answer if not self.failure else None
+
+    def _call(self, name: str, method: Any, argument: Any) -> Any:
+        watch.begin()
+        try:
+            answer = method(argument)
+            return self._checked(answer) if name == "step" else None
+        except FAILED as error:
+            self.failure = self._guard.blamed(error, name)
+        finally:
+            watch.end()
+        return None
+
+    def _checked(self, answer: Any) -> References:
+        """Raises TypeError or ValueError."""
+        if not isinstance(answer, References):
+            raise TypeError(f"step returned {answer!r:.60}, expected hil.References")
+        a = answer.acceleration
+        position, velocity = self._numbers("position", answer.position), self._numbers("velocity", answer.velocity)
+        acceleration = None if a is None else self._numbers("acceleration", a)
+        for name, value, most in (
+            ("outputs", answer.outputs, _MOST_OUTPUTS), ("phase", answer.phase, _MOST_PHASE),
+            ("cell", answer.cell, _MOST_CELL),
+        ):  # fmt: skip
+            if type(value) is not int or not 0 <= value <= most:
+                raise ValueError(f"step returned {name} = {value!r:.40}; allowed: a whole number from 0 to {most}")
+        return answer._replace(position=position, velocity=velocity, acceleration=acceleration, done=bool(answer.done))
+
+    def _numbers(self, name: str, values: Any) -> list[float]:
+        found = [float(value) for value in values]
+        if len(found) != self._n:
+            raise ValueError(f"step returned {len(found)} values of {name} for {self._n} axes")
+        if not all(math.isfinite(value) for value in found):
+            raise ValueError(f"step returned {name} = {found}")
+        return found

@@ -1,0 +1,237 @@
+"""One cell, from the way there to the lift: phases, each of which ends by evidence or at a limit.
+
+| phase | ends by | else |
+|---|---|---|
+| approach | at rest above the cell; the camera sees the tip where the encoder has it | broken |
+| tare | 64 samples | |
+| seek | the force rises: contact | no cell, rolled |
+| press | the force drops: puncture | not pierced: at the force limit, or at the deepest place |
+| freeze, advance | at the depth of deposit | double: the force drops once more |
+| pulse, confirm | a frame exposed 100 ms after the pulse shows the bolus | clogged, camera frozen; rolled: no pulse |
+| withdraw, lift | at the safe height, the force at zero | stuck |
+
+In every phase behind the approach a force sensor or a camera that says nothing new ends the injection. The pulse is
+given only behind a puncture that was seen, and a frame that shows the cell in its place.
+"""
+
+from collections.abc import Callable
+from math import sqrt
+
+from hil.control.motion.contract import Observation
+from hil.control.motion.glide import Glide
+from hil.control.motion.injection.detectors import Contact, Puncture, Slope
+from hil.control.motion.injection.senses import Senses
+from hil.control.motion.injection.settings import Settings
+from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
+
+CONTACT_DRIFT = 0.75  # of the noise
+CONTACT_SUM = 10.0
+DROP_TICKS = 10  # in which the force falls
+DROP_SHARE = 0.3
+DROP_NOISE = 7.0
+SLOPE_TICKS = 12
+LOOK_AHEAD_TICKS = 4  # from a sample to the place where the tip can be made to stop: two of delay, two of braking
+AFTER_PULSE_S = 0.1  # that a frame is exposed after the pulse's beginning which shows the bolus
+PATIENCE_S = 0.2  # for that frame beyond this and the camera's latency
+ZERO_NOISE = 5.0
+ZERO_SAMPLES = 16
+
+
+class CellRun:
+    """over: the cell is done, the tip at the safe height. pulse: the valve is to be open. halted: go no further."""
+
+    def __init__(self, number: int, settings: Settings, senses: Senses, glide: Glide, axis: int, period: float) -> None:
+        self.result = CellResult(number)
+        self._s, self._senses, self._z, self._axis = settings, senses, glide, axis
+        self._period = period
+        self._top = settings.cells[number][2]
+        self._contact = Contact(CONTACT_DRIFT, CONTACT_SUM)
+        self._puncture = Puncture(DROP_TICKS, DROP_SHARE, DROP_NOISE * senses.noise)
+        self._slope = Slope(SLOPE_TICKS)
+        self._since = 0
+        self._zeros: list[float] = []
+        self.phase = Phase.NONE
+        self.pulse = self.over = False
+        self._steps: dict[Phase, Callable[[Observation], None]] = {
+            Phase.APPROACH: self._approach, Phase.TARE: self._tare, Phase.SEEK: self._seek, Phase.PRESS: self._press,
+            Phase.FREEZE: self._freeze, Phase.ADVANCE: self._advance, Phase.PULSE: self._give_pulse,
+            Phase.CONFIRM: self._confirm, Phase.WITHDRAW: self._withdraw, Phase.LIFT: self._lift,
+        }  # fmt: skip
+
+    def begin(self, seen: Observation) -> None:
+        """Above the cell, at the safe height."""
+        self.result.began_s = seen.tick * self._period
+        self._go(Phase.APPROACH, seen)
+        self._to(seen, self._top - self._s.direction * self._s.start_above, self._s.transfer_speed)
+
+    def step(self, seen: Observation) -> None:
+        """One tick, behind the senses'."""
+        deep = Phase.SEEK <= self.phase <= Phase.CONFIRM
+        if self.phase >= Phase.SEEK and self._senses.fresh:
+            self.result.peak_force = max(self.result.peak_force, self._senses.force)
+        if deep and self._senses.dead:
+            self.decide(Verdict.SENSOR_DEAD, "the force sensor shows nothing new", seen)
+        elif deep and self._senses.frozen:
+            self.decide(Verdict.CAMERA_FROZEN, "the newest frame is too old", seen)
+        elif Phase.SEEK <= self.phase < Phase.PULSE and self._rolled():
+            self.decide(Verdict.ROLLED, "the cell has moved", seen)
+        else:
+            self._steps[self.phase](seen)
+
+    def decide(self, verdict: Verdict, evidence: str, seen: Observation) -> None:
+        """The first verdict counts, but for one that is worse than OK; the tip leaves the cell."""
+        if self.result.verdict in (Verdict.NONE, Verdict.OK):
+            self.result.verdict, self.result.evidence = verdict, evidence
+        self.pulse = False
+        if self.phase < Phase.WITHDRAW:
+            self._go(Phase.WITHDRAW, seen)
+            self._to(seen, self._top - self._s.direction * self._s.start_above, self._s.withdraw_speed)
+
+    # ------------------------------------------------------------------------------------------------------------------
+
+    def _go(self, phase: Phase, seen: Observation) -> None:
+        self.phase, self._since = phase, seen.tick
+
+    def _to(self, seen: Observation, place: float, speed: float) -> None:
+        self._z.to(seen.ends_ns[self._axis], seen.reference[self._axis], place, speed)
+
+    def _rests(self, seen: Observation) -> bool:
+        return self._z.rests(seen.ends_ns[self._axis])
+
+    def _elapsed(self, seen: Observation) -> float:
+        return (seen.tick - self._since) * self._period
+
+    def _rolled(self) -> bool:
+        shift = self._senses.shift
+        return shift is not None and shift.exposed >= self._since and abs(shift.value) > self._s.roll_limit
+
+    def _approach(self, seen: Observation) -> None:
+        if not self._rests(seen) or self._elapsed(seen) < self._s.settle_s:
+            return
+        tip = self._senses.tip
+        if tip is not None and (tip.frozen or abs(tip.value) > self._s.tip_limit):
+            verdict = Verdict.CAMERA_FROZEN if tip.frozen else Verdict.BROKEN
+            self.decide(verdict, "the camera does not see the tip where it should be", seen)
+            return
+        self._senses.begin_tare()
+        self._go(Phase.TARE, seen)
+
+    def _tare(self, seen: Observation) -> None:
+        if self._senses.tared():
+            self._contact.restart()
+            self._go(Phase.SEEK, seen)
+            self._to(seen, self._top + self._s.direction * self._s.deepest, self._s.seek_speed)
+        elif self._senses.dead:
+            self.decide(Verdict.SENSOR_DEAD, "the force sensor shows nothing new", seen)
+
+    def _seek(self, seen: Observation) -> None:
+        senses = self._senses
+        if senses.fresh and self._contact.take(senses.force / senses.noise):
+            self.result.found = senses.place
+            back = self._contact.onset * self._s.seek_speed * self._period
+            self.result.contact = senses.place - self._s.direction * back
+            self._puncture.restart()
+            self._slope.restart()
+            self._go(Phase.PRESS, seen)
+            self._to(seen, self.result.contact + self._s.direction * self._s.deepest, self._s.press_speed)
+        elif self._rests(seen):
+            self.decide(Verdict.NO_CELL, "no force down to the deepest place", seen)
+
+    def _press(self, seen: Observation) -> None:
+        senses = self._senses
+        if senses.fresh:
+            self._slope.take(senses.place, senses.force)
+            if self._puncture.take(senses.force):
+                self._pierced(seen)
+                return
+            ahead = self._slope.value * LOOK_AHEAD_TICKS * self._s.direction * self._s.press_speed * self._period
+            if senses.force + max(ahead, 0.0) > self._s.force_limit:
+                self.decide(Verdict.NOT_PIERCED, "the force limit", seen)
+                return
+        if self._rests(seen):
+            self.decide(Verdict.NOT_PIERCED, "the deepest place", seen)
+
+    def _pierced(self, seen: Observation) -> None:
+        result = self.result
+        result.pierced, result.pierced_force = self._senses.place, self._puncture.peak
+        result.pierced_speed = abs(seen.velocity[self._axis])
+        self._z.stop(seen.ends_ns[self._axis], seen.reference[self._axis])
+        self._go(Phase.FREEZE, seen)
+
+    def _freeze(self, seen: Observation) -> None:
+        if self._elapsed(seen) < self._s.freeze_s or not self._rests(seen):
+            return
+        self.result.lurch = (seen.position[self._axis] - self.result.pierced) * self._s.direction
+        self._puncture.restart()
+        self._go(Phase.ADVANCE, seen)
+        depth = (self._z.target - self.result.contact) * self._s.direction
+        if depth < self._s.deposit:
+            self._to(seen, self.result.contact + self._s.direction * self._s.deposit, self._s.press_speed)
+
+    def _advance(self, seen: Observation) -> None:
+        if self._senses.fresh and self._puncture.take(self._senses.force):
+            self.decide(Verdict.DOUBLE, "the force dropped a second time", seen)
+        elif self._senses.force > self._s.force_limit:
+            self.decide(Verdict.NOT_PIERCED, "the force limit behind the puncture", seen)
+        elif self._rests(seen):
+            self.result.deposit = (seen.position[self._axis] - self.result.contact) * self._s.direction
+            self._go(Phase.PULSE, seen)
+
+    def _give_pulse(self, seen: Observation) -> None:
+        """Once a frame that was exposed at the depth of deposit shows the cell in its place."""
+        shift = self._senses.shift
+        if self._rolled():
+            self.decide(Verdict.ROLLED, "the cell has moved: no pulse", seen)
+        elif shift is None or shift.exposed >= self._since:
+            self.result.pulse_s = seen.tick * self._period
+            self.pulse = bool(self._s.valve)
+            self._go(Phase.CONFIRM, seen)
+
+    def _confirm(self, seen: Observation) -> None:
+        elapsed, bolus = self._elapsed(seen), self._senses.bolus
+        if elapsed >= self._s.pulse_s:
+            self.pulse = False
+        if elapsed < self._s.dwell_s:
+            return
+        if bolus is None or not self._s.valve:
+            self.decide(Verdict.UNKNOWN, "nothing shows the bolus", seen)
+        elif bolus.exposed - self._since >= AFTER_PULSE_S / self._period:
+            self.result.bolus = bolus.value
+            full = bolus.value >= self._s.bolus_least
+            self.decide(Verdict.OK if full else Verdict.CLOGGED, "the bolus that the camera sees", seen)
+        elif elapsed > AFTER_PULSE_S + PATIENCE_S + self._s.camera_latency_s:
+            self.decide(Verdict.CAMERA_FROZEN, "no frame behind the pulse", seen)
+
+    def _withdraw(self, seen: Observation) -> None:
+        if self._senses.fresh:
+            self.result.pull = max(self.result.pull, -self._senses.force)
+        if not self._rests(seen):
+            return
+        if self.result.pull > self._s.pull_limit:
+            self._stuck("the pull on the way out", seen)
+        self._zeros.clear()
+        self._go(Phase.LIFT, seen)
+
+    def _lift(self, seen: Observation) -> None:
+        """The force has to be back at zero before the way to the safe height begins."""
+        if self._senses.fresh:
+            self._zeros.append(self._senses.force)
+        lifted = self._z.target == self._s.safe
+        if not lifted and (len(self._zeros) >= ZERO_SAMPLES or self._senses.dead):
+            self._look_for_zero(seen)
+            self._to(seen, self._s.safe, self._s.transfer_speed)
+        elif lifted and self._rests(seen):
+            self.result.ended_s = seen.tick * self._period
+            self.over = True
+
+    def _look_for_zero(self, seen: Observation) -> None:
+        if not self._zeros:
+            return
+        mean = sum(self._zeros) / len(self._zeros)
+        if abs(mean) > ZERO_NOISE * self._senses.noise / sqrt(len(self._zeros)) + ZERO_NOISE * self._senses.noise:
+            self._stuck("a force that stays outside the cell", seen)
+
+    def _stuck(self, evidence: str, seen: Observation) -> None:
+        if self.result.verdict in (Verdict.OK, Verdict.UNKNOWN, Verdict.CLOGGED):
+            self.result.verdict = Verdict.NONE
+            self.decide(Verdict.STUCK, evidence, seen)

@@ -1,0 +1,94 @@
+"""A batch of cells, one after another: `name = "cells"` of [motion]."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hil.control.motion.contract import Motion, Observation, References, Surroundings
+from hil.control.motion.glide import Glide
+from hil.control.motion.injection.cell_run import CellRun
+from hil.control.motion.injection.senses import Senses
+from hil.control.motion.injection.settings import settings
+from hil.control.motion.injection.verdict import TOLD, CellResult, Verdict
+
+
+class CellInjection(Motion):
+    """From cell to cell at the safe height, and into each. results: of the cells that are over. total: all of them.
+
+    The record has the phase, and in a cell's last tick 100 and its verdict. Raises ValueError naming the key.
+    """
+
+    def __init__(self, rig: Surroundings, **parameters: Any) -> None:
+        self._s = settings(rig, parameters)
+        self._period_ns = round(rig.period * 1e9)
+        self._period = rig.period
+        self._glides = [Glide(limits, self._period_ns) for limits in rig.limits]
+        self._along = rig.axes.index(self._s.along)
+        self._across = [rig.axes.index(name) for name in self._s.across]
+        self._senses = Senses(rig, self._s)
+        self._valve = 1 << rig.outputs[self._s.valve] if self._s.valve else 0
+        self.total = len(self._s.cells)
+        self.results: list[CellResult] = []
+        self._run: CellRun | None = None
+        self._lifting = self._ending = False
+
+    def begin(self, position: Sequence[float]) -> None:
+        """See Motion. Cells that are over stay so."""
+        for glide, place in zip(self._glides, position, strict=True):
+            glide.hold(place)
+        self._run, self._lifting, self._ending = None, True, False
+
+    def step(self, seen: Observation) -> References:
+        """See Motion."""
+        self._senses.take(seen)
+        told = 0
+        if seen.tick == 0:
+            self._lift(seen)
+        elif self._run is not None and self._run.phase:
+            told = self._inject(self._run, seen)
+        elif self._arrived(seen):
+            self._next(seen)
+        return self._references(seen, told)
+
+    def _inject(self, run: CellRun, seen: Observation) -> int:
+        run.step(seen)
+        if not run.over:
+            return 0
+        self.results.append(run.result)
+        self._run = None
+        self._ending = run.result.verdict is Verdict.BROKEN
+        self._next(seen)
+        return TOLD + run.result.verdict
+
+    def _lift(self, seen: Observation) -> None:
+        """First of all to the safe height, from wherever the axes were found."""
+        z = self._along
+        self._glides[z].to(seen.ends_ns[z], seen.reference[z], self._s.safe, self._s.transfer_speed)
+
+    def _arrived(self, seen: Observation) -> bool:
+        return all(glide.rests(end) for glide, end in zip(self._glides, seen.ends_ns, strict=True))
+
+    def _next(self, seen: Observation) -> None:
+        """Across to the next cell; there, into it."""
+        if self._run is not None:
+            self._run.begin(seen)
+            return
+        number = len(self.results)
+        if self._ending or number == self.total:
+            self._ending = True
+            return
+        self._run = CellRun(number, self._s, self._senses, self._glides[self._along], self._along, self._period)
+        for axis, place in zip(self._across, self._s.cells[number][:2], strict=True):
+            self._glides[axis].to(seen.ends_ns[axis], seen.reference[axis], place, self._s.transfer_speed)
+
+    def _references(self, seen: Observation, told: int) -> References:
+        at = [glide.at(end) for glide, end in zip(self._glides, seen.ends_ns, strict=True)]
+        run = self._run
+        return References(
+            [place for place, _, _ in at],
+            [speed for _, speed, _ in at],
+            [acceleration for _, _, acceleration in at],
+            outputs=self._valve if run is not None and run.pulse else 0,
+            phase=told or (0 if run is None else int(run.phase)),
+            cell=len(self.results) + (0 if told else 1),
+            done=self._ending,
+        )

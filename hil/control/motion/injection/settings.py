@@ -1,0 +1,130 @@
+"""[motion.parameters] of name = "cells": where the cells are, and how they are injected."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from hil.control.motion.contract import Surroundings
+
+Range = tuple[float, float]
+_RANGES: dict[str, Range] = {
+    "start_above": (1e-6, 0.01),
+    "transfer_speed": (1e-5, 1.0),
+    "seek_speed": (1e-6, 0.05),
+    "press_speed": (1e-6, 0.05),
+    "withdraw_speed": (1e-5, 0.5),
+    "deposit": (1e-6, 0.01),
+    "deepest": (1e-6, 0.02),
+    "force_limit": (1e-9, 1.0),
+    "pull_limit": (1e-9, 1.0),
+    "freeze_s": (0.0, 1.0),
+    "pulse_s": (0.001, 10.0),
+    "dwell_s": (0.0, 60.0),
+    "settle_s": (0.0, 10.0),
+    "camera_latency_s": (0.0, 0.5),
+    "camera_age_s": (0.01, 2.0),
+    "roll_limit": (1e-7, 1e-3),
+    "tip_limit": (1e-7, 1e-3),
+    "bolus_least": (0.0, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Lengths in m, forces in N, times in s, speeds in m/s.
+
+    cells: rows of place across (two axes) and of the cell's top along the axis of injection. safe: height of the way
+    from cell to cell. start_above: above the expected top, where the search begins. deposit, deepest: behind the first
+    touch. force_limit: most force on the cell. pull_limit: of withdrawal. camera_latency_s: from exposure to the first
+    bit of its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where
+    there is none; what they would show is then unknown.
+    """
+
+    cells: Sequence[Sequence[float]]
+    safe: float
+    along: str = "z"
+    across: Sequence[str] = ("x", "y")
+    direction: int = -1
+    start_above: float = 60e-6
+    transfer_speed: float = 0.02
+    seek_speed: float = 4e-3
+    press_speed: float = 4e-3
+    withdraw_speed: float = 8e-3
+    deposit: float = 230e-6
+    deepest: float = 320e-6
+    force_limit: float = 1.4e-3
+    pull_limit: float = 3e-4
+    freeze_s: float = 0.012
+    pulse_s: float = 0.05
+    dwell_s: float = 0.25
+    settle_s: float = 0.05
+    camera_latency_s: float = 0.05
+    camera_age_s: float = 0.11
+    roll_limit: float = 12e-6
+    tip_limit: float = 15e-6
+    bolus_least: float = 0.5
+    force: str = "force"
+    shift: str = ""
+    tip: str = ""
+    bolus: str = ""
+    valve: str = ""
+
+
+def settings(rig: Surroundings, parameters: dict[str, Any]) -> Settings:
+    """Raises ValueError naming key, value and allowed range."""
+    known = [field.name for field in fields(Settings)]
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"motion.parameters.{name}: 'cells' has {', '.join(known)}")
+    for name in ("cells", "safe"):
+        if name not in parameters:
+            raise ValueError(f"motion.parameters.{name}: 'cells' needs it")
+    made = Settings(**parameters)
+    for name, (low, high) in _RANGES.items():
+        value = getattr(made, name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise ValueError(f"motion.parameters.{name} = {value!r:.40}; allowed: from {low:g} to {high:g}")
+    _check_names(rig, made)
+    _check_places(rig, made)
+    return made
+
+
+def _check_names(rig: Surroundings, made: Settings) -> None:
+    for name, value, there in (
+        ("along", made.along, rig.axes), ("force", made.force, rig.sensors), ("shift", made.shift, rig.sensors),
+        ("tip", made.tip, rig.sensors), ("bolus", made.bolus, rig.sensors), ("valve", made.valve, rig.outputs),
+    ):  # fmt: skip
+        optional = name in ("shift", "tip", "bolus", "valve")
+        if value not in there and not (optional and value == ""):
+            raise ValueError(f"motion.parameters.{name} = {value!r:.40}; the rig has {', '.join(there) or 'none'}")
+    if len(made.across) != 2 or any(name not in rig.axes or name == made.along for name in made.across):
+        raise ValueError(f"motion.parameters.across = {list(made.across)!r:.60}; allowed: two other axes of the rig")
+    if made.direction not in (-1, 1):
+        raise ValueError(f"motion.parameters.direction = {made.direction!r:.20}; allowed: -1 or 1")
+    if not rig.noise[rig.sensors.index(made.force)] > 0.0:
+        raise ValueError(f"sensors.{made.force}.noise = 0: what a touch is cannot be told; state the sensor's noise")
+
+
+def _check_places(rig: Surroundings, made: Settings) -> None:
+    """Every way that the motion takes is inside the fence."""
+    if not made.cells:
+        raise ValueError("motion.parameters.cells = []: expected rows of three numbers")
+    axes = [*made.across, made.along]
+    fences = [(rig.limits[rig.axes.index(name)].low, rig.limits[rig.axes.index(name)].high) for name in axes]
+    for number, row in enumerate(made.cells, 1):
+        if len(row) != 3 or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in row):
+            raise ValueError(f"motion.parameters.cells: row {number} is {row!r:.60}; expected three numbers, m")
+        bottom = row[2] + made.direction * made.deepest
+        for name, value, (low, high) in zip([*axes, made.along], [*row, bottom], [*fences, fences[2]], strict=True):
+            if not low <= value <= high:
+                raise ValueError(
+                    f"motion.parameters.cells: row {number} takes {name} to {value:g} m; allowed: {low:g} to {high:g}"
+                )
+        if (row[2] - made.safe) * made.direction < made.start_above:
+            raise ValueError(
+                f"motion.parameters.safe = {made.safe:g}: the top of row {number} is not start_above = "
+                f"{made.start_above:g} m below it"
+            )
+    low, high = fences[2]
+    if not low <= made.safe <= high:
+        raise ValueError(f"motion.parameters.safe = {made.safe:g}; allowed: {low:g} to {high:g}")

@@ -1,0 +1,107 @@
+"""The phases of a cell on a bench without a stage: what ends each, what verdict follows, and that no pulse is given
+into a cell that is whole.
+"""
+
+from typing import Any
+
+import pytest
+
+from hil.control.motion.injection.cells import CellInjection
+from hil.control.motion.injection.verdict import TOLD, Phase, Verdict
+from tests.support.bench_cell import AROUND, PARAMETERS, Bench, BenchCell
+
+
+def injected(*cells: BenchCell, seed: int = 1, **changes: Any) -> Bench:
+    places = [[0.001 * (k + 1), 0.0, -0.002] for k in range(len(cells))]
+    bench = Bench(CellInjection(AROUND, **{**PARAMETERS, "cells": places, **changes}), cells, seed)
+    bench.run()
+    return bench
+
+
+def test_a_good_cell_goes_through_all_phases_in_their_order_and_is_ok() -> None:
+    bench = injected(BenchCell())
+    result = bench.motion.results[0]
+    phases = [p for k, p in enumerate(bench.phases) if k == 0 or p != bench.phases[k - 1]]
+    assert phases == [0, *range(Phase.APPROACH, Phase.LIFT + 1), TOLD + Verdict.OK]
+    assert result.verdict is Verdict.OK
+    assert abs(result.contact - -0.002) < 30e-6
+    assert 0.6e-3 < result.pierced_force < 0.8e-3
+    assert abs(result.deposit - 230e-6) < 2e-6
+    assert result.bolus == pytest.approx(1.0)
+    assert bench.cells[0].unpierced_pulses == 0
+    assert len(bench.cells[0].pulses) == 50
+
+
+@pytest.mark.parametrize(
+    ("cell", "verdict", "pulses"),
+    [
+        (BenchCell(gone=True), Verdict.NO_CELL, 0),
+        (BenchCell(pierced_at=None), Verdict.NOT_PIERCED, 0),
+        (BenchCell(again_at=220e-6), Verdict.DOUBLE, 0),
+        (BenchCell(shift=2e-5), Verdict.ROLLED, 0),
+        (BenchCell(tip=3e-5), Verdict.BROKEN, 0),
+        (BenchCell(dead_after=10), Verdict.SENSOR_DEAD, 0),
+        (BenchCell(camera_until=250), Verdict.CAMERA_FROZEN, 0),
+        (BenchCell(flow=3.0), Verdict.CLOGGED, 50),
+        (BenchCell(stays=4e-4), Verdict.STUCK, 50),
+    ],
+)
+def test_each_anomaly_has_its_verdict_and_none_a_pulse_that_is_not_due(
+    cell: BenchCell, verdict: Verdict, pulses: int
+) -> None:
+    bench = injected(cell)
+    result = bench.motion.results[0]
+    assert result.verdict is verdict, result.evidence
+    assert (len(cell.pulses), cell.unpierced_pulses) == (pulses, 0)
+    assert bench.peak < 1.05 * 1.4e-3
+    assert bench.answer is not None
+    assert bench.answer.position[2] == 0.0  # at the safe height
+
+
+@pytest.mark.parametrize("missing", ["bolus", "valve"])
+def test_evidence_that_is_missing_is_never_ok(missing: str) -> None:
+    assert injected(BenchCell(), **{missing: ""}).motion.results[0].verdict is Verdict.UNKNOWN
+
+
+def test_a_camera_that_freezes_once_the_cell_is_pierced_keeps_the_verdict_open() -> None:
+    """The pulse was given; whether it came out nobody has seen."""
+    cell = BenchCell(camera_until=400)
+    result = injected(cell).motion.results[0]
+    assert result.verdict is Verdict.CAMERA_FROZEN
+
+
+def test_a_batch_goes_from_cell_to_cell_and_a_broken_tip_ends_it() -> None:
+    bench = injected(BenchCell(), BenchCell(gone=True), BenchCell(tip=1e-3), BenchCell())
+    assert [r.verdict for r in bench.motion.results] == [Verdict.OK, Verdict.NO_CELL, Verdict.BROKEN]
+    told = [p - TOLD for p in bench.phases if p >= TOLD]
+    assert told == [Verdict.OK, Verdict.NO_CELL, Verdict.BROKEN]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_is_neither_contact_nor_puncture(seed: int) -> None:
+    """Down to the deepest place through nothing at 0.5 mm/s: 700 ticks of noise, and no false touch."""
+    bench = injected(BenchCell(gone=True), seed=seed, seek_speed=5e-4)
+    assert bench.motion.results[0].verdict is Verdict.NO_CELL
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cells": []}, "cells = \\[\\]"),
+        ({"cells": [[0.0, 0.0]]}, "row 1 is"),
+        ({"cells": [[0.0, 0.0, -0.0059]]}, "takes z to"),
+        ({"cells": [[0.02, 0.0, -0.002]]}, "takes x to"),
+        ({"safe": -0.00199}, "start_above"),
+        ({"safe": 0.02}, "safe = 0.02"),
+        ({"force": "scale"}, "force = 'scale'"),
+        ({"valve": "light"}, "valve = 'light'"),
+        ({"along": "w"}, "along = 'w'"),
+        ({"across": ["x", "z"]}, "across"),
+        ({"seek_speed": -1.0}, "seek_speed = -1.0; allowed: from 1e-06 to 0.05"),
+        ({"seek_sped": 1.0}, "seek_sped"),
+        ({"force_limit": True}, "force_limit = True"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused_by_their_key(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        CellInjection(AROUND, **{**PARAMETERS, **changes})
