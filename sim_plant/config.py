@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from drivers.base.keys import REQUIRED, Table, key
 from drivers.base.plugins import Kind, known, unknown
+from sim_plant.dish_config import DishConfig
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
 Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
@@ -74,14 +75,24 @@ class SwitchConfig(Table):
     home: Position | None = key(None, "home switch closed from here on towards negative positions", "m (rad)")
 
 
+def _is_zero(value: float) -> bool:
+    """Of a key that no hash of a rig without it knows."""
+    return value == 0.0
+
+
+Measured = Literal["cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error"]
+
+
 class EmulatedSensorConfig(Table):
     """[[plant.sensors]]: what a sensor of [sensors] really measures, and how well."""
 
     sensor: str = key(REQUIRED, "name of the sensor in [sensors]; at most one entry each")
-    measures: Literal["cell_force", "applied_force", "position"] = key(
+    measures: Measured = key(
         REQUIRED,
-        "cell_force: of the cell on the tip, pressing counts as positive; applied_force: of the axis' drive; position: "
-        "of the axis' tip",
+        "cell_force: of the membrane of [[plant.cells]] on the tip, pressing counts as positive; applied_force: of the "
+        "axis' drive; position: of the axis' tip; the others need [plant.dish]: tip_force: of its cell on the tip, "
+        "pressing positive; cell_shift: way of the cell under the tip from where it was planned; bolus: that of the "
+        "last pulse in the cell under the tip, 1: a full one; tip_error: tip as a camera sees it less the encoder",
     )
     axis: str = key(REQUIRED, "axis that it belongs to")
     gain: float = key(1.0, "reading per N (N m) or m (rad)", "1", ge=-1e9, le=1e9)
@@ -90,7 +101,32 @@ class EmulatedSensorConfig(Table):
         None, "true RMS noise of a reading, in the sensor's unit", "unit", derived="sensors.NAME.noise", ge=0, le=1e6
     )
     lag: Lag = key(0.0, "time constant of the sensor and its amplifier", "s")
-    delay: float = key(0.0, "from the sample to the first bit of its frame", "s", ge=0, le=0.01)
+    delay: float = key(0.0, "from the sample to the first bit of its frame", "s", ge=0, le=0.2)
+    frame_s: float = key(
+        0.0, "it samples once in so long, as a camera does; 0: in every tick", "s", exclude_if=_is_zero, ge=0, le=1
+    )
+    tool_mass: float = key(
+        0.0,
+        "tip_force: mass between sensor and tip, which the sensor feels when it is accelerated",
+        "kg",
+        exclude_if=_is_zero,
+        ge=0,
+        le=1,
+    )
+    decay: float = key(
+        0.0,
+        "time constant with which a constant reading fades, as a piezo's does; 0: never",
+        "s",
+        exclude_if=_is_zero,
+        ge=0,
+        le=1e4,
+    )
+
+    @model_validator(mode="after")
+    def _every_key_acts(self) -> "EmulatedSensorConfig":
+        if self.tool_mass and self.measures != "tip_force":
+            raise ValueError(f"tool_mass = {self.tool_mass}: of measures = 'tip_force' alone, not {self.measures!r}")
+        return self
 
 
 class CoggingConfig(Table):
@@ -222,6 +258,9 @@ class PlantConfig(Table):
     stribeck_velocity: Positive | list[Positive] = key(0.01, "velocity at which half of it is gone", "m/s (rad/s)")
     initial_position: Position | list[Position] = key(0.0, "true position at the start", "m (rad)")
     cells: list[CellConfig] = key([], "cells in front of the pipette")
+    dish: DishConfig | None = key(
+        None, "a dish of cells with positions, in place of [[plant.cells]]", exclude_if=lambda value: value is None
+    )
     drive: EmulatedDriveConfig | None = key(
         None, "the emulated drives as their maker has them; without: as the frame layout says"
     )
@@ -292,4 +331,16 @@ class PlantConfig(Table):
                 raise ValueError(
                     f"{name}: more than {most} on axis {', '.join(often)}; allowed per axis: at most {most}"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _dish_fits(self) -> "PlantConfig":
+        needs = ("tip_force", "cell_shift", "bolus", "tip_error")
+        lacking = [entry for entry in self.sensors if entry.measures in needs and self.dish is None]
+        if lacking:
+            raise ValueError(f"sensors: measures = {lacking[0].measures!r} of '{lacking[0].sensor}' needs [plant.dish]")
+        if self.dish is not None and self.dish.axes[2] in [cell.axis for cell in self.cells]:
+            raise ValueError(
+                f"dish: axis {self.dish.axes[2]} has a membrane of [[plant.cells]], too; expected cells = [] beside it"
+            )
         return self

@@ -21,7 +21,9 @@ from sim_plant.config import PlantConfig, PlantError
 from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
 from sim_plant.drives.servo import NEVER_NS, ServoDrive, Switches
 from sim_plant.drives.sides import drives_side
+from sim_plant.nodes.output import OutputNode
 from sim_plant.nodes.sensor import SensorNode
+from sim_plant.physics.dish import Dish
 from sim_plant.physics.stage import Truth, per_axis_array
 from sim_plant.user_stage import stage_of
 
@@ -47,12 +49,13 @@ class EmulatedStage:
 
     plant: the truth. bus: layout and identifiers. axis_names: in bus order. rated_force: N per axis, the drives' data
     sheet. base_dir: where the rig file is (for a relative dbc path). start_ns: the clock's first value. drives: their
-    watchdog and brakes. mountings: of the drives on their axes; none: all straight. sensors: nodes beside the drives.
+    watchdog and brakes. mountings: of the drives on their axes; none: all straight. sensors, outputs: nodes beside the
+    drives.
 
     now_ns: time reached. fd: the layout uses CAN FD frames. commands: command frames obeyed. rejected: received frames
     that carried no command, by reason. sampled: truth (positions in m, velocities in m/s) at the latest sampling,
     before the encoder; replaced by the next, not changed. acceptance: identifiers the drives listen to. frame_taps:
-    what every frame of a drive goes through (fault injection).
+    what every frame of a drive goes through (fault injection). dish: the cells of [plant.dish]; None: there are none.
     Raises ValueError for a plant or bus that does not fit.
     """
 
@@ -68,6 +71,7 @@ class EmulatedStage:
         drives: DrivesConfig | None = None,
         mountings: Sequence[Mounting] = (),
         sensors: Sequence[SensorNode] = (),
+        outputs: Sequence[OutputNode] = (),
     ) -> None:
         n_axes = len(axis_names)
         mountings = installed_mountings(plant.drive, n_axes) or mountings
@@ -91,6 +95,9 @@ class EmulatedStage:
             Truth.from_config(plant, n_axes, axis_names),
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
+        self.dish = Dish(plant.dish, axis_names) if plant.dish else None
+        self.outputs = list(outputs)
+        self._output_ids = {node.output_id: node for node in outputs}
         self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
         for entry in plant.switches:
             self.drives[self.axis_names.index(entry.axis)].switches = Switches(
@@ -185,11 +192,15 @@ class EmulatedStage:
         return min(self._deadline_ns, self.speaks_ns)
 
     def _truth_now(self) -> tuple[Array, Array, Array]:
-        return self._stage.peek(self.now_ns - self._physics_ns, self._force)
+        return self._stage.peek(self.now_ns - self._physics_ns, self._all_forces())
+
+    def _all_forces(self) -> list[float]:
+        """On the axes now, that of a cell among them, N."""
+        return self._force if self.dish is None else self.dish.loaded(self._force)
 
     def _shown_position(self, axis: int) -> float:
         if self._physics_ns != self.now_ns:
-            return self._stage.peek_reading(self.now_ns - self._physics_ns, self._force, axis)
+            return self._stage.peek_reading(self.now_ns - self._physics_ns, self._all_forces(), axis)
         return self._stage.reading(axis)
 
     def _position_at_drive(self, axis: int) -> float:
@@ -239,6 +250,8 @@ class EmulatedStage:
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
+            for node in self.outputs:
+                node.expire(self.now_ns)
             while self._agenda and self._agenda[0][0] <= self.now_ns:
                 heappop(self._agenda)[2]()
             self._update()
@@ -261,7 +274,10 @@ class EmulatedStage:
         """Integrate up to now, before anything that acts on the stage changes."""
         if self.now_ns > self._physics_ns:
             try:
-                self._stage.advance(self.now_ns - self._physics_ns, self._force)
+                if self.dish is None:
+                    self._stage.advance(self.now_ns - self._physics_ns, self._force)
+                else:
+                    self.dish.advance(self._stage, self._physics_ns, self.now_ns - self._physics_ns, self._force)
             except (ValueError, OverflowError):  # a sine or a rounding of what is no number any more
                 raise self._diverged() from None
             total = sum(self._stage.positions)
@@ -283,6 +299,8 @@ class EmulatedStage:
         for drive in drives:
             if drive.deadline_ns < deadline_ns:
                 deadline_ns = drive.deadline_ns
+        if self.outputs:
+            deadline_ns = min(deadline_ns, self._switched())
         self._deadline_ns = deadline_ns
         clamp = [
             jam + (hold if drive.status & _BRAKE else 0.0)
@@ -291,6 +309,16 @@ class EmulatedStage:
         if clamp != self._clamp:
             self._clamp = clamp
             self._stage.clamp(clamp)
+
+    def _switched(self) -> int:
+        """Carry the outputs over to the dish. Returns when the first of them goes off by itself."""
+        bits, deadline_ns = 0, NEVER_NS
+        for node in self.outputs:
+            bits |= node.bits
+            deadline_ns = min(deadline_ns, node.deadline_ns)
+        if self.dish is not None:
+            self.dish.outputs(bits, self.now_ns)
+        return deadline_ns
 
     # the bus ---------------------------------------------------------------------------------------------------------
 
@@ -301,8 +329,17 @@ class EmulatedStage:
         """
         if frame.can_id not in self.acceptance:
             return []  # a drive's own answer, heard by the others
+        if frame.can_id in self._output_ids and not segment_of(frame):
+            return self._to_output(self._output_ids[frame.can_id], frame)
         answers = self._from_drives(frame)
         return [*answers, *self._sense(frame)] if self.sensors else answers
+
+    def _to_output(self, node: OutputNode, frame: Frame) -> list[Frame]:
+        due = self.advance(frame.timestamp_ns)
+        self._run_physics()
+        node.hear(frame, self.now_ns)
+        self._update()
+        return due
 
     def _sense(self, frame: Frame) -> list[Frame]:
         """The readings of the sensors that sample at this frame, as far as they are due."""

@@ -12,12 +12,14 @@ from typing import Protocol
 from drivers.frame import BRS, FD, Frame
 from drivers.sensors.config import SensorConfig
 from sim_plant.config import EmulatedSensorConfig, PlantConfig
+from sim_plant.physics.dish import Dish
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.noise import READING, Stream
 from sim_plant.physics.truth import Truth
 
 NEVER_NS = 2**62
 _MOST = 2**31 - 1
+OF_DISH = ("tip_force", "cell_shift", "bolus", "tip_error")  # what only a rig with [plant.dish] has
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class Stage(Protocol):
 
     axis_names: list[str]
     now_ns: int
+    dish: Dish | None
 
     @property
     def applied_force(self) -> list[float]:
@@ -76,8 +79,10 @@ class SensorNode:
         self._noise = own_noise
         self._stream = Stream(seed, place, READING)
         self.delay_ns = 0 if entry is None else round(entry.delay * 1e9)
-        self._level: float | None = None  # behind the sensor's lag
-        self._sampled_ns = 0
+        self._frame_ns = 0 if entry is None else round(entry.frame_s * 1e9)
+        self._filter = _Filter(entry)
+        self._next_ns = 0  # of the next frame; 0: in every tick
+        self._frozen: Sampled | None = None
         self._count = 0
         self._waiting: list[tuple[int, Frame]] = []
 
@@ -93,11 +98,13 @@ class SensorNode:
     def sample(self, stage: Stage) -> None:
         """Measure now, and send in `delay_ns`."""
         now_ns = stage.now_ns
-        value = self._behind_lag(self._measured(stage), now_ns)
+        if self._frame_ns and not self._exposes(now_ns):
+            return
+        value = self._filter.passed(self._measured(stage), now_ns)
         if self._noise:
             value += self._noise * float(self._stream.at(self._count))
         counts = max(-_MOST - 1, min(_MOST, round(value / self.config.scale)))
-        shown: Sampled | None = Sampled(counts, now_ns // 1000, self._count)
+        shown = self._failing(Sampled(counts, now_ns // 1000, self._count), stage)
         self._count += 1
         for tap in self.taps:
             if shown is not None:
@@ -111,6 +118,25 @@ class SensorNode:
         del self._waiting[: len(found)]
         return found
 
+    def _exposes(self, now_ns: int) -> bool:
+        """Whether a frame of the camera is due; its frames stay on one grid, whatever the ticks."""
+        if now_ns < self._next_ns:
+            return False
+        self._next_ns = (now_ns // self._frame_ns + 1) * self._frame_ns
+        return True
+
+    def _failing(self, shown: Sampled, stage: Stage) -> Sampled | None:
+        """What it sends, while a cell's anomaly is that it fails."""
+        if stage.dish is None or self._entry is None or self._entry.measures not in OF_DISH:
+            return shown
+        failure = stage.dish.failure(self._entry.measures != "tip_force")
+        if failure == "silent":
+            return None
+        if failure != "stuck":
+            self._frozen = shown
+            return shown
+        return shown if self._frozen is None else replace(shown, counts=self._frozen.counts)
+
     def _measured(self, stage: Stage) -> float:
         entry = self._entry
         if entry is None:
@@ -118,20 +144,25 @@ class SensorNode:
         axis = stage.axis_names.index(entry.axis)
         if entry.measures == "applied_force":
             true = stage.applied_force[axis]
+        elif entry.measures in OF_DISH:
+            true = self._of_dish(stage, entry, axis)
         else:
             positions, velocities, pierced = stage.tips
             true = positions[axis]
             if entry.measures == "cell_force":
                 true = cell_force(stage.truth, axis, true, velocities[axis], pierced[axis])
-        return entry.offset + entry.gain * true
+        return entry.offset + entry.gain * self._filter.faded(true, stage.now_ns)
 
-    def _behind_lag(self, value: float, now_ns: int) -> float:
-        lag = 0.0 if self._entry is None else self._entry.lag
-        if lag and self._level is not None:
-            passed = (now_ns - self._sampled_ns) * 1e-9
-            value = self._level + (value - self._level) * (passed / (lag + passed))  # backward Euler
-        self._level, self._sampled_ns = value, now_ns
-        return value
+    def _of_dish(self, stage: Stage, entry: EmulatedSensorConfig, axis: int) -> float:
+        dish = stage.dish
+        if dish is None:
+            return 0.0
+        if entry.measures == "tip_force":
+            if not entry.tool_mass:
+                return dish.force
+            acceleration = self._filter.slope(stage.tips[1][axis], stage.now_ns)
+            return dish.force + dish.direction * entry.tool_mass * acceleration
+        return {"cell_shift": dish.side, "bolus": dish.bolus, "tip_error": dish.tip_error}[entry.measures]
 
     def _frame(self, shown: Sampled) -> Frame:
         data = (shown.counts % 2**32).to_bytes(4, "little") + (shown.stamp_us % 2**16).to_bytes(2, "little")
@@ -139,6 +170,39 @@ class SensorNode:
         if not self.config.fd:
             return Frame(self.can_id, data)
         return Frame(self.can_id, data + zlib.crc32(data, self.can_id).to_bytes(4, "little"), FD | BRS)
+
+
+class _Filter:
+    """What lies between a quantity and its reading. Called once a sample, at growing instants."""
+
+    def __init__(self, entry: EmulatedSensorConfig | None) -> None:
+        self._lag, self._decay = (0.0, 0.0) if entry is None else (entry.lag, entry.decay)
+        self._level: float | None = None  # behind the sensor's lag
+        self._last: tuple[float, float] | None = None  # what was measured, and what has not faded of it
+        self._speed: tuple[float, int] | None = None  # of the tip, and when
+        self._lagged_ns = self._faded_ns = 0
+
+    def passed(self, value: float, now_ns: int) -> float:
+        """Behind the lag."""
+        if self._lag and self._level is not None:
+            passed = (now_ns - self._lagged_ns) * 1e-9
+            value = self._level + (value - self._level) * (passed / (self._lag + passed))  # backward Euler
+        self._level, self._lagged_ns = value, now_ns
+        return value
+
+    def faded(self, value: float, now_ns: int) -> float:
+        """What a sensor shows that cannot hold a constant reading: a high pass of first order."""
+        if not self._decay:
+            return value
+        was, left = self._last or (0.0, 0.0)
+        left = (left + value - was) * (self._decay / (self._decay + (now_ns - self._faded_ns) * 1e-9))
+        self._last, self._faded_ns = (value, left), now_ns
+        return left
+
+    def slope(self, speed: float, now_ns: int) -> float:
+        """Mean acceleration since the last sample, m/s^2; 0 at the first."""
+        last, self._speed = self._speed, (speed, now_ns)
+        return 0.0 if last is None or now_ns <= last[1] else (speed - last[0]) / ((now_ns - last[1]) * 1e-9)
 
 
 def cell_force(truth: Truth, axis: int, position: float, velocity: float, pierced: float) -> float:

@@ -15,7 +15,7 @@ from sim_plant.physics.number import Number
 Key = Any  # int, or an array of uint64
 Bits = Any  # an array of uint64; numpy says of its products that they are signed
 
-TORQUE, WALK, ENCODER, READING = range(1, 5)  # effects
+TORQUE, WALK, ENCODER, READING, CELL = range(1, 6)  # effects
 BLOCK: Final = 64
 
 _MASK = 2**64 - 1
@@ -43,6 +43,12 @@ def _normal(key: Bits, count: Bits) -> NDArray[np.float64]:
     ones, more = _mixed(key + place), _mixed(key + place ^ _MASK)
     numbers: NDArray[np.float64] = np.bitwise_count(ones).astype(np.float64) - 32.0 + ((more >> 11) * 2.0**-53 - 0.5)
     return numbers * _SCALE
+
+
+def uniform_of(key: int, count: int) -> float:
+    """The count-th number, in [0, 1), that a stream's `key` stands for."""
+    place = np.array([count], dtype=np.uint64) * 0x9E3779B97F4A7C15
+    return float((_mixed(_bits(key) + place) >> 11)[0] * 2.0**-53)
 
 
 class Stream:

@@ -1,0 +1,342 @@
+"""A dish of cells under an emulated stage: hit and miss, what is drawn for each cell, and pulses."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.config import BusConfig
+from drivers.frame import FD, Frame
+from sim_plant.cell_presets import PRESETS
+from sim_plant.config import PlantConfig
+from sim_plant.dish_config import DRAWN, DishConfig, PresetName
+from sim_plant.emulator import EmulatedStage
+from sim_plant.nodes.output import NEVER_NS, OutputNode
+from sim_plant.physics.dish import Dish, DishCell
+
+MS = 1_000_000
+AXES = ["x", "y", "z"]
+ROW = [[0.0, 0.0], [1.5e-3, 0.2e-3], [3.0e-3, 0.4e-3]]
+PLANT: dict[str, Any] = {
+    "mass": [0.9, 0.6, 0.25],
+    "coulomb": [0.0, 0.0, 0.0],
+    "viscous": [0.0, 0.0, 0.0],
+    "quadratic": [0.0, 0.0, 0.0],
+    "gravity": [0.0, 0.0, 0.0],
+    "encoder_resolution": 1e-9,
+}
+
+
+class Gliding:
+    """A stage without friction whose tip moves at a given speed. It stands for the physics, and feels the forces."""
+
+    def __init__(self, position: list[float], velocity: list[float]) -> None:
+        self.positions, self.velocities = position, velocity
+        self.forces: list[float] = []
+
+    def advance(self, duration_ns: int, force: Any) -> None:
+        self.forces.append(force[2])
+        self.positions = [q + v * duration_ns * 1e-9 for q, v in zip(self.positions, self.velocities, strict=True)]
+
+    def to(self, dish: Dish, now_ns: int, duration_ns: int, velocity: list[float]) -> int:
+        self.velocities = velocity
+        for begin_ns in range(now_ns, now_ns + duration_ns, MS):
+            dish.advance(self, begin_ns, MS, [0.0, 0.0, 0.0])
+        return now_ns + duration_ns
+
+
+def dish_of(**changes: Any) -> Dish:
+    return Dish(DishConfig(**({"positions": ROW, "top": -1e-3, "spread": False} | changes)), AXES)
+
+
+def stabbed(dish: Dish, x: float, y: float, z: float = -0.9e-3) -> DishCell | None:
+    """Lowered by 400 um there, and lifted again."""
+    stage = Gliding([x, y, z], [0.0, 0.0, 0.0])
+    now_ns = stage.to(dish, 0, 400 * MS, [0.0, 0.0, -1e-3])
+    met = dish.entered
+    stage.to(dish, now_ns, 500 * MS, [0.0, 0.0, 1e-3])
+    return met
+
+
+def test_a_tip_above_a_cell_meets_it_and_another_cell_is_left_alone() -> None:
+    dish = dish_of()
+    cell = stabbed(dish, 1.6e-3, 0.1e-3)
+    assert cell is dish.cells[1]
+    assert cell.contact == -1e-3
+    assert cell.touched_ns == pytest.approx(100 * MS, abs=1)
+    assert cell.puncture is not None
+    assert cell.puncture.force == pytest.approx(0.75e-3, rel=1e-9)
+    assert cell.peak_force == pytest.approx(0.75e-3, rel=1e-9)
+    assert cell.deepest == pytest.approx(300e-6)
+    assert cell.pierced_ns == pytest.approx(100 * MS + cell.puncture.depth / 1e-3 * 1e9, abs=2)
+    assert (dish.entered, dish.force) == (None, 0.0)
+    others = (dish.cells[0], dish.cells[2])
+    assert [(other.contact, other.pierced_ns, other.deepest) for other in others] == [(None, None, -math.inf)] * 2
+
+
+def test_a_tip_beside_a_cell_meets_nothing() -> None:
+    dish = dish_of()
+    assert stabbed(dish, 0.51e-3, 0.0) is None
+    assert [cell.contact for cell in dish.cells] == [None] * 3
+    stage = Gliding([0.7e-3, 0.0, -1.2e-3], [0.0, 0.0, 0.0])
+    stage.to(dish, 0, 1000 * MS, [-1e-3, 0.0, 0.0])
+    assert dish.cells[0].contact is None, "it is met from above alone"
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_the_force_pushes_the_tip_out_in_pieces_of_a_quarter_of_a_millisecond(direction: int) -> None:
+    dish = dish_of(direction=direction, top=direction * 1e-3)
+    stage = Gliding([0.0, 0.0, direction * 0.9e-3], [0.0, 0.0, 0.0])
+    stage.to(dish, 0, 200 * MS, [0.0, 0.0, direction * 1e-3])
+    assert len(stage.forces) > 600
+    assert stage.forces[-1] * -direction > 0.0
+    assert dish.force * -direction == pytest.approx(stage.forces[-1], rel=0.02)
+
+
+def test_far_from_all_cells_there_are_no_pieces() -> None:
+    dish = dish_of()
+    stage = Gliding([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    stage.to(dish, 0, 500 * MS, [0.0, 0.0, -1e-3])
+    assert len(stage.forces) == 500
+
+
+def coasted(piece_ns: int) -> tuple[float, float, float]:
+    """Contact, depth of the puncture and place after 0.3 s of a real axis that a motor pushes into a cell, m."""
+    plant = PlantConfig(**PLANT, dish=DishConfig(positions=ROW, top=-0.5e-3, spread=False))
+    stage = EmulatedStage(plant, BusConfig(), AXES, [5.0, 5.0, 5.0], Path())
+    stage.dish = Dish(plant.dish or DishConfig(positions=ROW, top=0.0), AXES, piece_ns)
+    stage.push(2, -0.25 * 20e-3)  # 20 mm/s^2
+    for tick in range(1, 301):
+        stage.advance(tick * MS)
+        stage.push(2, -0.25 * 20e-3)
+    cell = stage.dish.cells[0]
+    assert cell.puncture is not None
+    assert cell.touched_ns is not None
+    return 0.5 * 20e-3 * (cell.touched_ns * 1e-9) ** 2, cell.puncture.depth, float(stage.position[2])
+
+
+def test_half_the_piece_moves_neither_contact_nor_puncture_by_20_nm() -> None:
+    whole, half = coasted(250_000), coasted(125_000)
+    assert whole[0] == pytest.approx(0.5e-3, abs=20e-9)
+    assert whole == pytest.approx(half, abs=5e-9)
+    assert whole[2] > -0.5 * 20e-3 * 0.3**2 + 1e-6, "the cell has held it back"
+
+
+# what is drawn --------------------------------------------------------------------------------------------------------
+
+
+def drawn(dish: Dish) -> list[tuple[Any, ...]]:
+    return [(cell.anomaly, cell.top, tuple(state.layer for state in cell.model.layers)) for cell in dish.cells]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_cells_of_every_preset_differ_and_a_cell_more_moves_no_other(preset: PresetName) -> None:
+    three = drawn(dish_of(spread=True, preset=preset, anomaly_share=0.5))
+    more = drawn(dish_of(spread=True, preset=preset, anomaly_share=0.5, positions=[*ROW, [0.1, 0.1]]))
+    assert more[:3] == three
+    assert len(set(more)) == 4
+    other = drawn(dish_of(spread=True, preset=preset, anomaly_share=0.5, seed=2))
+    assert not set(other) & set(three)
+
+
+def test_an_anomaly_of_one_cell_moves_no_value_of_another_and_keeps_its_top() -> None:
+    good = drawn(dish_of(spread=True))
+    rolled = drawn(dish_of(spread=True, anomalies=["rolled"]))
+    assert rolled[1:] == good[1:]
+    assert rolled[0][1:] == good[0][1:]
+
+
+def test_the_spread_of_the_reference_cell_is_what_it_is_stated_to_be() -> None:
+    many = [[0.01 * number, 0.0] for number in range(2000)]
+    dish = dish_of(spread=True, positions=many)
+    layers = [cell.model.layers[0].layer for cell in dish.cells]
+    for values, mean, deviation in (
+        ([layer.force for layer in layers], 0.75e-3, 0.15e-3),
+        ([math.sqrt(layer.force / layer.stiffness) for layer in layers], 180e-6, 27e-6),
+        ([cell.top for cell in dish.cells], -1e-3, 15e-6),
+    ):
+        found = sum(values) / 2000
+        assert found == pytest.approx(mean, abs=0.08 * deviation)
+        assert math.sqrt(sum((v - found) ** 2 for v in values) / 2000) == pytest.approx(deviation, rel=0.06)
+
+
+def test_prehatching_chorions_are_as_much_softer_as_was_measured() -> None:
+    before, after = (PRESETS[f"zebrafish-{stage}"].layers[0] for stage in ("blastula", "prehatching"))
+    assert before.force / after.force == pytest.approx(1.3)
+    assert (before.stiffness or 0.0) / (after.stiffness or 1.0) == pytest.approx(1.66)
+
+
+def test_a_share_of_anomalies_is_drawn_from_all_kinds_but_the_broken_pipette() -> None:
+    many = [[0.01 * number, 0.0] for number in range(2000)]
+    found = [cell.anomaly for cell in dish_of(positions=many, anomaly_share=0.4, anomalies=["", ""]).cells]
+    assert found[:2] == ["", ""]
+    assert 2000 - found.count("") == pytest.approx(800, abs=70)
+    assert set(found) == {"", *DRAWN}
+    assert min(found.count(word) for word in DRAWN) > 60
+
+
+# anomalies ------------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_wrong_with_a_cell_shows_in_what_happens() -> None:
+    words = ["no_cell", "rolled", "not_pierced", "double", "stuck"]
+    places = [[2e-3 * number, 0.0] for number in range(5)]
+    dish = dish_of(positions=places, anomalies=words)
+    for x, _ in places:
+        stabbed(dish, x, 0.0)
+    none, rolled, tough, double, stuck = dish.cells
+    assert none.contact is None
+    assert rolled.moved > 12e-6
+    assert rolled.pierced_ns is None
+    assert tough.pierced_ns is None
+    assert tough.peak_force > 1.4e-3
+    assert double.pierced_ns is not None
+    assert double.doubled_ns is not None
+    assert double.doubled_ns > double.pierced_ns
+    assert stuck.pierced_ns is not None
+    assert stuck.peak_pull > 0.3e-3
+    assert [cell.still_on_pipette for cell in dish.cells] == [False, False, False, False, True]
+
+
+def test_a_broken_pipette_reaches_no_cell_from_then_on() -> None:
+    dish = dish_of(anomalies=["", "broken"])
+    assert (stabbed(dish, 0.0, 0.0), dish.tip_error) == (dish.cells[0], 0.0)
+    assert stabbed(dish, 1.5e-3, 0.2e-3) is None
+    assert dish.tip_error == 1e-3, "higher up"
+    assert stabbed(dish, 3.0e-3, 0.4e-3) is None
+
+
+# pulses ---------------------------------------------------------------------------------------------------------------
+
+
+def pulsed(dish: Dish, depth: float) -> None:
+    """A pulse of 0.1 s at that depth in the first cell."""
+    stage = Gliding([0.0, 0.0, -0.9e-3], [0.0, 0.0, 0.0])
+    now_ns = stage.to(dish, 0, round((depth + 0.1e-3) / 1e-3 * 1e3) * MS, [0.0, 0.0, -1e-3])
+    dish.outputs(1, now_ns)
+    now_ns = stage.to(dish, now_ns, 100 * MS, [0.0, 0.0, 0.0])
+    dish.outputs(0, now_ns)
+    assert dish.bolus == (dish.cells[0].pulses[-1].bolus if dish.under else 0.0)
+
+
+@pytest.mark.parametrize(("anomaly", "bolus"), [("", 1.0), ("clogged", 0.25)])
+def test_a_pulse_into_a_pierced_cell_leaves_a_bolus(anomaly: Any, bolus: float) -> None:
+    dish = dish_of(anomalies=[anomaly])
+    pulsed(dish, 300e-6)
+    (pulse,) = dish.cells[0].pulses
+    assert pulse.pierced
+    assert pulse.bolus == pytest.approx(bolus)
+    assert pulse.end_ns - pulse.begin_ns == 100 * MS
+
+
+def test_a_pulse_elsewhere_is_told_as_one() -> None:
+    dish = dish_of()
+    pulsed(dish, 100e-6)
+    assert dish.cells[0].pulses == [(200 * MS, 300 * MS, False, 0.0)]
+    nowhere = dish_of(anomalies=["no_cell"], positions=[[0.0, 0.0]])
+    pulsed(nowhere, 300e-6)
+    assert not nowhere.cells[0].pulses[0].pierced
+    beside = dish_of(positions=[[1.0, 0.0]])
+    pulsed(beside, 300e-6)
+    assert [pulse.pierced for pulse in beside.stray] == [False]
+
+
+def test_a_pulse_that_begins_before_the_puncture_is_none_into_a_pierced_cell() -> None:
+    dish = dish_of()
+    stage = Gliding([0.0, 0.0, -0.9e-3], [0.0, 0.0, 0.0])
+    now_ns = stage.to(dish, 0, 200 * MS, [0.0, 0.0, -1e-3])
+    dish.outputs(1, now_ns)
+    now_ns = stage.to(dish, now_ns, 200 * MS, [0.0, 0.0, -1e-3])
+    dish.outputs(0, now_ns)
+    assert dish.cells[0].pierced_ns is not None
+    assert not dish.cells[0].pulses[0].pierced
+    assert dish.cells[0].pulses[0].bolus > 0.1
+
+
+# the output node ------------------------------------------------------------------------------------------------------
+
+OUTPUT_ID = 0x3E0
+
+
+def said(bits: int, sequence: int, at_ns: int, inverted: int | None = None, flags: int = 0) -> Frame:
+    check = bits ^ 0xFF if inverted is None else inverted
+    return Frame(OUTPUT_ID, bytes((bits, check, sequence)), flags, at_ns)
+
+
+def test_an_output_stays_on_as_long_as_frames_come_and_10_ms_longer() -> None:
+    node = OutputNode(OUTPUT_ID)
+    plant = PlantConfig(**PLANT, dish=DishConfig(positions=ROW, top=-0.5e-3, spread=False))
+    stage = EmulatedStage(plant, BusConfig(), AXES, [5.0, 5.0, 5.0], Path(), outputs=[node])
+    assert stage.dish is not None
+    assert node.bits == 0
+    stage.advance(MS)
+    for tick in range(1, 6):
+        assert stage.on_frame(said(1, tick, tick * MS)) == []
+        assert node.bits == 1
+    stage.advance(14 * MS)
+    assert node.bits == 1
+    assert stage.deadline_ns == 15 * MS
+    stage.advance(50 * MS)
+    assert node.bits == 0
+    (pulse,) = stage.dish.cells[0].pulses
+    assert (pulse.begin_ns, pulse.end_ns) == (MS, 15 * MS)
+    assert not any(stage.rejected.values())
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        said(1, 9, MS, inverted=0xFF),
+        said(1, 7, MS),
+        Frame(OUTPUT_ID, b"\x01\xfe", 0, MS),
+        Frame(OUTPUT_ID, b"\x01\xfe\x09\x00", 0, MS),
+        said(1, 9, MS, flags=FD),
+    ],
+    ids=["not inverted", "repeated", "short", "long", "FD"],
+)
+def test_a_frame_that_is_none_of_the_hosts_switches_nothing(frame: Frame) -> None:
+    node = OutputNode(OUTPUT_ID)
+    node.hear(said(0, 7, 0), 0)
+    node.hear(frame, MS)
+    assert (node.bits, node.deadline_ns, node.ignored) == (0, NEVER_NS, 1)
+
+
+def test_the_valve_is_one_bit_of_the_outputs() -> None:
+    dish = dish_of(valve=3)
+    dish.outputs(0b0111, 0)
+    dish.outputs(0, MS)
+    assert not dish.stray
+    dish.outputs(0b1000, 2 * MS)
+    dish.outputs(0, 3 * MS)
+    assert len(dish.stray) == 1
+
+
+# the rig file ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"axes": ["x", "x", "z"]}, "none twice"),
+        ({"anomalies": [""] * 4}, "4 for 3 positions"),
+        ({"layers": [{"force": 1e-3}]}, "one of depth and stiffness"),
+        ({"layers": [{"force": 1e-3, "depth": 1e-4, "power": 2.5}]}, "allowed: 1.5, 2, 3"),
+        ({"anomalies": ["lost"]}, "no_cell"),
+    ],
+)
+def test_a_dish_that_cannot_be_is_refused_with_what_can(changes: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        DishConfig(**({"positions": ROW, "top": 0.0} | changes))
+
+
+def test_a_dish_on_an_axis_that_there_is_not_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="no axis 'w'; the axes are x, y, z"):
+        dish_of(axes=["x", "y", "w"])
+
+
+def test_what_needs_a_dish_says_so_and_two_kinds_of_cells_do_not_share_an_axis() -> None:
+    with pytest.raises(ValueError, match=r"measures = 'tip_force' of 'force' needs \[plant.dish\]"):
+        PlantConfig(**PLANT, sensors=[{"sensor": "force", "measures": "tip_force", "axis": "z"}])
+    with pytest.raises(ValueError, match="expected cells = \\[\\] beside it"):
+        PlantConfig(**PLANT, cells=[{"axis": "z", "surface": 0.0}], dish=DishConfig(positions=ROW, top=0.0))
