@@ -362,11 +362,12 @@ class EmulatedStage:
         if isinstance(command, Reject):
             self.rejected[command] += 1
             if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
-                self._fail(self._on_segment(frame), frame.timestamp_ns)
+                return self._fail(self._on_segment(frame), frame.timestamp_ns)
             return []
-        self.advance(frame.timestamp_ns)
+        due = self.advance(frame.timestamp_ns)
         self._run_physics()
-        return self._obey(command, self._on_segment(frame))
+        answers = self._obey(command, self._on_segment(frame))
+        return [*due, *answers] if due else answers
 
     def _on_segment(self, frame: Frame) -> range:
         """The axes whose drives a frame comes to."""
@@ -379,12 +380,13 @@ class EmulatedStage:
         """Name of the axis whose drive, or of the sensor that, sent this answer."""
         return self._senders[answer.can_id]
 
-    def _fail(self, axes: range, now_ns: int) -> None:
-        self.advance(now_ns)
+    def _fail(self, axes: range, now_ns: int) -> list[Frame]:
+        due = self.advance(now_ns)
         self._run_physics()
         for axis in axes:
             self.drives[axis].fail()
         self._update()
+        return due
 
     def _obey(self, command: Command, axes: range) -> list[Frame]:
         now_ns = self.now_ns
