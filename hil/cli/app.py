@@ -67,6 +67,7 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "bench": Entry("hil.operate.bench.command:bench", "Measure this computer, or your CAN adapter and drives"),
     },
     "Study": {
+        "inject": Entry("hil.studies.inject.command:inject", "Inject a batch of cells in virtual time, with verdicts"),
         "compare": Entry("hil.studies.compare.command:compare", "Compare control laws on one task"),
         "tune": Entry("hil.studies.tune.command:tune", "Search gains for a law and write them into the rig file"),
         "sweep": Entry("hil.studies.sweep.command:sweep", "Simulate thousands of stages with drawn parameters"),

@@ -7,6 +7,7 @@ from hil.rig.schema import RigConfig, RigError
 from hil.rig.sensors import trigger, trigger_mask
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
+from sim_plant.nodes.output import OutputNode
 from sim_plant.nodes.sensor import SensorNode, sensor_nodes
 from sim_plant.scenario.language import Scenario
 
@@ -17,7 +18,7 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
     try:
         return EmulatedStage(
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives, mountings=rig.mountings,
-            sensors=emulated_sensors(rig, base_dir),
+            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig),
         )  # fmt: skip
     except (ValueError, OSError) as error:
         raise RigError([f"rig {rig.name}: {error}"]) from None
@@ -30,6 +31,11 @@ def emulated_sensors(rig: RigConfig, base_dir: Path) -> list[SensorNode]:
     layout = host_layout(rig, base_dir)
     heard, mask = trigger(rig, layout), trigger_mask(layout)
     return sensor_nodes(rig.sensors, rig.plant, None if heard is None else (mask, heard.can_id & mask))
+
+
+def emulated_outputs(rig: RigConfig) -> list[OutputNode]:
+    """The node of the rig's [outputs], where it has any."""
+    return [OutputNode(can_id) for can_id in {output.can_id for output in rig.outputs.values()}]
 
 
 def live_scenario(path: Path, rig: RigConfig) -> Scenario:

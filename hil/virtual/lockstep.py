@@ -26,7 +26,7 @@ from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, OperatorCommand, Tick
 from hil.live.task_loading import loaded_task, rig_with_task, task_document
 from hil.rig.schema import RigConfig, TaskConfig
-from hil.virtual.emulate import emulated_sensors
+from hil.virtual.emulate import emulated_outputs, emulated_sensors
 from sim_plant.drives.servo import NEVER_NS
 from sim_plant.emulator import EmulatedStage
 from sim_plant.scenario.injector import Injector
@@ -71,7 +71,7 @@ class LockstepRun:
         rated = [axis.rated_force for axis in rig.axes.values()]
         self.stage = EmulatedStage(
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings,
-            sensors=emulated_sensors(rig, base_dir),
+            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig),
         )  # fmt: skip
         self.received: list[Frame] = []  # by the host since the last tick
         self._discarded = 0  # of those, beyond the receive limit

@@ -25,6 +25,7 @@ SAID = {
     "08_faults_on_your_law.py": "state FAULT",
     "09_read_a_recording.py": "0 ticks differ",
     "14_your_own_estimator.py": "as it should be: FAULT, estimator",
+    "16_your_own_motion.py": "felt at -2",
     "15_move_a_rig.py": "in position: x 0.1000",
 }
 

@@ -3,7 +3,10 @@
 from hil.control.plans.axis_plan import AxisPlan, MotionLimits
 from hil.control.plans.moves import halt, move
 
-_JERK = 1.0 / 1.6  # of the axis' own: a quintic from tick to tick across a change of jerk takes 1.5 times as much
+_JERK = (
+    1.0 / 1.8
+)  # of the axis' own: a quintic from tick to tick across a change of jerk takes up to 1.75 times as much
+_APART = 1e-10  # m (rad): what is in force is not what was asked for
 
 
 class Glide:
@@ -18,17 +21,19 @@ class Glide:
         self._period_ns = period_ns
         self._plan = AxisPlan(0.0, 0.0, 0.0)
         self._begins_ns = 0
-        self.target = 0.0
+        self._asked = self._speed = self.target = 0.0
 
     def hold(self, position: float) -> None:
         """At rest there."""
-        self._plan, self.target, self._begins_ns = AxisPlan(position, 0.0, 0.0), position, 0
+        self._plan, self._begins_ns = AxisPlan(position, 0.0, 0.0), 0
+        self._asked = self.target = position
 
     def to(self, ends_ns: int, state: tuple[float, float, float], target: float, speed: float) -> None:
         """From `state` (m, m/s, m/s^2) on to `target`, m, inside the fence, at no more than `speed`, m/s. ends_ns: of
         the coming interval.
         """
         own = self._own
+        self._speed = speed
         self.target = max(own.low, min(own.high, target))
         share = min(max(speed, abs(state[1])) / own.speed, 1.0)
         self._plan, self._begins_ns = move(*state, self.target, own.slowed(share)), ends_ns - self._period_ns
@@ -38,9 +43,16 @@ class Glide:
         self._plan, self._begins_ns = halt(*state, self._own), ends_ns - self._period_ns
         self.target = self._plan.target
 
+    def follow(self, ends_ns: int, state: tuple[float, float, float]) -> None:
+        """Plan anew where the axis could not be brought to what was asked for last. state: in force."""
+        if abs(state[0] - self._asked) > _APART:
+            self.to(ends_ns, state, self.target, self._speed or self._own.speed)
+
     def at(self, ends_ns: int) -> tuple[float, float, float]:
         """Position, velocity and acceleration at the end of the coming interval."""
-        return self._plan.at((ends_ns - self._begins_ns) * 1e-9)
+        found = self._plan.at((ends_ns - self._begins_ns) * 1e-9)
+        self._asked = found[0]
+        return found
 
     def rests(self, ends_ns: int) -> bool:
         """Whether the plan has come to its end by then."""

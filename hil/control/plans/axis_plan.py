@@ -143,7 +143,9 @@ class AxisPlan:
         self.pieces.append(Piece(begins, self.ends, row))
 
     def meet(self, seconds: float, position: float, velocity: float, acceleration: float) -> None:
-        """A quintic to another motion, `seconds` (above 0) from here. Its hull is what Bernstein's coefficients say."""
+        """A quintic to another motion, `seconds` (above 0) from here. Its hull is what Bernstein's coefficients say,
+        its jerk is exact.
+        """
         p0, v0, a0 = self._p, self._v, self._a
         t = seconds
         d = position - p0 - v0 * t - 0.5 * a0 * (t * t)
@@ -157,8 +159,11 @@ class AxisPlan:
         t3 = t2 * t
         self._add(t, (p0, v0, 0.5 * a0, b3 / t3, b4 / (t3 * t), b5 / (t3 * t2)))
         self._hull(t, p0, position, v0, velocity, a0, acceleration)
-        j0, jm, j1 = 6.0 * b3, 6.0 * b3 + 12.0 * b4, 6.0 * b3 + 24.0 * b4 + 60.0 * b5
-        most = max(abs(j0), abs(jm), abs(j1)) / t3
+        most = max(abs(6.0 * b3), abs(6.0 * b3 + 24.0 * b4 + 60.0 * b5))
+        u = -0.2 * b4 / b5 if b5 != 0.0 else 0.0  # where the jerk, a parabola, turns
+        if 0.0 < u < 1.0:
+            most = max(most, abs(6.0 * b3 + u * (24.0 * b4 + u * (60.0 * b5))))
+        most /= t3
         if most > self.jerk:
             self.jerk = most
         self._p, self._v, self._a = position, velocity, acceleration

@@ -29,10 +29,16 @@ CONTACT_SUM = 10.0
 DROP_TICKS = 10  # in which the force falls
 DROP_SHARE = 0.3
 DROP_NOISE = 7.0
+SLIP_TICKS = 6  # until the force of a pierced membrane is gone
 SLOPE_TICKS = 12
 LOOK_AHEAD_TICKS = 4  # from a sample to the place where the tip can be made to stop: two of delay, two of braking
 AFTER_PULSE_S = 0.1  # that a frame is exposed after the pulse's beginning which shows the bolus
 PATIENCE_S = 0.2  # for that frame beyond this and the camera's latency
+_SEEN_LATER = (
+    Verdict.NO_CELL,
+    Verdict.NOT_PIERCED,
+    Verdict.DOUBLE,
+)  # a cell that rolls away can look like any of these
 ZERO_NOISE = 5.0
 ZERO_SAMPLES = 16
 
@@ -48,7 +54,7 @@ class CellRun:
         self._contact = Contact(CONTACT_DRIFT, CONTACT_SUM)
         self._puncture = Puncture(DROP_TICKS, DROP_SHARE, DROP_NOISE * senses.noise)
         self._slope = Slope(SLOPE_TICKS)
-        self._since = 0
+        self._since = self._decided = 0
         self._zeros: list[float] = []
         self.phase = Phase.NONE
         self.pulse = self.over = False
@@ -82,6 +88,7 @@ class CellRun:
         """The first verdict counts, but for one that is worse than OK; the tip leaves the cell."""
         if self.result.verdict in (Verdict.NONE, Verdict.OK):
             self.result.verdict, self.result.evidence = verdict, evidence
+            self._decided = seen.tick
         self.pulse = False
         if self.phase < Phase.WITHDRAW:
             self._go(Phase.WITHDRAW, seen)
@@ -127,7 +134,7 @@ class CellRun:
     def _seek(self, seen: Observation) -> None:
         senses = self._senses
         if senses.fresh and self._contact.take(senses.force / senses.noise):
-            self.result.found = senses.place
+            self.result.found, self.result.found_s = senses.place, seen.tick * self._period
             back = self._contact.onset * self._s.seek_speed * self._period
             self.result.contact = senses.place - self._s.direction * back
             self._puncture.restart()
@@ -154,28 +161,39 @@ class CellRun:
     def _pierced(self, seen: Observation) -> None:
         result = self.result
         result.pierced, result.pierced_force = self._senses.place, self._puncture.peak
+        result.pierced_s = seen.tick * self._period
         result.pierced_speed = abs(seen.velocity[self._axis])
         self._z.stop(seen.ends_ns[self._axis], seen.reference[self._axis])
         self._go(Phase.FREEZE, seen)
 
     def _freeze(self, seen: Observation) -> None:
+        """The tip runs on while it stops: far enough, at times, for the other side of the cell."""
+        if seen.tick - self._since == SLIP_TICKS:
+            self._puncture.restart()
+        if seen.tick - self._since > SLIP_TICKS and self._pierces_again(seen):
+            return
         if self._elapsed(seen) < self._s.freeze_s or not self._rests(seen):
             return
-        self.result.lurch = (seen.position[self._axis] - self.result.pierced) * self._s.direction
-        self._puncture.restart()
+        self.result.rested = seen.position[self._axis]
         self._go(Phase.ADVANCE, seen)
         depth = (self._z.target - self.result.contact) * self._s.direction
         if depth < self._s.deposit:
             self._to(seen, self.result.contact + self._s.direction * self._s.deposit, self._s.press_speed)
 
     def _advance(self, seen: Observation) -> None:
-        if self._senses.fresh and self._puncture.take(self._senses.force):
-            self.decide(Verdict.DOUBLE, "the force dropped a second time", seen)
-        elif self._senses.force > self._s.force_limit:
+        if self._pierces_again(seen):
+            return
+        if self._senses.force > self._s.force_limit:
             self.decide(Verdict.NOT_PIERCED, "the force limit behind the puncture", seen)
         elif self._rests(seen):
             self.result.deposit = (seen.position[self._axis] - self.result.contact) * self._s.direction
             self._go(Phase.PULSE, seen)
+
+    def _pierces_again(self, seen: Observation) -> bool:
+        if self._senses.fresh and self._puncture.take(self._senses.force):
+            self.decide(Verdict.DOUBLE, "the force dropped a second time", seen)
+            return True
+        return False
 
     def _give_pulse(self, seen: Observation) -> None:
         """Once a frame that was exposed at the depth of deposit shows the cell in its place."""
@@ -217,12 +235,23 @@ class CellRun:
         if self._senses.fresh:
             self._zeros.append(self._senses.force)
         lifted = self._z.target == self._s.safe
+        if not lifted and self._looks_again(seen):
+            return
         if not lifted and (len(self._zeros) >= ZERO_SAMPLES or self._senses.dead):
             self._look_for_zero(seen)
             self._to(seen, self._s.safe, self._s.transfer_speed)
         elif lifted and self._rests(seen):
             self.result.ended_s = seen.tick * self._period
             self.over = True
+
+    def _looks_again(self, seen: Observation) -> bool:
+        """Whether the cell has rolled, a frame tells that was exposed behind the attempt; whether it is waited for."""
+        shift, result = self._senses.shift, self.result
+        if shift is None or result.verdict not in _SEEN_LATER:
+            return False
+        if shift.exposed >= self._decided and abs(shift.value) > self._s.roll_limit:
+            result.verdict, result.evidence = Verdict.ROLLED, f"the cell has moved; before that: {result.evidence}"
+        return shift.exposed < self._decided and not shift.frozen
 
     def _look_for_zero(self, seen: Observation) -> None:
         if not self._zeros:

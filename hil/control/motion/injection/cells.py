@@ -40,6 +40,8 @@ class CellInjection(Motion):
     def step(self, seen: Observation) -> References:
         """See Motion."""
         self._senses.take(seen)
+        for glide, end, state in zip(self._glides, seen.ends_ns, seen.reference, strict=True):
+            glide.follow(end, state)
         told = 0
         if seen.tick == 0:
             self._lift(seen)

@@ -54,11 +54,13 @@ class CellResult:
     ended_s: float = nan
     contact: float = nan  # where the first touch was
     found: float = nan  # where it was known
+    found_s: float = nan
     pierced: float = nan  # where the puncture was known
+    pierced_s: float = nan
     pierced_force: float = nan  # most before it
     pierced_speed: float = nan
     peak_force: float = 0.0
-    lurch: float = nan  # further on from there to rest
+    rested: float = nan  # where it came to rest behind that
     deposit: float = nan  # depth behind the first touch
     pull: float = 0.0  # most force on the way out
     pulse_s: float = nan  # when the pulse began

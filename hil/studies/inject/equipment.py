@@ -1,0 +1,108 @@
+"""What a rig needs beside its axes to inject cells; for a rig that has none of it, the reference equipment.
+
+The figures are those of the issue's specification: a force sensor of 5 uN RMS on the cell's side, a camera of 30 Hz
+whose frames come 50 ms late, a valve, and cells like those of zebrafish embryos. All of it is assumed.
+"""
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.cycle.limits import motion_limits
+from hil.rig.schema import RigConfig, RigError
+
+Places = list[tuple[float, float]]
+
+TOP_SHARE = 0.2  # of the travel, above its lower end: where the tops of the cells are
+ABOVE = 0.8e-3  # m from there to the safe height
+_SLOW = "silent_ticks=2000, stuck_ticks=0"  # of the camera; the motion itself looks at the age of its frames
+_SENSORS = {
+    "force": '{can_id=0x3F1, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01], silent_ticks=200, stuck_ticks=200}',
+    "shift": f'{{can_id=0x3F2, unit="m", scale=1e-9, noise=7e-7, range=[-0.5, 0.5], {_SLOW}}}',
+    "tip": f'{{can_id=0x3F3, unit="m", scale=1e-9, noise=7e-7, range=[-0.5, 0.5], {_SLOW}}}',
+    "bolus": f'{{can_id=0x3F4, unit="1", scale=1e-6, noise=0.02, range=[-100.0, 100.0], {_SLOW}}}',
+}
+_MEASURED = {"shift": "cell_shift", "tip": "tip_error", "bolus": "bolus"}
+_NAMES = 'force="force", shift="shift", tip="tip", bolus="bolus", valve="valve"'
+
+
+def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> Places:
+    """Row by row, every second one backwards, around `centre`, m."""
+    found: Places = []
+    for row in range(rows):
+        across = range(columns) if row % 2 == 0 else reversed(range(columns))
+        y = centre[1] + (row - (rows - 1) / 2) * pitch
+        found += [(centre[0] + (column - (columns - 1) / 2) * pitch, y) for column in across]
+    return found
+
+
+def read_places(path: Path) -> Places:
+    """The columns x and y (m) of a CSV file. Raises RigError naming file, line and column."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RigError([f"{path}: {getattr(error, 'strerror', None) or error}"]) from None
+    found: Places = []
+    for line, row in enumerate(rows, 2):
+        try:
+            found.append((float(row["x"]), float(row["y"])))
+        except KeyError as missing:
+            raise RigError([f"{path}: no column {missing}; expected x and y, m"]) from None
+        except (TypeError, ValueError):
+            raise RigError(
+                [f"{path}: line {line}: x = {row['x']!r:.30}, y = {row['y']!r:.30}; expected numbers, m"]
+            ) from None
+    if not found:
+        raise RigError([f"{path}: no cell; expected a line of x and y, m, for each"])
+    return found
+
+
+def middle(rig: RigConfig) -> tuple[float, float]:
+    """Of the travel of x and y, m. Raises RigError where the rig has no such axes."""
+    for name in ("x", "y", "z"):
+        if name not in rig.axes:
+            raise RigError([f"axes: {', '.join(rig.axes)}; an injection needs x, y and z"])
+    low_high = [rig.axes[name].limits.position for name in ("x", "y")]
+    return (sum(low_high[0]) / 2, sum(low_high[1]) / 2)
+
+
+def has_equipment(rig: RigConfig) -> bool:
+    """Whether the rig says itself how it injects."""
+    return rig.motion.name == "cells"
+
+
+def words(
+    rig: RigConfig, places: Places, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool
+) -> list[str]:
+    """The overrides that put these cells under the rig's tip. share: of cells that are not as they should be;
+    anomalies: of the first ones, by word. fd: the rig's bus has CAN FD frames.
+    """
+    li = motion_limits(rig)[rig.axis_names.index("z")]
+    own = rig.motion.parameters
+    top = own["cells"][0][2] if has_equipment(rig) else round(li.low + TOP_SHARE * (li.high - li.low), 6)
+    flat = [list(place) for place in places]
+    cells = [[*place, top] for place in flat]
+    dish: dict[str, Any] = {"positions": flat, "top": top, "seed": seed, "anomaly_share": share}
+    if anomalies:
+        dish["anomalies"] = list(anomalies)
+    found = ["plant.cells=[]", *(f"plant.dish.{key}={json.dumps(value)}" for key, value in dish.items())]
+    if has_equipment(rig):
+        return [*found, f"motion.parameters.cells={json.dumps(cells)}"]
+    measured = [
+        f"{{sensor='{name}', measures='{what}', axis='z', frame_s=0.0333333333, delay=0.05}}"
+        for name, what in _MEASURED.items()
+    ]
+    return [
+        *found,
+        "task.kind=hold",
+        "plant.dish.flow=20.0",
+        *(f"sensors.{name}={table}" for name, table in _SENSORS.items()),
+        *(f"sensors.{name}.fd={str(fd).lower()}" for name in _SENSORS),
+        f"plant.sensors=[{{sensor='force', measures='tip_force', axis='z'}}, {', '.join(measured)}]",
+        "outputs.valve={can_id=0x3E0, bit=0, longest_s=0.2}",
+        "motion.name=cells",
+        f"motion.parameters={{cells={json.dumps(cells)}, safe={top + ABOVE}, {_NAMES}}}",
+    ]

@@ -1,0 +1,123 @@
+"""Batches of cells in lockstep: the motion's verdicts beside the emulated dish's truth, and the command."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.control.motion.injection.verdict import TOLD, Verdict
+from hil.cycle.state_machine import State
+from hil.rig.bus_load import rig_layout
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig, RigError
+from hil.studies.inject.batch import Batch, inject
+from hil.studies.inject.equipment import grid, middle, read_places, words
+from hil.studies.inject.judge import judged, quantile, wilson
+from hil.virtual.lockstep import LockstepRun
+from tests.support.paths import RIGS
+
+RIG = RIGS / "microscope.toml"
+
+
+def equipped(cells: int, *, seed: int = 3, anomalies: tuple[str, ...] = (), share: float = 0.0) -> RigConfig:
+    rig = load_rig(RIG)
+    places = grid(1, cells, 1e-3, middle(rig))
+    return load_rig(RIG, words(rig, places, seed, share, anomalies, fd=rig_layout(rig, RIGS).fd))
+
+
+@pytest.fixture(scope="module")
+def each_kind() -> Batch:
+    """A good cell, one of each anomaly, and a broken tip that ends the batch."""
+    kinds = ("", "no_cell", "rolled", "not_pierced", "double", "sensor_dead", "camera_frozen", "clogged", "stuck")
+    return inject(equipped(11, anomalies=(*kinds, "broken", "")), RIGS)
+
+
+@pytest.mark.long
+def test_every_kind_of_cell_gets_the_verdict_that_its_truth_asks_for(each_kind: Batch) -> None:
+    assert [(cell.anomaly, cell.result.verdict) for cell in each_kind.cells if not cell.right] == []
+    assert len({cell.result.verdict for cell in each_kind.cells}) >= 9
+    assert each_kind.cells[-1].result.verdict is Verdict.BROKEN
+    assert (len(each_kind.cells), each_kind.planned, each_kind.fault) == (10, 11, "")
+
+
+@pytest.mark.long
+def test_no_pulse_into_a_whole_cell_and_no_force_beyond_the_limit(each_kind: Batch) -> None:
+    assert [cell.wrong_pulses for cell in each_kind.cells] == [0] * 10
+    assert max(cell.peak_force for cell in each_kind.cells) <= 1.05 * 1.4e-3
+    assert each_kind.limited <= 2  # its own plans stay within what the axes have, but for a clock that steps by 1 us
+
+
+@pytest.mark.long
+def test_a_puncture_is_known_within_5_ms_and_the_tip_stops_within_7_ms_of_its_way(each_kind: Batch) -> None:
+    good = each_kind.cells[0]
+    assert 0.0 < good.known_after <= 5e-3
+    assert 0.0 < good.lurch <= 6.7e-3 * good.result.pierced_speed
+
+
+@pytest.mark.long
+def test_the_record_tells_phase_cell_verdict_and_valve() -> None:
+    rig = equipped(2)
+    rows = []
+    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(result.record.copy()))
+    while run.cycle.supervisor.goals.decided.runs or not rows or rows[-1]["motion"] in (0, 7):  # type: ignore[union-attr]
+        run.tick()
+        assert run.index < 5000
+    told = [(int(row["cell"]), int(row["phase"])) for row in rows if row["phase"] >= TOLD]
+    assert told == [(1, TOLD + Verdict.OK), (2, TOLD + Verdict.OK)]
+    assert sum(int(row["outputs"]) for row in rows) == 100  # two pulses of 50 ms
+    assert all(row["phase"] == 8 for row in rows if row["outputs"])
+    assert run.cycle.state is State.ACTIVE
+
+
+@pytest.mark.long
+def test_the_same_batch_has_the_same_bytes_and_another_dish_others() -> None:
+    def hashed(seed: int) -> str:
+        run = LockstepRun(equipped(1, seed=seed), RIGS)
+        for _ in range(900):
+            run.tick()
+        return run.trace_sha256
+
+    assert hashed(1) == hashed(1) != hashed(2)
+
+
+def test_a_grid_goes_to_and_fro_around_its_middle() -> None:
+    assert grid(2, 2, 2.0, (1.0, 1.0)) == [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a,b\n1,2\n", "no column 'x'"),
+        ("x,y\n", "no cell"),
+        ("x,y\n1e-3,oops\n", "line 2"),
+        ("x,y\n1e-3\n", "line 2"),
+    ],
+)
+def test_a_file_of_cells_that_is_none_is_refused_by_line(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "cells.csv").write_text(text)
+    with pytest.raises(RigError, match=said):
+        read_places(tmp_path / "cells.csv")
+
+
+def test_wilsons_interval_and_quantiles() -> None:
+    low, high = wilson(939, 940)
+    assert (round(low, 4), round(high, 4)) == (0.9940, 0.9998)
+    assert wilson(0, 10)[0] == 0.0
+    assert quantile([3.0, 1.0, 2.0], 0.5) == 2.0
+
+
+def test_an_empty_batch_is_held_against_no_bar_that_it_cannot_meet() -> None:
+    assert [line.holds for line in judged(Batch(), 1e-3)] == [True]  # no pulse was given
+
+
+@pytest.mark.long
+def test_the_command_prints_the_bars_and_writes_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from hil.studies.inject.command import inject as command
+
+    command(RIG, grid_text="1x2", csv_target=str(tmp_path / "cells.csv"), json_target=str(tmp_path / "batch.json"))
+    lines = (tmp_path / "cells.csv").read_text().splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("number,verdict,")
+    document = json.loads((tmp_path / "batch.json").read_text())
+    assert [cell["verdict"] for cell in document["cells"]] == ["ok", "ok"]
+    assert "reference sensors" in capsys.readouterr().out.replace("\n", " ")
