@@ -67,7 +67,7 @@ class DishConfig(Table):
     axes: Annotated[list[str], Field(min_length=3, max_length=3)] = key(
         ["x", "y", "z"], "the two axes across, and the one along which the tip enters"
     )
-    direction: Literal[-1, 1] = key(-1, "sign of the motion into the cells", "1")
+    direction: int = key(-1, "sign of the motion into the cells: -1 or 1", "1", ge=-1, le=1)
     preset: PresetName = key("zebrafish-assumed", "what the cells are like, by animal and stage")
     positions: Annotated[list[Spot], Field(min_length=1, max_length=100_000)] = key(
         REQUIRED, "positions of the two axes across at which the tip is above the middle of each cell", "m"
@@ -94,6 +94,8 @@ class DishConfig(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> "DishConfig":
+        if not self.direction:
+            raise ValueError("direction = 0: allowed: -1, 1")
         if len(set(self.axes)) < 3:
             raise ValueError(f"axes = {self.axes}: three axes, none twice")
         if len(self.anomalies) > len(self.positions):

@@ -143,8 +143,7 @@ class Dish:
         for cell in self.cells:
             for key in self._bins_of(cell.x, cell.y):
                 self._bins.setdefault(key, []).append(cell)
-        self._side = 0.0  # m by which the pipette stands beside where it entered
-        self._entry: Spot = (0.0, 0.0)
+        self._entry: Spot = (0.0, 0.0)  # where the tip entered
         self._open_ns = -1  # since when the valve is open
         self._pulse: tuple[DishCell | None, bool, float] = (None, True, 0.0)
         self._failing: DishCell | None = None
@@ -208,57 +207,57 @@ class Dish:
 
     def advance(self, stage: Moved, begin_ns: int, duration_ns: int, commands: Sequence[float]) -> None:
         """Move the stage by duration_ns from begin_ns under these forces (N) and those of the cell in its way."""
-        positions, speed = stage.positions, stage.velocities[self._z]
+        inwards, speed = self._inwards(stage.positions), stage.velocities[self._z]
         reach = _NEAR + 2e-9 * duration_ns * abs(speed)
-        depth = self.direction * positions[self._z] - self._highest - self._shorter
-        near = self.entered is not None or depth > -reach
+        near = self.entered is not None or inwards > self._highest - reach
         pieces = -(-duration_ns // self._piece_ns) if near else 1
-        for index in range(pieces):
-            from_ns = begin_ns + duration_ns * index // pieces
-            until_ns = begin_ns + duration_ns * (index + 1) // pieces
-            before = self.direction * stage.positions[self._z] - self._shorter
+        until_ns = begin_ns
+        for index in range(1, pieces + 1):
+            from_ns, until_ns = until_ns, begin_ns + duration_ns * index // pieces
             stage.advance(until_ns - from_ns, self.loaded(commands) if self.entered else commands)
             positions = stage.positions
-            x, y = positions[self._x], positions[self._y]
-            self.under = self.entered or self._cell_at(x, y)
-            self._break()
-            if near:
-                self._meet((from_ns, until_ns), before, self.direction * positions[self._z] - self._shorter, (x, y))
-            self._fail(self.direction * positions[self._z] - self._shorter)
+            before, inwards = inwards, self._inwards(positions)
+            spot = positions[self._x], positions[self._y]
+            self.under = self.entered or self._cell_at(*spot)
+            if near and self.under is not None:
+                self._meet(self.under, (from_ns, until_ns), (before, inwards), spot)
+            inwards -= self._damaged(inwards)
             if self._open_ns >= 0:
                 self._inject(until_ns - from_ns)
 
-    def _meet(self, span: tuple[int, int], before: float, after: float, spot: Spot) -> None:
-        """The tip went along the axis from `before` to `after` (m, inwards positive)."""
-        cell = self.under
-        if cell is None or not cell.model.layers:
+    def _inwards(self, positions: Sequence[float]) -> float:
+        """The tip's position along the axis, m, growing inwards."""
+        return self.direction * positions[self._z] - self._shorter
+
+    def _meet(self, cell: DishCell, span: tuple[int, int], way: tuple[float, float], spot: Spot) -> None:
+        """The tip went `way` along the axis (m, inwards positive) above or in this cell."""
+        if not cell.model.layers:
             return
         top = self.direction * cell.top
         if self.entered is None:
-            if before > top or after <= top:
+            if way[0] > top or way[1] <= top:
                 return  # it has passed beside it, or is not there yet
             self.entered, self._entry = cell, spot
         dx, dy = spot[0] - self._entry[0], spot[1] - self._entry[1]
-        lateral = math.sqrt(dx * dx + dy * dy)
-        cell.model.advance(span[0], span[1], before - top, after - top, lateral)
+        cell.model.advance(span[0], span[1], way[0] - top, way[1] - top, math.sqrt(dx * dx + dy * dy))
         if cell.model.is_free:
             self.entered = None
 
-    def _break(self) -> None:
-        if self.under is not None and self.under.anomaly == "broken":
-            self.is_broken = True
-
-    def _fail(self, inwards: float) -> None:
-        """What fails with the cell under the tip, from a depth on until the tip is out."""
+    def _damaged(self, inwards: float) -> float:
+        """What breaks or fails above the cell under the tip. Returns by how much the tip is shorter now, m."""
         cell = self.under
         if cell is None or cell.anomaly not in ("sensor_dead", "camera_frozen"):
             self._failing = None
-            return
-        depth = inwards - self.direction * cell.top
-        if depth >= cell.fails_at:
-            self._failing = cell
-        elif depth < _CLEAR:
-            self._failing = None
+            if cell is not None and cell.anomaly == "broken" and not self.is_broken:
+                self.is_broken = True
+                return BROKEN_BY
+        else:
+            depth = inwards - self.direction * cell.top
+            if depth >= cell.fails_at:
+                self._failing = cell
+            elif depth < _CLEAR:
+                self._failing = None
+        return 0.0
 
     # the valve -------------------------------------------------------------------------------------------------------
 

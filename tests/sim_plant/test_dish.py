@@ -319,6 +319,7 @@ def test_the_valve_is_one_bit_of_the_outputs() -> None:
     ("changes", "told"),
     [
         ({"axes": ["x", "x", "z"]}, "none twice"),
+        ({"direction": 0}, "allowed: -1, 1"),
         ({"anomalies": [""] * 4}, "4 for 3 positions"),
         ({"layers": [{"force": 1e-3}]}, "one of depth and stiffness"),
         ({"layers": [{"force": 1e-3, "depth": 1e-4, "power": 2.5}]}, "allowed: 1.5, 2, 3"),
