@@ -23,6 +23,8 @@ Spot = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 Newton = Annotated[float, Field(ge=1e-12, le=1)]
 Stiffness = Annotated[float, Field(ge=1e-6, le=1e15)]
 POWERS: Final = (1.5, 2.0, 3.0)
+MOST_CELLS: Final = 100_000
+MOST_LAYERS: Final = 8
 
 
 class LayerConfig(Table):
@@ -69,7 +71,7 @@ class DishConfig(Table):
     )
     direction: int = key(-1, "sign of the motion into the cells: -1 or 1", "1", ge=-1, le=1)
     preset: PresetName = key("zebrafish-assumed", "what the cells are like, by animal and stage")
-    positions: Annotated[list[Spot], Field(min_length=1, max_length=100_000)] = key(
+    positions: list[Spot] = key(
         REQUIRED, "positions of the two axes across at which the tip is above the middle of each cell", "m"
     )
     top: Coordinate = key(REQUIRED, "position of the third axis at which the tip touches, without spread", "m")
@@ -78,7 +80,7 @@ class DishConfig(Table):
     top_spread: float | None = key(
         None, "standard deviation of the tops", "m", derived="of the preset: zebrafish 15 um, mouse 5 um", ge=0, le=1e-3
     )
-    layers: Annotated[list[LayerConfig], Field(max_length=8)] = key([], "in place of the preset's")
+    layers: list[LayerConfig] = key([], "in place of the preset's; at most 8")
     tip: float = key(
         1.0, "radius of the tip over that of a new one; a blunt one needs as much more force", "1", ge=0.2, le=5
     )
@@ -98,6 +100,10 @@ class DishConfig(Table):
             raise ValueError("direction = 0: allowed: -1, 1")
         if len(set(self.axes)) < 3:
             raise ValueError(f"axes = {self.axes}: three axes, none twice")
+        if not 1 <= len(self.positions) <= MOST_CELLS:
+            raise ValueError(f"positions: {len(self.positions)} cells; allowed: 1 to {MOST_CELLS}")
+        if len(self.layers) > MOST_LAYERS:
+            raise ValueError(f"layers: {len(self.layers)}; allowed: at most {MOST_LAYERS}")
         if len(self.anomalies) > len(self.positions):
             raise ValueError(f"anomalies: {len(self.anomalies)} for {len(self.positions)} positions; at most one each")
         return self

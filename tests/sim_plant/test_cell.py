@@ -141,6 +141,16 @@ def test_the_shaft_is_held_inwards_by_friction_and_outwards_by_adhesion() -> Non
     assert tip.forces[-1] == 0.0
 
 
+def test_a_tip_that_comes_again_finds_the_hole() -> None:
+    layer = REFERENCE._replace(friction=20e-6, adhesion=20e-6, drag=1e-3)
+    tip = Tip(layer).go(300e-6, 1e-3).go(-50e-6, 1e-3)
+    assert tip.forces[-1] == 0.0
+    tip.go(100e-6, 1e-3)
+    assert tip.forces[-1] == pytest.approx(20e-6 + 1e-3 * 1e-3), "the shaft's friction and the drag"
+    tip.wait(0.001)
+    assert tip.forces[-1] == pytest.approx(20e-6)
+
+
 def test_a_cell_that_sticks_leaves_the_dish_with_the_pipette() -> None:
     layer = REFERENCE._replace(adhesion=1e-3)
     tip = Tip(layer, handling=Handling(hold=0.4e-3)).go(250e-6, 1e-3).go(-400e-6, 1e-3)

@@ -123,6 +123,24 @@ def test_half_the_piece_moves_neither_contact_nor_puncture_by_20_nm() -> None:
     assert whole[2] > -0.5 * 20e-3 * 0.3**2 + 1e-6, "the cell has held it back"
 
 
+def test_a_look_at_the_stage_changes_nothing_of_cell_or_tip() -> None:
+    plant = PlantConfig(**PLANT, dish=DishConfig(positions=ROW, top=-0.05e-3, spread=False))
+
+    def found(looks: bool) -> tuple[float, float]:
+        stage = EmulatedStage(plant, BusConfig(), AXES, [5.0, 5.0, 5.0], Path())
+        assert stage.dish is not None
+        for tick in range(1, 131):
+            stage.push(2, -0.25 * 20e-3)
+            stage.advance(tick * MS)
+            if looks:
+                assert stage.position.shape == (3,)
+        stage.push(2, 0.0)
+        return stage.dish.force, float(stage.position[2])
+
+    assert found(looks=True) == found(looks=False)
+    assert found(looks=True)[0] > 0.1e-3
+
+
 # what is drawn --------------------------------------------------------------------------------------------------------
 
 
@@ -174,6 +192,36 @@ def test_a_share_of_anomalies_is_drawn_from_all_kinds_but_the_broken_pipette() -
     assert 2000 - found.count("") == pytest.approx(800, abs=70)
     assert set(found) == {"", *DRAWN}
     assert min(found.count(word) for word in DRAWN) > 60
+
+
+def test_a_blunt_tip_needs_as_much_more_force() -> None:
+    for tip in (0.5, 1.0, 1.5):
+        cell = stabbed(dish_of(tip=tip), 0.0, 0.0)
+        assert cell is not None
+        assert cell.puncture is not None
+        assert cell.puncture.force == pytest.approx(tip * 0.75e-3, rel=1e-9)
+
+
+def test_layers_and_spread_of_the_rig_file_stand_in_place_of_the_presets() -> None:
+    layers = [{"force": 1e-4, "depth": 50e-6}, {"offset": 60e-6, "power": 3.0, "force": 2e-4, "stiffness": 1e9}]
+    cell = stabbed(dish_of(layers=layers), 0.0, 0.0)
+    assert cell is not None
+    first, second = (state.puncture for state in cell.model.layers)
+    assert first is not None
+    assert second is not None
+    assert first.depth == pytest.approx(50e-6, rel=1e-6)
+    assert second.depth == pytest.approx(60e-6 + (2e-4 / 1e9) ** (1 / 3), rel=1e-6)
+    assert cell.pierced_ns == second.at_ns, "open when all of its layers are"
+    flat = dish_of(spread=True, top_spread=0.0)
+    assert {cell.top for cell in flat.cells} == {-1e-3}
+
+
+def test_the_depth_that_the_shaft_is_as_stiff_as_is_found_for_every_power() -> None:
+    for power in (1.5, 2.0, 3.0):
+        layers = [{"force": 1e-4, "power": power, "depth": 50e-6}]
+        layer = dish_of(layers=layers).cells[0].model.layers[0].layer
+        assert layer.stiffness * 50e-6**power == pytest.approx(1e-4, rel=1e-12)
+        assert layer.shaft == pytest.approx(1e-4 / 50e-6, rel=1e-9)
 
 
 # anomalies ------------------------------------------------------------------------------------------------------------
@@ -320,6 +368,8 @@ def test_the_valve_is_one_bit_of_the_outputs() -> None:
     [
         ({"axes": ["x", "x", "z"]}, "none twice"),
         ({"direction": 0}, "allowed: -1, 1"),
+        ({"positions": []}, "allowed: 1 to 100000"),
+        ({"layers": [{"force": 1e-3, "depth": 1e-4}] * 9}, "at most 8"),
         ({"anomalies": [""] * 4}, "4 for 3 positions"),
         ({"layers": [{"force": 1e-3}]}, "one of depth and stiffness"),
         ({"layers": [{"force": 1e-3, "depth": 1e-4, "power": 2.5}]}, "allowed: 1.5, 2, 3"),

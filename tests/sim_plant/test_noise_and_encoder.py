@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim_plant.config import PlantConfig
-from sim_plant.physics.noise import ENCODER, TORQUE, WALK, Stream
+from sim_plant.physics.noise import ENCODER, TORQUE, WALK, Stream, uniform_of
 from sim_plant.physics.single_axis import SingleAxis
 from sim_plant.physics.stage import Stage, Truth
 from sim_plant.stages import STAGES, staged
@@ -156,3 +156,11 @@ def test_an_ideal_stage_costs_nothing_and_keeps_its_solver() -> None:
     assert not stage._deviates
     assert all(type(axis) is SingleAxis for axis in stage._alone.axes)
     assert all(encoder.is_ideal for encoder in stage._alone.encoders)
+
+
+@pytest.mark.parametrize("key", [0, 1, 0x9E3779B97F4A7C15, 2**64 - 1])
+def test_uniform_numbers_are_those_of_split_mix(key: int) -> None:
+    found = [uniform_of(key, count) for count in range(300)]
+    assert found == [(split_mix((key + count * 0x9E3779B97F4A7C15) % 2**64) >> 11) * 2.0**-53 for count in range(300)]
+    assert all(0.0 <= number < 1.0 for number in found)
+    assert np.mean(found) == pytest.approx(0.5, abs=0.06)
