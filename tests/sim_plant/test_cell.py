@@ -107,6 +107,8 @@ def test_it_takes_time_until_a_cell_is_as_it_was() -> None:
         cell.now_ns += round(rest * 1e9)  # elsewhere
         again[rest] = cell.go(100e-6, 0.1).forces[-1]
     assert again[0.0] < again[0.1] < again[3.0]
+    left = [1.0 - math.sqrt(max(0.0, (again[rest] / first - 0.6) / 0.4)) for rest in (0.0, 0.1)]
+    assert left[1] / left[0] == pytest.approx(math.exp(-0.1 / 0.3), rel=0.02), "its depth fades in twice the time"
     assert again[3.0] == pytest.approx(first, rel=1e-3)
 
 
@@ -171,6 +173,9 @@ def test_a_tip_that_is_pushed_aside_slips_off() -> None:
     tip = Tip(REFERENCE, handling=Handling(lateral_stiffness=5.0, slip_off=0.5e-3)).go(100e-6, 1e-3)
     assert tip.go(101e-6, 1e-3, lateral=90e-6).forces[-1] > 0.2e-3
     assert tip.go(102e-6, 1e-3, lateral=110e-6).forces[-1] == 0.0
+    assert tip.go(103e-6, 1e-3).forces[-1] == 0.0, "until it is out"
+    tip.go(-10e-6, 1e-3).wait(1.0)
+    assert tip.go(100e-6, 1e-3).forces[-1] > 0.15e-3
 
 
 def test_a_far_layer_is_met_behind_where_the_cell_was_opened() -> None:

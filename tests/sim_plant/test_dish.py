@@ -177,6 +177,10 @@ def test_the_spread_of_the_reference_cell_is_what_it_is_stated_to_be() -> None:
         found = sum(values) / 2000
         assert found == pytest.approx(mean, abs=0.08 * deviation)
         assert math.sqrt(sum((v - found) ** 2 for v in values) / 2000) == pytest.approx(deviation, rel=0.06)
+    tougher = [layer.stiffness for layer in layers if layer.force > 0.75e-3]
+    softer = [layer.stiffness for layer in layers if layer.force < 0.75e-3]
+    ratio = sum(tougher) / len(tougher) / (sum(softer) / len(softer))
+    assert ratio == pytest.approx(0.87 / 0.63, rel=0.12), "as force over squared depth, one drawn apart from the other"
 
 
 def test_prehatching_chorions_are_as_much_softer_as_was_measured() -> None:
@@ -348,6 +352,26 @@ def test_a_frame_that_is_none_of_the_hosts_switches_nothing(frame: Frame) -> Non
     node.hear(said(0, 7, 0), 0)
     node.hear(frame, MS)
     assert (node.bits, node.deadline_ns, node.ignored) == (0, NEVER_NS, 1)
+
+
+def test_a_pulse_that_goes_on_while_the_tip_leaves_is_none_into_a_pierced_cell() -> None:
+    dish = dish_of()
+    stage = Gliding([0.0, 0.0, -0.9e-3], [0.0, 0.0, 0.0])
+    now_ns = stage.to(dish, 0, 400 * MS, [0.0, 0.0, -1e-3])
+    dish.outputs(1, now_ns)
+    now_ns = stage.to(dish, now_ns, 350 * MS, [0.0, 0.0, 1e-3])
+    dish.outputs(0, now_ns)
+    (pulse,) = dish.cells[0].pulses
+    assert not pulse.pierced
+    assert pulse.bolus == pytest.approx(3.0, abs=0.05), "as long as it was inside"
+
+
+def test_of_two_cells_that_overlap_the_nearer_one_is_met() -> None:
+    dish = dish_of(positions=[[0.0, 0.0], [0.4e-3, 0.0]])
+    assert stabbed(dish, 0.3e-3, 0.0) is dish.cells[1]
+    assert stabbed(dish, 0.1e-3, 0.0) is dish.cells[0]
+    back = dish_of(positions=[[0.4e-3, 0.0], [0.0, 0.0]])
+    assert stabbed(back, 0.3e-3, 0.0) is back.cells[0]
 
 
 def test_the_valve_is_one_bit_of_the_outputs() -> None:
