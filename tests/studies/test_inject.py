@@ -11,7 +11,7 @@ from hil.rig.bus_load import rig_layout
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.inject.batch import Batch, inject
-from hil.studies.inject.equipment import grid, middle, read_places, words
+from hil.studies.inject.equipment import grid, middle, read_positions, words
 from hil.studies.inject.judge import judged, quantile, wilson
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
@@ -96,7 +96,7 @@ def test_a_grid_goes_to_and_fro_around_its_middle() -> None:
 def test_a_file_of_cells_that_is_none_is_refused_by_line(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "cells.csv").write_text(text)
     with pytest.raises(RigError, match=said):
-        read_places(tmp_path / "cells.csv")
+        read_positions(tmp_path / "cells.csv")
 
 
 def test_wilsons_interval_and_quantiles() -> None:

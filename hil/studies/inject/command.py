@@ -20,7 +20,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.studies.inject.batch import Batch, Injected
 from hil.studies.inject.batch import inject as inject_batch
-from hil.studies.inject.equipment import Places, grid, has_equipment, middle, read_places, words
+from hil.studies.inject.equipment import Positions, grid, has_equipment, middle, read_positions, words
 from hil.studies.inject.judge import Line, judged, share_text
 
 MOST_CELLS = 2000
@@ -49,7 +49,7 @@ def inject(
     sensor, a camera, a valve and a dish of cells, all of them assumed. Exit status 1 where the batch does not end.
     """
     rig = load_rig(rig_file, overrides or ())
-    places = read_places(cells) if cells is not None else _grid(grid_text, pitch, middle(rig))
+    places = read_positions(cells) if cells is not None else _grid(grid_text, pitch, middle(rig))
     if len(places) > MOST_CELLS:
         raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
     middle(rig)
@@ -76,7 +76,7 @@ def inject(
         sys.exit(1)
 
 
-def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Places:
+def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
     rows, cross, columns = text.partition("x")
     if not (cross and rows.isdigit() and columns.isdigit() and 0 < int(rows) <= 50 and 0 < int(columns) <= 50):
         raise RigError([f"--grid {text!r}: expected ROWSxCOLUMNS such as 4x5, each from 1 to 50"])

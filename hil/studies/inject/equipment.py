@@ -13,7 +13,7 @@ from typing import Any
 from hil.cycle.limits import motion_limits
 from hil.rig.schema import RigConfig, RigError
 
-Places = list[tuple[float, float]]
+Positions = list[tuple[float, float]]
 
 TOP_SHARE = 0.2  # of the travel, above its lower end: where the tops of the cells are
 ABOVE = 0.8e-3  # m from there to the safe height
@@ -28,9 +28,9 @@ _MEASURED = {"shift": "cell_shift", "tip": "tip_error", "bolus": "bolus"}
 _NAMES = 'force="force", shift="shift", tip="tip", bolus="bolus", valve="valve"'
 
 
-def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> Places:
+def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> Positions:
     """Row by row, every second one backwards, around `centre`, m."""
-    found: Places = []
+    found: Positions = []
     for row in range(rows):
         across = range(columns) if row % 2 == 0 else reversed(range(columns))
         y = centre[1] + (row - (rows - 1) / 2) * pitch
@@ -38,14 +38,14 @@ def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> 
     return found
 
 
-def read_places(path: Path) -> Places:
+def read_positions(path: Path) -> Positions:
     """The columns x and y (m) of a CSV file. Raises RigError naming file, line and column."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RigError([f"{path}: {getattr(error, 'strerror', None) or error}"]) from None
-    found: Places = []
+    found: Positions = []
     for line, row in enumerate(rows, 2):
         try:
             found.append((float(row["x"]), float(row["y"])))
@@ -75,7 +75,7 @@ def has_equipment(rig: RigConfig) -> bool:
 
 
 def words(
-    rig: RigConfig, places: Places, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool
+    rig: RigConfig, places: Positions, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool
 ) -> list[str]:
     """The overrides that put these cells under the rig's tip. share: of cells that are not as they should be;
     anomalies: of the first ones, by word. fd: the rig's bus has CAN FD frames.
