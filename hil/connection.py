@@ -48,6 +48,12 @@ class LiveRig(Closing):
         """The next status, of ten a second: state, fault, positions, forces, lateness. Raises NoSidecarError."""
         return self._client.wait_status(timeout_s)
 
+    def motion_status(self, timeout_s: float = FIRST_S) -> pb.Motion:
+        """What the axes do now, of 50 messages a second: position, velocity, target, motion, goal, moving, in_position,
+        limited, lag, lease. Positions in m (rad). Raises NoSidecarError.
+        """
+        return self._client.wait_motion(timeout_s)
+
     def telemetry(self, timeout_s: float = FIRST_S) -> Iterator[Columns]:
         """Every tick from now on, in batches of columns as hil.Run.columns has them: (ticks,) or (ticks, n_axes).
 

@@ -24,6 +24,7 @@ from hil.telemetry.session import client_config
 from hil.telemetry.tick_schema import TickSchema
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+_MOTION_PER_AXIS = ("position", "velocity", "target", "setpoint", "setpoint_velocity")
 _PER_AXIS = ("units", "position", "setpoint", "max_error", "force", "drive_status", "answer_age")
 _LONGEST = 4096  # characters of a text in a status: a path
 _POLL_S = 0.01
@@ -67,6 +68,17 @@ def decoded(payload: bytes) -> pb.Status | None:
     return printable(status) if fits else None
 
 
+def decoded_motion(payload: bytes) -> pb.Motion | None:
+    """The same of what the axes do."""
+    try:
+        motion = pb.Motion.FromString(payload)
+    except DecodeError:
+        return None
+    axes = len(motion.position)
+    fits = axes <= MAX_AXES and all(len(getattr(motion, name)) == axes for name in _MOTION_PER_AXIS)
+    return printable(motion) if fits else None
+
+
 def printable(status: M) -> M:
     """The message without characters that would command a terminal (ESC and its like), its texts not endless."""
     for field, value in status.ListFields():
@@ -100,6 +112,7 @@ class RigClient(Closing):
         self._credentials = credentials
         self._session: zenoh.Session | None = None
         self._statuses: Any = None
+        self._motions: Any = None
         self._schema: TickSchema | None = None
         self._period_ns = 0
         self._ticks: Any = None
@@ -119,6 +132,24 @@ class RigClient(Closing):
         """The newest status that was not returned before."""
         sample = self._statuses.try_recv() if self._connect() else None
         return decoded(sample.payload.to_bytes()) if sample else None
+
+    def motion(self) -> pb.Motion | None:
+        """The newest word on what the axes do, of 50 a second, that was not returned before; from the first call on."""
+        if not self._connect() or self._session is None:
+            return None
+        if self._motions is None:
+            self._motions = self._session.declare_subscriber(f"{self._key}/motion", RingChannel(1))
+        sample = self._motions.try_recv()
+        return decoded_motion(sample.payload.to_bytes()) if sample else None
+
+    def wait_motion(self, timeout_s: float) -> pb.Motion:
+        """The next of these. Raises NoSidecarError."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            if motion := self.motion():
+                return motion
+            time.sleep(_POLL_S / 4)
+        raise NoSidecarError(_NOBODY.format(self.endpoint))
 
     def events(self) -> list[pb_events.Event]:
         """Events that were not returned before, those from before the first call with them; never waits."""

@@ -38,7 +38,7 @@ class Publisher(Closing):
                     encoding=zenoh.Encoding.APPLICATION_PROTOBUF.with_schema(f"hil.telemetry.{kind}"),
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic, kind in (("tick", "Tick"), ("status", "Status"), ("events", "Events"))
+                for topic, kind in (("tick", "Tick"), ("status", "Status"), ("motion", "Motion"), ("events", "Events"))
             }
             self.queries = {
                 name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))
@@ -55,6 +55,10 @@ class Publisher(Closing):
             self.failed += 1
             return False
         return True
+
+    def wanted(self, topic: str) -> bool:
+        """Somebody subscribes to it."""
+        return bool(self._publishers[topic].matching_status.matching)  # type: ignore[attr-defined]
 
     def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
         """Reply to everybody who asked for "rig", "schema" or "events". answers: called for each, as hardly anybody

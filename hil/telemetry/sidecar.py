@@ -28,74 +28,24 @@ from hil.live.runtime_paths import AlreadyServedError, RuntimePaths, runtime_pat
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.attached import Attached
 from hil.telemetry.blackbox import recordings_in, save_black_boxes
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.event_log import EventLog
-from hil.telemetry.fault_snapshots import FaultSnapshots
 from hil.telemetry.gateway import Gateway
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.run_recorder import Limits, RunRecorder, Store
-from hil.telemetry.sidecar_progress import Progress, ProgressFile
-from hil.telemetry.tick_codec import TickEncoder
+from hil.telemetry.sidecar_progress import ProgressFile
 from hil.telemetry.tick_schema import TickSchema
-from hil.telemetry.window import Window
 
 PROGRESS = "progress"  # file in the rig's runtime directory
 STATUS_NS = 100_000_000
+MOTION_NS = 20_000_000
 DRAINED = 512  # ticks a round
 NOTED = 32  # entries on commands a round
 MAX_PERIOD = 0.1  # s; commands and the recorder's sign of life do not wait longer
 SEE_OFF_S = 1.0  # how long a sidecar that is to end waits for a control process to end before it
-
-
-class Attached:
-    """One control process's ring and mailbox, followed from where an earlier sidecar came to, or from its first tick
-    that is still there, to its end. recorder: None: nothing is recorded.
-    """
-
-    def __init__(
-        self, reader: RingReader, mailbox: Mailbox | None, progress: Progress, recorder: RunRecorder | None
-    ) -> None:
-        self.reader = reader
-        self.mailbox = mailbox
-        self.progress = progress
-        self.metadata = reader.metadata
-        reader.next = progress.published
-        self.recorder = recorder
-        self.snapshots = FaultSnapshots(self.recorder.folder, reader, progress.published) if self.recorder else None
-        if self.recorder:
-            self.recorder.keep_up(progress.recorded, time.monotonic_ns())  # there is a file before the first tick
-        rig = self.metadata["rig"]
-        self.axes = list(rig["axes"])
-        self.units = ["m" if axis["kind"] == "linear" else "rad" for axis in rig["axes"].values()]
-        self.law = str(rig["law"]["name"])
-        self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
-        self.encoder = TickEncoder(TickSchema(rig))
-        self.dropped = progress.published - progress.sent  # what a killed sidecar cannot be known to have sent, too
-        self.caught_up = False  # the window is the present: the last round read the ring to its end
-        self.over = False  # the control process is gone, and all it left is safe
-
-    def record(self, now_ns: int) -> None:
-        """One round of what else is to be recorded than the ticks that were just read."""
-        if self.recorder:
-            self.recorder.keep_up(self.reader.next, now_ns)
-        if self.snapshots:
-            self.snapshots.work(now_ns)
-
-    def end_recording(self, now_ns: int) -> None:
-        """Record all there is; idempotent."""
-        if self.snapshots:
-            self.snapshots.close(now_ns)
-        if self.recorder:
-            self.recorder.close(self.reader.next, now_ns)
-
-    def close(self) -> None:
-        """Finish the recording and let go of the files: first what reads the ring, then the ring."""
-        self.end_recording(time.monotonic_ns())
-        if self.mailbox:
-            self.mailbox.close()
-        self.reader.close()
 
 
 class Sidecar:
@@ -114,7 +64,7 @@ class Sidecar:
         self._events = EventLog(rig.name, publisher, paths.notes)
         self._store = store
         self._progress = ProgressFile(paths.directory / PROGRESS)
-        self._status_due_ns = 0
+        self._status_due_ns = self._motion_due_ns = 0
         self._seen_run = -1
         self.attached: Attached | None = None
         self.status = pb.Status(rig=rig.name)
@@ -131,6 +81,10 @@ class Sidecar:
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_NS
             self.publish_status(now_ns)
+        if now_ns >= self._motion_due_ns:
+            self._motion_due_ns = now_ns + MOTION_NS
+            if self.attached and self._publisher.wanted("motion"):
+                self._publisher.put("motion", self.motion(self.attached, now_ns).SerializeToString())
 
     def _follow(self) -> None:
         """Attach to a control process that started; leave one whose ring was replaced."""
@@ -216,6 +170,8 @@ class Sidecar:
             run.snapshots.watch(records, batch.first)
         self._events.batch(batch)
         run.window.add(records)
+        if run.motion:
+            run.motion.add(records)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
 
@@ -265,6 +221,11 @@ class Sidecar:
         files = build_file_descriptor_set(pb.Status)
         files.MergeFrom(schema.files)
         return bytes(files.SerializeToString())
+
+    def motion(self, run: Attached, now_ns: int) -> pb.Motion:
+        """What the axes do, for who moves them; empty until the ring was read to its end."""
+        lease = run.holder(self._paths.goals)
+        return run.motion.tell(now_ns, lease) if run.motion and run.caught_up else pb.Motion(lease=lease)
 
     def publish_status(self, now_ns: int) -> None:
         """Ten times a second, and once more at every end."""

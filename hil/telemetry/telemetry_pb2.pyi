@@ -223,6 +223,48 @@ class Status(_message.Message):
     latched: _events_pb2.Event
     def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ..., drive_problems: _Optional[_Iterable[str]] = ..., answer_age: _Optional[_Iterable[float]] = ..., motion: _Optional[str] = ..., latched: _Optional[_Union[_events_pb2.Event, _Mapping]] = ...) -> None: ...
 
+class Motion(_message.Message):
+    __slots__ = ("index", "tick_ns", "state", "fault", "motion", "goal", "position", "velocity", "target", "setpoint", "setpoint_velocity", "moving", "in_position", "limited", "lag", "lease", "stream_delay", "stream_late", "stream_disordered")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    TICK_NS_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    TARGET_FIELD_NUMBER: _ClassVar[int]
+    SETPOINT_FIELD_NUMBER: _ClassVar[int]
+    SETPOINT_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    MOVING_FIELD_NUMBER: _ClassVar[int]
+    IN_POSITION_FIELD_NUMBER: _ClassVar[int]
+    LIMITED_FIELD_NUMBER: _ClassVar[int]
+    LAG_FIELD_NUMBER: _ClassVar[int]
+    LEASE_FIELD_NUMBER: _ClassVar[int]
+    STREAM_DELAY_FIELD_NUMBER: _ClassVar[int]
+    STREAM_LATE_FIELD_NUMBER: _ClassVar[int]
+    STREAM_DISORDERED_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    tick_ns: int
+    state: str
+    fault: str
+    motion: str
+    goal: int
+    position: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    target: _containers.RepeatedScalarFieldContainer[float]
+    setpoint: _containers.RepeatedScalarFieldContainer[float]
+    setpoint_velocity: _containers.RepeatedScalarFieldContainer[float]
+    moving: bool
+    in_position: bool
+    limited: int
+    lag: float
+    lease: str
+    stream_delay: float
+    stream_late: int
+    stream_disordered: int
+    def __init__(self, index: _Optional[int] = ..., tick_ns: _Optional[int] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., motion: _Optional[str] = ..., goal: _Optional[int] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., target: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., setpoint_velocity: _Optional[_Iterable[float]] = ..., moving: _Optional[bool] = ..., in_position: _Optional[bool] = ..., limited: _Optional[int] = ..., lag: _Optional[float] = ..., lease: _Optional[str] = ..., stream_delay: _Optional[float] = ..., stream_late: _Optional[int] = ..., stream_disordered: _Optional[int] = ...) -> None: ...
+
 class Challenge(_message.Message):
     __slots__ = ("nonce", "now_ns")
     NONCE_FIELD_NUMBER: _ClassVar[int]
