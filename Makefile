@@ -3,11 +3,12 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV   := .venv
 BIN    := $(VENV)/bin
 TYPES  := build/types
+ADAPTERS := build/adapters
 
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-long review test-live attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test test-long review test-live test-adapters attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -48,6 +49,18 @@ endif
 test-live: setup  ## the same as real processes on the local bus: started, killed, watched (about two minutes)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "live and not slow and not vcan and not controller"
 
+# Their packages are large: they come into an environment of their own, on top of ours.
+test-adapters: $(ADAPTERS)/.installed  ## Micro-Manager's and Bluesky's devices on an emulated rig (a minute, most of it to install)
+	@$(ADAPTERS)/bin/python -m pytest -m "not slow" tests/adapters $(ARGS)
+
+$(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
+	@$(PYTHON) -m venv $(ADAPTERS)
+	@$(ADAPTERS)/bin/python -c "import sys, sysconfig; print(sys.argv[1], file=open(sysconfig.get_path('purelib') + '/ours.pth', 'w'))" \
+	    "$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))")"
+	@$(ADAPTERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/adapters/requirements.lock
+	@$(ADAPTERS)/bin/python -m sim_plant.native || true
+	@touch $@
+
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
@@ -64,7 +77,7 @@ $(TYPES)/.installed: tests/users/requirements.lock
 	@touch $@
 
 lock:  ## renew the lock files (needs uv)
-	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
+	uv pip compile pyproject.toml $(foreach name,dashboard cluster bench dev,--extra $(name)) --universal --python-version 3.11 --generate-hashes \
 	    --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
 	uv pip compile tests/mutation/requirements.in -c requirements.lock --universal --python-version 3.11 \
 	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
@@ -74,6 +87,9 @@ lock:  ## renew the lock files (needs uv)
 	uv pip compile tests/users/requirements.in -c requirements.lock --universal --python-version 3.11 \
 	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
 	    -o tests/users/requirements.lock
+	grep -E '^[a-zA-Z].*==' requirements.lock | grep -vE '^(fsspec|python-dateutil)==' | sed 's/ *\\$$//' > build/constraints.txt
+	uv pip compile tests/adapters/requirements.in -c build/constraints.txt --universal --python-version 3.11 \
+	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q -o tests/adapters/requirements.lock
 
 include deploy/vm/vm.mk
 include deploy/package.mk

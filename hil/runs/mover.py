@@ -131,6 +131,10 @@ class Mover:
         limits = self._limits[self.axes.index(axis)]
         return limits.low, limits.high
 
+    def window_of(self, axis: str) -> float:
+        """How far from its set-point the axis is still in position, m (rad)."""
+        return motion_windows(self._link.rig)[self.axes.index(axis)]
+
     def most_speed(self, axis: str) -> float:
         """Of goals for the axis, m/s (rad/s)."""
         return self._limits[self.axes.index(axis)].speed

@@ -96,8 +96,12 @@ ROOMS = {
          "tests/drivers/protocols", "tests/drivers/families", "tests/sim_plant",
          "tests/virtual/test_seeded_mistakes.py", *_RUNS)
     ),
+    "adapters": Room(  # the others need packages that are not in this environment
+        ("hil/adapters/cdr.py", "hil/adapters/ros_types.py", "hil/adapters/ros_trajectory.py", "hil/adapters/ros2.py"),
+        ("tests/adapters/test_ros2.py",),
+    ),
     "telemetry": Room(
-        ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py"),
+        ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py", "hil/telemetry/motion_watch.py"),
         ("tests/telemetry", "tests/operate/test_events_told.py"),
     ),
     "admission": Room(

@@ -18,6 +18,7 @@ from tests.support.paths import ROOT
 
 ROOMS = (
     "__main__",
+    "adapters",
     "connection",
     "studies",
     "identify",
