@@ -21,6 +21,7 @@ from hil.cli.quantity import positions, quantities
 from hil.cycle.goal import GoalRefusedError, MotionError
 from hil.live.goal_link import Look
 from hil.operate.command import config_of
+from hil.operate.jog_gamepad import by_gamepad
 from hil.operate.jog_keys import by_keys
 from hil.operate.moving import motion
 from hil.rig.task_file import TIME
@@ -66,15 +67,23 @@ def jog(
     ] = None,
     *,
     seconds: Annotated[float, typer.Option(help="how long, at most 60")] = 0.5,
+    gamepad: Annotated[bool, typer.Option("--gamepad", help="by a gamepad instead of keys")] = False,
+    device: Annotated[str | None, typer.Option(help="of the gamepad, /dev/input/event5 [the first one]")] = None,
     take: Take = False,
 ) -> None:
-    """Move axes at a speed for a time, then bring them to rest; or by the keys of this terminal, until q.
+    """Move axes at a speed for a time, then bring them to rest; or by the keys of this terminal, until q; or by a
+    gamepad, while one of its shoulder buttons is held.
 
     Exit status as `hil move`.
     """
     if not 0.0 < seconds <= 60.0:
         raise typer.BadParameter(f"{seconds:g}: above 0, at most 60", param_hint="--seconds")
+    if speeds and gamepad:
+        raise typer.BadParameter("sticks give the speeds: leave AXIS=SPEED out", param_hint="--gamepad")
     with _moving("jog", rig, take) as mover:
+        if gamepad:
+            by_gamepad(mover, config_of(rig).name, device)
+            return
         if not speeds:
             by_keys(mover, config_of(rig).name)
             return
