@@ -18,27 +18,39 @@ from hil.live.task_loading import task_document
 from hil.operate.command import at_hand
 from hil.operate.moving import motion
 from hil.rig.file import build_rig, task_of_file
+from hil.rig.schema import RigConfig
 from hil.runs.api import Event
 from hil.runs.columns import Columns
 from hil.runs.mover import Mover
+from hil.runs.remote import remote_motion
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
-from hil.telemetry.command_client import NoGatewayError, Verdict
+from hil.telemetry.command_client import CommandClient, NoGatewayError, Verdict, remote_client
+from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.event_codec import decode
+from hil.telemetry.remote_link import RemoteLink
 
 FIRST_S = 5.0
 
 
 class LiveRig(Closing):
-    """A running rig on this machine (or, with `endpoint`, elsewhere: then it can be watched, not commanded).
+    """A running rig on this machine, or elsewhere: watched at `endpoint`, commanded and moved at `commands`.
 
-    Use it in a `with` block. Raises NoSidecarError where no sidecar of that rig answers.
+    Use it in a `with` block. Raises NoSidecarError where no sidecar of that rig answers, CredentialsError.
     """
 
-    def __init__(self, name: str, endpoint: str | None = None, key: str = "hil") -> None:
+    def __init__(
+        self, name: str, endpoint: str | None = None, key: str = "hil", *, commands: str | None = None,
+        credentials: str | os.PathLike[str] | None = None,
+    ) -> None:  # fmt: skip
+        """commands: "host:port" of the sidecar's --commands-from. credentials: directory with an operator's."""
         self.name = name
         self._logged = False
-        self._client = RigClient(endpoint or find_endpoint(name), key, name)
+        self._credentials = Credentials(Path(credentials)) if credentials else None
+        if commands and self._credentials is None:
+            raise CredentialsError("commands from elsewhere need credentials: a directory with an operator's")
+        self._commands = commands
+        self._client = RigClient(endpoint or find_endpoint(name), key, name, self._credentials)
         with contextlib.ExitStack() as undo:
             undo.callback(self._client.close)
             self._client.wait_status(FIRST_S)
@@ -102,8 +114,13 @@ class LiveRig(Closing):
         kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.LOAD_TASK}
         if action not in kinds:
             raise ValueError(f"{action!r}: the commands are {', '.join(kinds)}")
-        with at_hand(self.name) as client:
+        with self._commander() as client:
             return client.command(kinds[action])
+
+    def _commander(self) -> CommandClient:
+        if self._commands and self._credentials:
+            return remote_client(self._commands, self._credentials)
+        return at_hand(self.name)
 
     def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
         """Load another task while the rig is at rest, READY or held for goals. task: a CSV or NPZ file with a path, a
@@ -112,28 +129,44 @@ class LiveRig(Closing):
 
         Raises RigError for what is no task of this rig, NoGatewayError as `command`.
         """
-        with at_hand(self.name) as client:
-            rig = client.rig()
+        rig = self._rig()
         if isinstance(task, dict):
             chosen = build_rig({**rig.model_dump(mode="json"), "task": task}, overrides).task
         else:
             chosen = task_of_file(rig, Path(task), overrides)
         document = task_document(chosen)
-        with at_hand(self.name) as client:  # only now: who says nothing for long loses the connection
+        with self._commander() as client:  # only now: who says nothing for long loses the connection
             return client.load_task(document)
 
+    def _rig(self) -> RigConfig:
+        if self._commands and self._credentials:
+            with RemoteLink(self._commands, self._credentials) as link:
+                return link.rig
+        with at_hand(self.name) as client:
+            return client.rig()
+
     def motion(self, *, take: bool = False) -> Mover:
-        """Move it: as `hil.motion`, of this rig."""
-        return motion(self.name, take=take)
+        """Move it: as `hil.motion`, of this rig, also from elsewhere. Raises MotionError as well where it is not heard
+        there.
+        """
+        if not (self._commands and self._credentials):
+            return motion(self.name, take=take)
+        return remote_motion(self._commands, self._credentials, take=take)
 
     def close(self) -> None:
         """Leave; the rig goes on."""
         self._client.close()
 
 
-def connect(name: str, endpoint: str | None = None) -> LiveRig:
-    """A running rig by its name; endpoint: of a sidecar elsewhere, such as tcp/10.0.0.5:7447. Raises NoSidecarError."""
-    return LiveRig(name, endpoint)
+def connect(
+    name: str, endpoint: str | None = None, *, commands: str | None = None,
+    credentials: str | os.PathLike[str] | None = None,
+) -> LiveRig:  # fmt: skip
+    """A running rig by its name. endpoint: of a sidecar elsewhere, tls/10.0.0.5:7447. commands: where that takes
+    commands and goals, 10.0.0.5:7448. credentials: directory with an operator's. Raises NoSidecarError,
+    CredentialsError.
+    """
+    return LiveRig(name, endpoint, commands=commands, credentials=credentials)
 
 
 def _changes(columns: Columns, last: dict[str, int]) -> Iterator[Event]:

@@ -11,9 +11,9 @@ its axes are in position, by their encoders.
 """
 
 from collections.abc import Sequence
+from threading import Lock
 from typing import Final
 
-from hil.cycle.goal import MotionError
 from hil.runs.mover import Move, Mover
 
 try:
@@ -26,52 +26,56 @@ PER_M: Final = 1e6  # um
 
 
 class _Axes:
-    """What the stages of both kinds have in common. names: of their axes."""
+    """What the stages of both kinds have in common. names: of their axes. turn: a core asks its devices from several
+    threads, and a rig is moved from one at a time.
+    """
 
-    def __init__(self, mover: Mover, names: Sequence[str]) -> None:
+    def __init__(self, mover: Mover, names: Sequence[str], turn: "Lock") -> None:
         unknown = [name for name in names if name not in mover.axes]
         if unknown:
             raise ValueError(f"no axis {unknown[0]!r}: the rig has {', '.join(mover.axes)}")
-        self._mover, self._names = mover, tuple(names)
+        self._mover, self._names, self._turn = mover, tuple(names), turn
         self._origin = dict.fromkeys(names, 0.0)
         self._move: Move | None = None
 
     def where(self) -> list[float]:
         """Encoder positions less the origin, um."""
-        positions = dict(zip(self._mover.axes, self._mover.status().position, strict=True))
+        with self._turn:
+            positions = dict(zip(self._mover.axes, self._mover.status().position, strict=True))
         return [(positions[name] - self._origin[name]) * PER_M for name in self._names]
 
     def go(self, *places: float) -> None:
         """To positions, um. Raises GoalRefusedError."""
         targets = {name: self._origin[name] + at / PER_M for name, at in zip(self._names, places, strict=True)}
-        self._move = self._mover.move_to(speed=1.0, line=False, **targets)
+        with self._turn:
+            self._move = self._mover.move_to(speed=1.0, line=False, **targets)
 
     def go_by(self, *steps: float) -> None:
         """By steps, um, counted from the target in force."""
         ways = {name: step / PER_M for name, step in zip(self._names, steps, strict=True)}
-        self._move = self._mover.move_by(speed=1.0, line=False, **ways)
+        with self._turn:
+            self._move = self._mover.move_by(speed=1.0, line=False, **ways)
 
     def halt(self) -> None:
         """Stop here; busy until the axes rest."""
-        self._move = self._mover.halt()
+        with self._turn:
+            self._move = self._mover.halt()
 
     def busy(self) -> bool:
         """The axes are on their way, or not in position yet. Raises MotionError where the rig no longer holds."""
-        if self._move is None:
-            return False
-        self._mover.sleep(0.0)  # a tick: in virtual time nothing else lets it pass
-        try:
-            if not self._move.done:
-                return True
-        except MotionError:
-            self._move = None
-            raise
-        self._move = None
-        return False
+        with self._turn:
+            move, self._move = self._move, None
+            if move is None:
+                return False
+            self._mover.sleep(0.0)  # a tick: in virtual time nothing else lets it pass
+            if not move.done:
+                self._move = move
+            return self._move is not None
 
     def zero(self, *names: str) -> None:
         """The positions of these axes count from here."""
-        positions = dict(zip(self._mover.axes, self._mover.status().setpoint, strict=True))
+        with self._turn:
+            positions = dict(zip(self._mover.axes, self._mover.status().setpoint, strict=True))
         for name in names or self._names:
             self._origin[name] = positions[name]
 
@@ -79,9 +83,10 @@ class _Axes:
 class RigXYStage(XYStageDevice):
     """Two axes of a rig. Raises ValueError for axes that it lacks."""
 
-    def __init__(self, mover: Mover, axes: tuple[str, str] = ("x", "y")) -> None:
+    def __init__(self, mover: Mover, axes: tuple[str, str] = ("x", "y"), turn: "Lock | None" = None) -> None:
+        """turn: that all stages of one rig share."""
         super().__init__()
-        self._axes, self._names = _Axes(mover, axes), axes
+        self._axes, self._names = _Axes(mover, axes, turn or Lock()), axes
 
     def set_position_um(self, x: float, y: float) -> None:
         """Send both axes there. Raises GoalRefusedError."""
@@ -121,9 +126,10 @@ class RigXYStage(XYStageDevice):
 class RigStage(StageDevice):
     """One axis of a rig. Raises ValueError for one that it lacks."""
 
-    def __init__(self, mover: Mover, axis: str = "z") -> None:
+    def __init__(self, mover: Mover, axis: str = "z", turn: "Lock | None" = None) -> None:
+        """turn: that all stages of one rig share."""
         super().__init__()
-        self._axes = _Axes(mover, (axis,))
+        self._axes = _Axes(mover, (axis,), turn or Lock())
 
     def set_position_um(self, val: float) -> None:
         """Send the axis there; of a rotary one, urad. Raises GoalRefusedError."""
@@ -164,11 +170,12 @@ def load_stages(core: UniMMCore, mover: Mover, *, xy: tuple[str, str] = ("x", "y
 
     Raises ValueError where the rig lacks them.
     """
-    core.loadPyDevice("XY", RigXYStage(mover, xy))
-    core.loadPyDevice("Z", RigStage(mover, focus))
+    turn = Lock()
+    core.loadPyDevice("XY", RigXYStage(mover, xy, turn))
+    core.loadPyDevice("Z", RigStage(mover, focus, turn))
     others = [name for name in mover.axes if name not in (*xy, focus)]
     for name in others:
-        core.loadPyDevice(name, RigStage(mover, name))
+        core.loadPyDevice(name, RigStage(mover, name, turn))
     for label in ("XY", "Z", *others):
         core.initializeDevice(label)
     core.setXYStageDevice("XY")

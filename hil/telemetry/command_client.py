@@ -73,11 +73,17 @@ class CommandClient(Closing):
         self, kind: CommandKind, task: bytes = b"", *, more: bool = False, patience_s: float = REPLY_S
     ) -> Verdict:
         """Ask, and wait for the verdict. task: a part of one, of a LOAD_TASK. Raises NoGatewayError."""
+        reply = self._ask(pb.CommandRequest(kind=kind, task=task, more=more), patience_s)
+        return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
+
+    def goal(self, request: pb.GoalRequest) -> pb.CommandReply:
+        """Ask to move (hil/telemetry/goal_gateway.py); the gateway's word on it. Raises NoGatewayError."""
+        return self._ask(pb.CommandRequest(goal=request), REPLY_S)
+
+    def _ask(self, request: pb.CommandRequest, patience_s: float) -> pb.CommandReply:
         self._sequence += 1
         now_ns = self._challenge.now_ns + time.monotonic_ns() - self._challenged_ns  # on the rig's clock
-        request = pb.CommandRequest(
-            kind=kind, sequence=self._sequence, expires_ns=now_ns + COMMAND_LIFE_NS, task=task, more=more
-        )
+        request.sequence, request.expires_ns = self._sequence, now_ns + COMMAND_LIFE_NS
         nonce = self._challenge.nonce
         try:
             self._socket.sendall(frame(seal(request.SerializeToString(), REQUEST, nonce, self._secret)))
@@ -88,7 +94,7 @@ class CommandClient(Closing):
         if reply.sequence != self._sequence and reply.accepted:
             raise NoGatewayError("the reply belongs to another request")
         self._challenge, self._challenged_ns = reply.challenge, time.monotonic_ns()
-        return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
+        return reply
 
     def rig(self) -> RigConfig:
         """The rig that the control process runs; from elsewhere it is not known. Raises NoGatewayError, RigError."""

@@ -7,8 +7,10 @@ where one address has its share: whoever opens thousands and says nothing keeps 
 
 import contextlib
 import os
+import select
 import socket
 import ssl
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -62,6 +64,14 @@ class Connection:
         self._ready = not isinstance(peer_socket, ssl.SSLSocket)
         if self._ready:
             self._send_challenge(now_ns)
+
+    def await_word(self, seconds: float) -> None:
+        """Rest for so long, or until it says something."""
+        buffered = isinstance(self._socket, ssl.SSLSocket) and self._socket.pending()
+        if self.waiting:
+            time.sleep(seconds)
+        elif not buffered:
+            select.select([self._socket], [], [], seconds)
 
     def overdue(self, now_ns: int) -> bool:
         """It has been of no use for too long."""

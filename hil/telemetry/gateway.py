@@ -28,6 +28,7 @@ from hil.rig.schema import RigConfig, RigError
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import ESTOP, REALTIME_OK, RECORDER_OK, RIG_OK
 from hil.telemetry.command_server import Asked
+from hil.telemetry.goal_gateway import GoalGateway
 from hil.telemetry.task_loader import MOST_BYTES, Prepared, TaskLoader
 from hil.telemetry.window import silent_axes
 
@@ -47,7 +48,7 @@ class Gateway:
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
     counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
-    words (hil/events/notes.py). task: where the file of another task goes.
+    words (hil/events/notes.py). task: where the file of another task goes. goals: of clients elsewhere.
     """
 
     def __init__(
@@ -57,7 +58,9 @@ class Gateway:
         record: Callable[[pb.CommandEntry], None],
         problems: Callable[[], Sequence[str]] = tuple,
         task: Path = Path("task"),
+        goals: GoalGateway | None = None,
     ) -> None:
+        self.goals = goals or GoalGateway(Path("goals"))
         self._rig = rig
         self._doubt = ""  # about reasons told from `rig`
         self._problems = problems
@@ -70,6 +73,7 @@ class Gateway:
 
     def follow(self, metadata: dict[str, Any]) -> None:
         """From now on that of the control process whose ring has this metadata, whatever the sidecar's file says."""
+        self.goals.follow(dict(metadata.get("rig", {})))
         try:
             with rig_of_run(metadata) as (rig, _):
                 self._rig, self._doubt = rig, ""
@@ -81,7 +85,7 @@ class Gateway:
         request, last = asked.request, asked.connection.last_sequence
         if asked.refusal:
             return asked.refusal
-        if request.kind not in set(CommandKind):
+        if request.kind not in set(CommandKind) and not request.HasField("goal"):
             return f"unknown command {request.kind}: known are 1 to {max(CommandKind)}"
         if request.kind == CommandKind.ESTOP:
             return ""
@@ -98,6 +102,9 @@ class Gateway:
     def take(self, asked: Asked, mailbox: Mailbox | None, now_ns: int, state: str, last: np.void | None = None) -> None:
         """Judge one request; hand it on, or answer it at once. last: the newest tick, where it is the present."""
         reason = self.judge(asked, now_ns)
+        if not reason and asked.request.HasField("goal"):
+            self.goals.take(asked, now_ns)
+            return
         if not reason and asked.request.kind == CommandKind.LOAD_TASK:
             reason = self._collect(asked)
             if not reason and asked.request.more:
@@ -122,7 +129,8 @@ class Gateway:
         return f"the task is longer than {MOST_BYTES} bytes, compressed"
 
     def advance(self, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
-        """Go on with a task that is being loaded."""
+        """Go on with goals, and with a task that is being loaded."""
+        self.goals.advance(now_ns)
         ended = self._loader.advance(mailbox, now_ns)
         if ended is None:
             return

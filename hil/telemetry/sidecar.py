@@ -34,6 +34,7 @@ from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.event_log import EventLog
 from hil.telemetry.gateway import Gateway
+from hil.telemetry.goal_gateway import GoalGateway
 from hil.telemetry.publisher import ListenError, Publisher
 from hil.telemetry.run_recorder import Limits, RunRecorder, Store
 from hil.telemetry.sidecar_progress import ProgressFile
@@ -59,7 +60,11 @@ class Sidecar:
         self._publisher = publisher
         self._commands = commands
         stop = paths.directory / stop_page.NAME
-        self._gateway = Gateway(rig, stop, self._note_command, lambda: read_problems(paths.notes), paths.task)
+        self._goals = GoalGateway(paths.goals, self._note_lease)
+        self._gateway = Gateway(
+            rig, stop, self._note_command, lambda: read_problems(paths.notes), paths.task, self._goals
+        )
+        self._goals.tell = self.motion
         self._noted = 0  # entries of this round
         self._events = EventLog(rig.name, publisher, paths.notes)
         self._store = store
@@ -84,7 +89,7 @@ class Sidecar:
         if now_ns >= self._motion_due_ns:
             self._motion_due_ns = now_ns + MOTION_NS
             if self.attached and self._publisher.wanted("motion"):
-                self._publisher.put("motion", self.motion(self.attached, now_ns).SerializeToString())
+                self._publisher.put("motion", self.motion(now_ns).SerializeToString())
 
     def _follow(self) -> None:
         """Attach to a control process that started; leave one whose ring was replaced."""
@@ -196,6 +201,10 @@ class Sidecar:
         )
         self._events.turn(now_ns)
 
+    def _note_lease(self, who: str, what: str) -> None:
+        """Who moves the rig from elsewhere, to the recording and the journal."""
+        self._note_command(pb.CommandEntry(who=who, when_ns=time.monotonic_ns(), accepted=True, reason=what))
+
     def _note_command(self, entry: pb.CommandEntry) -> None:
         """To the recording and, for the journal, to standard output; of a flood only the first of each round."""
         self._noted += 1
@@ -204,8 +213,9 @@ class Sidecar:
         if self.attached and self.attached.recorder:
             self.attached.recorder.write("commands", entry.when_ns, entry.SerializeToString())
         if entry.kind != CommandKind.HEARTBEAT or not entry.accepted:
-            name = CommandKind(entry.kind).name if entry.kind in set(CommandKind) else f"command {entry.kind}"
-            verdict = "accepted" if entry.accepted else f"refused: {entry.reason}"
+            known = CommandKind(entry.kind).name if entry.kind in set(CommandKind) else f"command {entry.kind}"
+            name = "moving" if entry.accepted and not entry.kind else known
+            verdict = (entry.reason or "accepted") if entry.accepted else f"refused: {entry.reason}"
             print(f"{entry.who}: {name}: {verdict}; state {entry.state or '-'}", flush=True)
             self._events.request(name, entry)
 
@@ -222,10 +232,14 @@ class Sidecar:
         files.MergeFrom(schema.files)
         return bytes(files.SerializeToString())
 
-    def motion(self, run: Attached, now_ns: int) -> pb.Motion:
+    def motion(self, now_ns: int) -> pb.Motion:
         """What the axes do, for who moves them; empty until the ring was read to its end."""
-        lease = run.holder(self._paths.goals)
-        return run.motion.tell(now_ns, lease) if run.motion and run.caught_up else pb.Motion(lease=lease)
+        run = self.attached
+        if run is None or run.motion is None or not run.caught_up:
+            return pb.Motion()
+        found = run.motion.tell(now_ns, run.holder(self._paths.goals))
+        self._goals.fill(found)
+        return found
 
     def publish_status(self, now_ns: int) -> None:
         """Ten times a second, and once more at every end."""
@@ -257,6 +271,14 @@ class Sidecar:
         if self.attached and self.attached.recorder:
             self.attached.recorder.write("status", now_ns, data)
         self.status = status
+
+    def rest(self, seconds: float) -> None:
+        """Until the next round. Who moves the rig from elsewhere is heard at once."""
+        seconds = self._goals.patience(seconds)
+        if (awaited := self._goals.awaited) is None:
+            time.sleep(seconds)
+        else:
+            awaited.await_word(seconds)
 
     @property
     def control_alive(self) -> bool:
@@ -320,7 +342,7 @@ def serve(
         try:
             while not stop.set:
                 sidecar.step(time.monotonic_ns())
-                time.sleep(period)
+                sidecar.rest(period)
             # Whoever ends both at once, as a demo that is killed does, still gets the stop in the recording.
             patience = time.monotonic() + SEE_OFF_S
             while sidecar.control_alive and time.monotonic() < patience:

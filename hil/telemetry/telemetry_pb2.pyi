@@ -282,21 +282,59 @@ class Authenticated(_message.Message):
     def __init__(self, body: _Optional[bytes] = ..., mac: _Optional[bytes] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
-    __slots__ = ("kind", "sequence", "expires_ns", "task", "more")
+    __slots__ = ("kind", "sequence", "expires_ns", "task", "more", "goal")
     KIND_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPIRES_NS_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     MORE_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
     kind: int
     sequence: int
     expires_ns: int
     task: bytes
     more: bool
-    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., task: _Optional[bytes] = ..., more: _Optional[bool] = ...) -> None: ...
+    goal: GoalRequest
+    def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., task: _Optional[bytes] = ..., more: _Optional[bool] = ..., goal: _Optional[_Union[GoalRequest, _Mapping]] = ...) -> None: ...
+
+class GoalRequest(_message.Message):
+    __slots__ = ("act", "kind", "mask", "flags", "due_ns", "valid_ns", "position", "velocity", "speed", "sent_ns")
+    ACT_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    MASK_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    DUE_NS_FIELD_NUMBER: _ClassVar[int]
+    VALID_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    SENT_NS_FIELD_NUMBER: _ClassVar[int]
+    act: int
+    kind: int
+    mask: int
+    flags: int
+    due_ns: int
+    valid_ns: int
+    position: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    speed: float
+    sent_ns: int
+    def __init__(self, act: _Optional[int] = ..., kind: _Optional[int] = ..., mask: _Optional[int] = ..., flags: _Optional[int] = ..., due_ns: _Optional[int] = ..., valid_ns: _Optional[int] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., speed: _Optional[float] = ..., sent_ns: _Optional[int] = ...) -> None: ...
+
+class GoalReply(_message.Message):
+    __slots__ = ("number", "refusal", "motion", "rig")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    REFUSAL_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
+    RIG_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    refusal: int
+    motion: Motion
+    rig: bytes
+    def __init__(self, number: _Optional[int] = ..., refusal: _Optional[int] = ..., motion: _Optional[_Union[Motion, _Mapping]] = ..., rig: _Optional[bytes] = ...) -> None: ...
 
 class CommandReply(_message.Message):
-    __slots__ = ("accepted", "reason", "now_ns", "state", "sequence", "posted", "tick", "challenge")
+    __slots__ = ("accepted", "reason", "now_ns", "state", "sequence", "posted", "tick", "challenge", "goal")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     NOW_NS_FIELD_NUMBER: _ClassVar[int]
@@ -305,6 +343,7 @@ class CommandReply(_message.Message):
     POSTED_FIELD_NUMBER: _ClassVar[int]
     TICK_FIELD_NUMBER: _ClassVar[int]
     CHALLENGE_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
     accepted: bool
     reason: str
     now_ns: int
@@ -313,7 +352,8 @@ class CommandReply(_message.Message):
     posted: int
     tick: int
     challenge: Challenge
-    def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ..., sequence: _Optional[int] = ..., posted: _Optional[int] = ..., tick: _Optional[int] = ..., challenge: _Optional[_Union[Challenge, _Mapping]] = ...) -> None: ...
+    goal: GoalReply
+    def __init__(self, accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., now_ns: _Optional[int] = ..., state: _Optional[str] = ..., sequence: _Optional[int] = ..., posted: _Optional[int] = ..., tick: _Optional[int] = ..., challenge: _Optional[_Union[Challenge, _Mapping]] = ..., goal: _Optional[_Union[GoalReply, _Mapping]] = ...) -> None: ...
 
 class CommandEntry(_message.Message):
     __slots__ = ("who", "kind", "when_ns", "accepted", "reason", "state", "posted", "task")

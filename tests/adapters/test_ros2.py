@@ -166,6 +166,12 @@ class Ros:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
+        while len(self.tokens()) < 7:  # as a client of an action waits for its server
+            time.sleep(0.01)
+
+    def tokens(self) -> list[str]:
+        """All of ROS' graph."""
+        return [str(reply.ok.key_expr) for reply in self.client.liveliness().get("@ros2_lv/0/**") if reply.ok]
 
     def _spin(self) -> None:
         while not self._ended.is_set():
@@ -221,7 +227,7 @@ def test_joint_states_are_published_under_the_key_that_ros_subscribes_to(ros: Ro
 
 @pytest.mark.long
 def test_a_client_finds_the_action_sends_a_goal_and_hears_its_end(ros: Ros, mover: hil.VirtualMover) -> None:
-    tokens = [str(reply.ok.key_expr) for reply in ros.client.liveliness().get("@ros2_lv/0/**") if reply.ok]
+    tokens = ros.tokens()
     kinds = sorted(token.split("/")[5] for token in tokens)
     assert kinds == ["MP", "MP", "MP", "NN", "SS", "SS", "SS"]
     assert any(f"/SS/%/%/hil/%{ACTION.replace('/', '%')}%_action%send_goal/" in token for token in tokens)

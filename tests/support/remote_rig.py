@@ -1,0 +1,56 @@
+"""An emulated rig that holds, with a sidecar that is open to other machines, on the loopback."""
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from tests.support.certificates import certificates
+from tests.support.live_rig import CALM, PAPER, Control, emulated, order
+from tests.support.ports import free_port
+
+# Heavy and damped: a host that stalls for a tenth of a second under force moves them by less than a millimetre.
+HEAVY = (
+    "axes.x.model={mass=2.0, coulomb=0.05, viscous=10.0}",
+    "axes.y.model={mass=2.0, coulomb=0.05, viscous=10.0}",
+    "law.gains.kp=[2000.0, 2000.0]",
+    "law.gains.kd=[60.0, 60.0]",
+    "axes.x.motion.window=1e-4",  # friction holds them 25 um from their set-points
+    "axes.y.motion.window=1e-4",
+)
+
+
+class Remote(NamedTuple):
+    """made: credentials of sidecar, operator, monitor. endpoint: to watch it. commands: to command and move it."""
+
+    made: Path
+    endpoint: str
+    commands: str
+    sidecar: subprocess.Popen[str]
+
+
+@contextlib.contextmanager
+def remote_rig(folder: Path) -> Iterator[Remote]:
+    """The rig of the paper, READY. folder: for credentials and recordings."""
+    made = certificates(folder / "made")
+    endpoint, commands = f"tls/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
+    sets = [word for override in (*CALM, *HEAVY) for word in ("--set", override)]
+    words = ["--listen", endpoint, "--credentials", str(made / "sidecar"), "--commands-from", commands]
+    line = [sys.executable, "-m", "hil", "sidecar", str(PAPER), *sets, "--out", str(folder / "out"), *words]
+    with emulated(HEAVY), Control(*[word for text in HEAVY for word in ("--set", text)]) as control:
+        sidecar = subprocess.Popen(line, stdout=subprocess.PIPE, text=True)
+        try:
+            assert sidecar.stdout
+            assert "listening" in sidecar.stdout.readline()
+            reader = control.wait_for(State.READY)
+            yield Remote(made, endpoint, commands, sidecar)
+            assert control.process.poll() is None
+            order(CommandKind.STOP)
+            control.wait_for(State.READY, reader)
+        finally:
+            sidecar.kill()
+            sidecar.communicate()
