@@ -8,7 +8,7 @@ ADAPTERS := build/adapters
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-long review test-live test-adapters attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test test-long review test-live test-adapters attacks lint lock proto docs mutants hashes bench bench-compiled wheel client
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -117,6 +117,9 @@ bench: setup  ## a benchmark: ARGS="tick --json FILE"; without ARGS, their list.
 
 bench-compiled: setup compiled
 	@PYTHONSAFEPATH=1 $(COMPILED)/bin/python -m tests.benchmarks $(or $(ARGS),--help)
+
+client: setup  ## dist/hil_client-VERSION-py3-none-any.whl: what other machines watch and move rigs with
+	@$(BIN)/python -m deploy.client.build dist
 
 wheel: setup  ## dist/hil-VERSION-py3-none-any.whl and the sdist; HIL_COMPILED=1: the wheel of this platform, compiled
 	@$(BIN)/python -m hatchling build -d dist

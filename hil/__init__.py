@@ -44,13 +44,23 @@ def _refuse_shadows() -> None:
 _refuse_shadows()
 
 
+def _loaded(home: str, name: str) -> object:
+    """The module that has a public name. Raises ImportError where it is not in what is installed."""
+    try:
+        return __import__("importlib").import_module(home)
+    except ModuleNotFoundError as error:
+        if error.name != home and not home.startswith(f"{error.name}."):
+            raise
+        raise ImportError(f"hil.{name} is not part of hil-client, which watches and moves rigs: install hil") from None
+
+
 def __getattr__(name: str) -> object:
     if name == "__all__":
         value: object = sorted(_public())
     elif name.startswith("_") or (home := _public().get(name)) is None:
         raise AttributeError(f"module 'hil' has no attribute {name!r}")
     else:
-        value = getattr(__import__("importlib").import_module(home), name)
+        value = getattr(_loaded(home, name), name)
     globals()[name] = value
     return value
 

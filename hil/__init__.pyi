@@ -32,7 +32,6 @@ from hil.cycle.goal import MotionError as MotionError
 from hil.operate.moving import motion as motion
 from hil.rig.schema import RigError as RigError
 from hil.rig.task_kinds import Task as Task
-from hil.runs.api import Event as Event
 from hil.runs.api import Recording as Recording
 from hil.runs.api import Run as Run
 from hil.runs.api import Simulation as Simulation
@@ -40,6 +39,7 @@ from hil.runs.api import load_run as load_run
 from hil.runs.api import replay as replay
 from hil.runs.api import simulate as simulate
 from hil.runs.columns import Column as Column
+from hil.runs.columns import Event as Event
 from hil.runs.mover import Move as Move
 from hil.runs.mover import Mover as Mover
 from hil.runs.rigs import Rig as Rig

@@ -1,10 +1,12 @@
 """A running rig in Python: `hil.connect`. What is said and asked goes through its sidecar, as in `hil monitor`."""
 
 import contextlib
+import importlib
 import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -15,12 +17,9 @@ from hil.cycle.tick import CommandKind
 from hil.events.event import Event as Happened
 from hil.live.mapped_file import Closing
 from hil.live.task_loading import task_document
-from hil.operate.command import at_hand
-from hil.operate.moving import motion
 from hil.rig.file import build_rig, task_of_file
 from hil.rig.schema import RigConfig
-from hil.runs.api import Event
-from hil.runs.columns import Columns
+from hil.runs.columns import Columns, Event
 from hil.runs.mover import Mover
 from hil.runs.remote import remote_motion
 from hil.telemetry import telemetry_pb2 as pb
@@ -120,7 +119,7 @@ class LiveRig(Closing):
     def _commander(self) -> CommandClient:
         if self._commands and self._credentials:
             return remote_client(self._commands, self._credentials)
-        return at_hand(self.name)
+        return _on_this_machine().at_hand(self.name)
 
     def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
         """Load another task while the rig is at rest, READY or held for goals. task: a CSV or NPZ file with a path, a
@@ -142,7 +141,7 @@ class LiveRig(Closing):
         if self._commands and self._credentials:
             with RemoteLink(self._commands, self._credentials) as link:
                 return link.rig
-        with at_hand(self.name) as client:
+        with _on_this_machine().at_hand(self.name) as client:
             return client.rig()
 
     def motion(self, *, take: bool = False) -> Mover:
@@ -150,7 +149,7 @@ class LiveRig(Closing):
         there.
         """
         if not (self._commands and self._credentials):
-            return motion(self.name, take=take)
+            return _on_this_machine().motion(self.name, take=take)
         return remote_motion(self._commands, self._credentials, take=take)
 
     def close(self) -> None:
@@ -167,6 +166,17 @@ def connect(
     CredentialsError.
     """
     return LiveRig(name, endpoint, commands=commands, credentials=credentials)
+
+
+def _on_this_machine() -> ModuleType:
+    """What reaches a rig without a network. Raises NoGatewayError where only hil-client is installed."""
+    try:
+        return importlib.import_module("hil.operate.moving")
+    except ModuleNotFoundError as error:
+        raise NoGatewayError(
+            f"{error.name} is not part of hil-client, which moves rigs on other machines: give `commands` and "
+            "`credentials`, or install hil"
+        ) from None
 
 
 def _changes(columns: Columns, last: dict[str, int]) -> Iterator[Event]:

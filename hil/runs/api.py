@@ -15,7 +15,7 @@ import os
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from hil.rig.file import rig_hash
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import by_name
 from hil.runs import files as run_files
-from hil.runs.columns import Array, Columns, Difference, Summary, seconds_of
+from hil.runs.columns import Array, Columns, Difference, Event, Summary, seconds_of
 from hil.runs.rigs import NO_CHANGES, Overrides, Rig, load_rig, override_words
 from hil.runs.summary import RunData, steady_from
 from hil.runs.summary import load_run as read_run
@@ -58,13 +58,6 @@ _HEAD = np.dtype(
 _TABLED = ("setpoint", "measured", "estimate", "error", "requested", "force")
 EXPORTS = (".csv", ".npz", ".parquet")
 RECORDING = "run.mcap"  # in the folder of a run
-
-
-class Event(NamedTuple):
-    """Something that happened. time: s from the first tick."""
-
-    time: float
-    text: str
 
 
 class Run:

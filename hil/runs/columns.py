@@ -1,6 +1,6 @@
 """What a run holds and tells, by type: names of columns, figures, differences. Editors and type checkers know them."""
 
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,13 @@ Column = Literal[
 ]  # fmt: skip
 Array = NDArray[np.float64]
 Columns = dict[Column, NDArray[Any]]
+
+
+class Event(NamedTuple):
+    """Something that happened. time: s from the first tick."""
+
+    time: float
+    text: str
 
 
 def seconds_of(columns: Columns) -> Array:
