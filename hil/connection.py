@@ -1,12 +1,10 @@
 """A running rig in Python: `hil.connect`. What is said and asked goes through its sidecar, as in `hil monitor`."""
 
 import contextlib
-import importlib
 import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -119,7 +117,7 @@ class LiveRig(Closing):
     def _commander(self) -> CommandClient:
         if self._commands and self._credentials:
             return remote_client(self._commands, self._credentials)
-        return _on_this_machine().at_hand(self.name)
+        return _at_hand(self.name)
 
     def load_task(self, task: str | os.PathLike[str] | dict[str, Any], *, overrides: Sequence[str] = ()) -> Verdict:
         """Load another task while the rig is at rest, READY or held for goals. task: a CSV or NPZ file with a path, a
@@ -141,7 +139,7 @@ class LiveRig(Closing):
         if self._commands and self._credentials:
             with RemoteLink(self._commands, self._credentials) as link:
                 return link.rig
-        with _on_this_machine().at_hand(self.name) as client:
+        with _at_hand(self.name) as client:
             return client.rig()
 
     def motion(self, *, take: bool = False) -> Mover:
@@ -149,7 +147,7 @@ class LiveRig(Closing):
         there.
         """
         if not (self._commands and self._credentials):
-            return _on_this_machine().motion(self.name, take=take)
+            return _motion_at_hand(self.name, take=take)
         return remote_motion(self._commands, self._credentials, take=take)
 
     def close(self) -> None:
@@ -168,15 +166,28 @@ def connect(
     return LiveRig(name, endpoint, commands=commands, credentials=credentials)
 
 
-def _on_this_machine() -> ModuleType:
-    """What reaches a rig without a network. Raises NoGatewayError where only hil-client is installed."""
+@contextlib.contextmanager
+def _of_hil_itself() -> Iterator[None]:
+    """Raises NoGatewayError where only hil-client is installed."""
     try:
-        return importlib.import_module("hil.operate.moving")
+        yield
     except ModuleNotFoundError as error:
         raise NoGatewayError(
             f"{error.name} is not part of hil-client, which moves rigs on other machines: give `commands` and "
             "`credentials`, or install hil"
         ) from None
+
+
+def _at_hand(name: str) -> CommandClient:
+    with _of_hil_itself():
+        from hil.operate.command import at_hand
+    return at_hand(name)
+
+
+def _motion_at_hand(name: str, *, take: bool) -> Mover:
+    with _of_hil_itself():
+        from hil.operate.moving import motion
+    return motion(name, take=take)
 
 
 def _changes(columns: Columns, last: dict[str, int]) -> Iterator[Event]:

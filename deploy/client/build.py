@@ -9,6 +9,7 @@ so is not for a machine that has hil itself.
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -61,7 +62,9 @@ def modules() -> list[Path]:
 
 
 def _said(line: list[str], text: str) -> str:
-    return subprocess.run(line, cwd=ROOT, input=text, capture_output=True, text=True, check=True).stdout
+    """Of the sources here, not of an installed hil."""
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    return subprocess.run(line, cwd=ROOT, env=clean, input=text, capture_output=True, text=True, check=True).stdout
 
 
 def project() -> str:

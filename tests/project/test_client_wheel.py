@@ -65,6 +65,8 @@ def test_it_holds_what_a_client_loads_and_no_controller(wheel: Path) -> None:
 @pytest.mark.long
 def test_what_it_lacks_is_said_with_what_to_install(python: Path, tmp_path: Path) -> None:
     done = said(python, "import hil; hil.simulate", cwd=tmp_path)
+    local = "import hil, hil.connection; hil.connection._at_hand('paper')"
+    assert "is not part of hil-client, which moves rigs on other" in said(python, local, cwd=tmp_path).stderr
     assert "hil.simulate is not part of hil-client, which watches and moves rigs: install hil" in done.stderr
 
 
