@@ -237,7 +237,7 @@ class FaultMonitor:
         if inbox.oldest():
             self._flag_silence(inbox)
         if inbox.bad_frames >= self._bad_frame_limit:
-            self.flag(Fault.BAD_FRAMES, inbox.bad_frames, self._bad_frame_limit)
+            self.flag(Fault.BAD_FRAMES, inbox.bad_frames, self._bad_frame_limit, inbox.suspect_axis)
         if inbox.foreign_id >= 0:
             self.flag_state(Fault.FOREIGN_COMMAND, inbox.foreign_id)
         if inbox.differ_axis >= 0:

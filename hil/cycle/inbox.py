@@ -49,6 +49,7 @@ class Inbox:
         self.heard = [False] * n
         self.rejects = [0] * len(Reject)
         self.bad_frames = 0
+        self.suspect_axis = -1  # whose answers all of those were; -1: of several, or nobody knows
         self.late = 0
         self.lost = 0
         self.foreign_id = -1  # identifier of ours in which another node spoke in this tick
@@ -141,17 +142,18 @@ class Inbox:
         if taken is not None and taken.sequence == sample.sequence and taken != sample:
             self.fresh[sample.axis] = False
             self.differ_axis = sample.axis
-        self._reject(Reject.DUPLICATE)
+        self._reject(Reject.DUPLICATE, sample.axis)
 
     def _stale(self, axis: int) -> None:
         """Before the first answer, those to an earlier process' commands still come."""
-        self._reject(Reject.STALE)
+        self._reject(Reject.STALE, axis)
         self._unforgiven += self._checked and self.heard[axis]
 
-    def _reject(self, reason: Reject) -> None:
+    def _reject(self, reason: Reject, axis: int = -1) -> None:
         self.rejects[reason] += 1
         self.useless_now += 1
         if reason in SUSPICIOUS:
+            self.suspect_axis = axis if not self.bad_frames or self.suspect_axis == axis else -1
             self.bad_frames += 1
             self._unforgiven += self._checked and reason is Reject.INVALID_VALUE
 

@@ -1,14 +1,14 @@
 """Is the stage as accurate as it was? Quiet faults, which stop nothing: told from the records of ticks, none in a tick.
 
-Windows of 128 ms in which a task is followed are judged one by one, axis by axis, at rest and in motion apart. What is
-measured is robust: medians over a window, so that neither a contact nor a breakaway counts. A window is held against
-the largest of the windows before it, and against bounds in encoder counts, below which nothing is said. Two windows in
-a row beyond their bound are an event, which says what it looks like (its signature).
+Windows of 128 ms in which a task, goals or homing are followed are judged one by one, axis by axis, at rest and in
+motion apart. What is measured is robust: medians over a window, so that neither a contact nor a breakaway counts. A
+window is held against the largest of the windows before it, and against bounds in encoder counts, below which nothing
+is said. Two windows in a row beyond their bound are an event, which says what it looks like (its signature).
 
 - noise, oscillation, periodic error: the second difference of the following error, over one tick (about 100 Hz and
   above) and over eight (15 to 100 Hz). Which of the three it is, its spectrum says: over time one line, over the travel
   one line, or neither.
-- friction up: the force in the direction of motion, less what mass, gravity and viscous friction take.
+- friction up, bias: what the forces say (forces.py).
 - encoder jump: a step, in one tick, that neither the force nor friction explains. Those that are larger than the axis'
   speed allows are faults.
 - encoder stuck: not one new count in a whole window, where the setpoint moved, or where an axis at rest showed many in
@@ -16,16 +16,15 @@ a row beyond their bound are an event, which says what it looks like (its signat
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from hil.cycle.state_machine import State
-
-Floats = NDArray[np.float64]
+from hil.events.axis_model import AxisModel, Floats, steps
+from hil.events.followed import followed
+from hil.events.forces import ForceJudge
 
 WINDOW_S: Final = 0.128
 SLOW_LAG_S: Final = 0.008
@@ -35,8 +34,6 @@ FACTOR: Final = 3.0  # beyond the largest of those
 LOST_IN: Final = 2  # windows in a row
 LINE: Final = 0.4  # share of the spectrum's power that makes a line
 CALM: Final = 16  # good windows in a row, after which the same is told again
-FRICTION: Final = 0.5  # of the model's dry friction, beyond what the windows before showed
-UNKNOWN: Final = 0.05  # of the model's gravity
 _SPAN, _SHORTEST = 200.0, 8.0  # counts: least travel, and least period along it, for an error that repeats along it
 _UNLIKE: Final = 0.05  # a line in time is one along the travel, too, where the speed is constant
 _STILL: Final = 0.3  # of ticks in which a resting axis with noise shows a new count
@@ -47,10 +44,7 @@ _LEAST: Final = {
     (False, "fast"): (60.0, 25.0),
     (False, "slow"): (np.inf, 60.0),  # a law that learns, or is just begun, follows by its own swing at first
 }
-_BEFORE: Final = 8  # ticks whose forces count
-_MARGIN: Final = 4.0  # a tool on a spring leaves the encoder's side lighter
-_UNSURE: Final = 0.25  # of a period, that a sample's instant may be off by
-_JUMP: Final = 100.0  # counts
+_SINGLE: Final = 8  # ticks of a window, at most, that a jump or a few glitches fill
 _GAUSS: Final = 0.6745 * 6.0**0.5  # of the median of |second difference| of white noise
 _FIELDS: Final = ("index", "position", "following_error", "setpoint_position", "setpoint_velocity", "force")
 
@@ -79,26 +73,6 @@ class _Look(NamedTuple):
     clear: bool = True
 
 
-class AxisModel(NamedTuple):
-    """What is known of an axis beforehand, SI units. resolution: a count. dry, wet: friction. gravity: as it acts."""
-
-    resolution: float
-    mass: float
-    dry: float
-    wet: float
-    gravity: float
-
-
-def axis_models(axes: Mapping[str, Mapping[str, Any]]) -> list[AxisModel]:
-    """From the tables [axes.NAME] of a validated rig."""
-    found = []
-    for axis in axes.values():
-        model = axis["model"]
-        known = (model["mass"], model["coulomb"], model["viscous"], model["gravity"])
-        found.append(AxisModel(float(axis["encoder_resolution"]), *map(float, known)))
-    return found
-
-
 class AccuracyWatch:
     """Watches one run's axes. period_ns: of the control loop."""
 
@@ -112,7 +86,8 @@ class AccuracyWatch:
     def take(self, records: NDArray[np.void]) -> list[Loss]:
         """What these ticks show, with those before them. The windows lie at fixed ticks, however the records come."""
         new: dict[str, NDArray[Any]] = {name: records[name] for name in _FIELDS}
-        new["followed"] = (records["state"] == int(State.ACTIVE)) & (records["task_ns"] >= 0)
+        new["followed"] = followed(records)
+        new["state"] = records["state"]
         new["fresh"] = records["age_ticks"] == 0
         held = len(self._held["index"]) if self._held else 0
         if held:
@@ -130,7 +105,8 @@ class AccuracyWatch:
         return found
 
     def _judge(self, window: dict[str, NDArray[Any]], at: int) -> list[Loss]:
-        if len(window["index"]) != self._ticks or not window["followed"].all():
+        whole = len(window["index"]) == self._ticks and window["followed"].all() and not np.ptp(window["state"])
+        if not whole:
             for judge in self._judges:
                 judge.rested = 0
             return []
@@ -153,7 +129,9 @@ class _Judge:
 
     def __init__(self, axis: AxisModel, period_s: float) -> None:
         self._axis, self._period_s = axis, period_s
+        self._forces = ForceJudge(axis, period_s)
         self.rested = 0
+        self._step: tuple[float, float] | None = None  # of the window before
         self._most: dict[object, float] = defaultdict(float)  # by phase and figure: the largest of the good windows
         self._seen: dict[object, int] = defaultdict(int)
         self._least_new = 1.0  # share of ticks with a new count, of the resting window with fewest
@@ -165,8 +143,7 @@ class _Judge:
 
     def judge(self, axis: dict[str, Floats], fast: float, slow: float) -> Loss | None:
         """A whole window of one axis' fields; its differences, m."""
-        velocity = axis["setpoint_velocity"]
-        resting = not velocity.any()
+        resting = not axis["setpoint_velocity"].any()
         self.rested = self.rested + 1 if resting else 0
         if jumped := self._jumped(axis):
             return jumped
@@ -174,9 +151,10 @@ class _Judge:
             return None
         if stuck := self._stuck(axis, resting=resting):
             return stuck
-        if shaken := self._shaken(axis, {"fast": fast, "slow": slow}, resting=resting):
-            return shaken
-        return None if resting else self._rubbing(axis, velocity)
+        forced, loss = self._forced(axis, resting=resting)
+        if forced:  # which shakes the axis, too
+            return loss
+        return self._shaken(axis, {"fast": fast, "slow": slow}, resting=resting)
 
     def _once(self, what: str, loss: Loss, windows: int = LOST_IN) -> Loss | None:
         """Told once it has lasted; and again when it was gone for CALM windows in between."""
@@ -194,24 +172,38 @@ class _Judge:
             self._told.discard(what)
 
     def _jumped(self, axis: dict[str, Floats]) -> Loss | None:
-        """Acceleration times a period squared, beyond what acts on the axis: forces of the ticks just before, friction,
-        gravity, and what the instant of a sample may be off by.
-        """
-        model, force = self._axis, np.abs(axis["force"])
-        acting = sliding_window_view(np.concatenate((np.full(_BEFORE, force[0]), force)), _BEFORE).max(axis=1)[2:-1]
-        most = _MARGIN * (acting + model.dry + abs(model.gravity)) * self._period_s**2 / model.mass
-        most += _UNSURE * self._period_s * np.abs(axis["setpoint_velocity"])[2:] + _JUMP * model.resolution
-        step = np.abs(np.diff(axis["position"], 2))
-        at = int(np.argmax(step - most))
-        if step[at] <= most[at]:
+        """A step in one tick beyond what can act on the axis; told a window later, when it was not noise that began."""
+        known = self._seen["step"] >= KNOWN and not self._beyond["tremble"]
+        seen = self._most["step"] if known else np.inf
+        found = steps(self._axis, self._period_s, axis["position"], axis["force"], axis["setpoint_velocity"], seen)
+        beyond, before = found.beyond, self._step
+        self._step = None
+        if beyond:
+            self._forces.forget()
+            self._step = found.worst if beyond <= _SINGLE else None
+            if beyond > _SINGLE:
+                return None
+        else:
+            self._most["step"] = max(self._most["step"], float(found.size.max()))
+            self._seen["step"] += 1
+        if before is None:
             self._good("jump")
             return None
         loss = Loss(
-            0, 0, "encoder jump", "step in one tick that no force explains", float(step[at]), float(most[at]), "m",
+            0, 0, "encoder jump", "step in one tick that no force explains", *before, "m",
             "the encoder lost or won counts: noise at its cable, a loose head, dirt on the scale",
             "home the axis; check the encoder's cable and head",
         )  # fmt: skip
         return self._once("jump", loss, windows=1)
+
+    def _forced(self, axis: dict[str, Floats], *, resting: bool) -> tuple[bool, Loss | None]:
+        """(whether forces are not as they were, what is to be told of it)."""
+        found = self._forces.judge(axis, resting=resting, settled=self.rested > SETTLED)
+        if found is None:
+            self._good("force")
+            return False, None
+        loss = Loss(0, 0, found.signature, found.measured, found.value, found.limit, "N", found.cause, found.action)
+        return True, self._once("force", loss)
 
     def _stuck(self, axis: dict[str, Floats], *, resting: bool) -> Loss | None:
         new = np.count_nonzero(np.diff(axis["position"])) / (len(axis["position"]) - 1)
@@ -291,33 +283,6 @@ class _Judge:
             "noise", "", "noise of the encoder or its cable: a loose shield, a dirty scale, an edge",
             "check the encoder's cable, shield and scale",
         )  # fmt: skip
-
-    def _rubbing(self, axis: dict[str, Floats], velocity: Floats) -> Loss | None:
-        """Force in the direction of motion, of the ticks in which the axis moves well."""
-        speed = np.abs(velocity)
-        moving = speed > 0.3 * speed.max()
-        sign = np.sign(velocity)
-        if abs(sign[moving].sum()) < 0.75 * len(velocity):
-            return None
-        model, way = self._axis, float(sign[moving][0])
-        acceleration = np.gradient(velocity, self._period_s)
-        force = axis["force"] + model.gravity - model.mass * acceleration - model.wet * velocity
-        drag = way * float(np.median(force[moving]))
-        known = self._seen[way] >= KNOWN
-        bound = max(self._most[way] if known else 0.0, model.dry) + FRICTION * model.dry + UNKNOWN * abs(model.gravity)
-        if not known:
-            bound += model.dry
-        if drag <= bound or model.dry <= 0.0:
-            self._most[way] = max(self._most[way], drag)
-            self._seen[way] += 1
-            self._good("friction")
-            return None
-        loss = Loss(
-            0, 0, "friction up", "force along the motion beyond what the model says", drag, bound, "N",
-            "the guide is dirty or tight, something drags on the axis, or its drive gives less force than asked for",
-            "move the axis by hand; clean and grease the guide, look at the cables",
-        )  # fmt: skip
-        return self._once("friction", loss)
 
 
 def _line(values: Floats) -> tuple[float, float]:

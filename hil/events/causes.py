@@ -5,21 +5,29 @@ computer, which was too busy. An error too large may be an encoder that shows on
 tell these apart.
 """
 
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols.base import Reject
 from hil.cycle.faults.row import RESET
+from hil.events.axis_model import AxisModel
+from hil.events.motion_causes import Cause, Motion, why_it_left
 from hil.rig.schema import MAX_AXES
 
 HELD: Final = 64  # ticks looked back on
-FROZEN: Final = 20  # ticks of one and the same count, while the setpoint moves
-_FIELDS: Final = ("index", "rejects", "age_ticks", "position", "setpoint_position", "following_error")
+_FIELDS: Final = (
+    "index", "rejects", "age_ticks", "position", "setpoint_position", "setpoint_velocity", "following_error", "force",
+)  # fmt: skip
 _BUS: Final = "hil bus shows the frames"
 _REPEATS: Final = "the drive or a gateway repeats old answers"
 _OTHER: Final = "a drive of another layout, or damage in a gateway"
+_TWICE: Final = (
+    "a drive or a gateway sends them again, or two nodes have one identifier",
+    "hil bus shows the frames; check the gateway, and the nodes' identifiers",
+)
 # Of answers that came and were not taken: what was wrong, whose doing it is, what to do.
 _REJECTED: Final = {
     Reject.STALE: ("an old sequence number", _REPEATS, f"restart the drive; {_BUS}"),
@@ -35,19 +43,12 @@ _REJECTED: Final = {
 }
 
 
-class Cause(NamedTuple):
-    """Why, and what to do. axis: 0-based, whose it is; -1: not known, or of all."""
-
-    text: str
-    action: str
-    axis: int = -1
-
-
 class History:
-    """The last HELD ticks of an event stream."""
+    """The last HELD ticks of an event stream. models: of every axis, or none."""
 
-    def __init__(self, n_axes: int) -> None:
+    def __init__(self, n_axes: int, period_s: float, models: Sequence[AxisModel] = ()) -> None:
         self._n_axes = min(n_axes, MAX_AXES)
+        self._period_s, self._models = period_s, models
         self._kept: dict[str, NDArray[Any]] = {}
         self._now: NDArray[np.void] | None = None
         self._place = 0
@@ -83,7 +84,7 @@ class History:
         silent = np.flatnonzero(ages)
         everyone = len(silent) == self._n_axes > 1
         axis = int(silent[0]) if len(silent) == 1 else -1
-        ticks = min(int(ages.max(initial=0)), HELD - 1) or 1
+        ticks = min(int(ages.max(initial=0)), HELD - 1) or HELD - 1
         if (cause := self._rejections(ticks, int(ages.sum()), axis, everyone=everyone)) is not None:
             return cause
         if not everyone:
@@ -103,19 +104,17 @@ class History:
         if not found or 2 * sum(found.values()) < missing:  # others are silent besides
             return None
         worst = max(found, key=lambda reason: found[reason])
+        if worst is Reject.DUPLICATE and not missing:
+            return Cause(f"answers came twice ({found[worst]}): {_TWICE[0]}", f"{_TWICE[1]}, {RESET}", axis)
         what, why, action = _REJECTED[worst]
         number = sum(found.values())
         whose = " of all axes" if everyone else ""
         why = "the host or the bus: all axes at once" if everyone else why
         return Cause(f"answers{whose} came and were rejected ({number}), for {what}: {why}", f"{action}, {RESET}", axis)
 
-    def frozen(self, axis: int) -> Cause | None:
-        """Whether the axis shows one and the same count while its setpoint moves on."""
-        position, setpoint = self._last("position")[:, axis], self._last("setpoint_position")[:, axis]
-        changes = np.flatnonzero(position != position[-1])
-        first = int(changes[-1]) + 1 if len(changes) else 0
-        ticks = len(position) - first
-        if ticks < FROZEN or np.ptp(setpoint[first:]) <= 0.05 * abs(float(self._last("following_error")[-1, axis])):
-            return None
-        text = f"encoder stuck, or the axis blocked: not one new count for {ticks} ticks while the setpoint moved"
-        return Cause(text, f"check the encoder's head and cable; move the axis by hand, {RESET}", axis)
+    def why_it_left(self, axis: int) -> Cause | None:
+        """Why the axis left its set-point."""
+        names = ("position", "setpoint_position", "setpoint_velocity", "following_error", "force")
+        motion = Motion(*(self._last(name)[:, axis] for name in names))
+        model = self._models[axis] if axis < len(self._models) else None
+        return why_it_left(motion, model, self._period_s, axis)

@@ -24,9 +24,11 @@ from hil.cycle.faults.row import OF_SENSOR
 from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
-from hil.events.accuracy import AccuracyWatch, AxisModel, Loss, axis_models
-from hil.events.causes import Cause, History
+from hil.events.accuracy import AccuracyWatch, Loss
+from hil.events.axis_model import AxisModel, axis_models
+from hil.events.causes import History
 from hil.events.event import Event
+from hil.events.motion_causes import Cause
 from hil.events.storm import Tallies
 from hil.events.table import (
     KINDS,
@@ -88,7 +90,7 @@ class EventStream:
         self._tallies = Tallies()
         self._last = _Seen()
         self._pairs: set[tuple[int, int]] = set()  # fault and axis flagged in the last tick
-        self._history = History(len(self._axes))
+        self._history = History(len(self._axes), self._period_ns * 1e-9, models)
         self._first: Event | None = None  # what was seen first of all that is wrong now
         self._held: list[bytes] = []  # records of `observe`: as bytes 0.3 us each, into an array 1.5
         self.latched: Event | None = None
@@ -334,7 +336,7 @@ class EventStream:
         """What the ticks before say of it; None where the fault's row says all that is known."""
         if fault in _OF_ANSWERS:
             return self._history.silence()
-        return self._history.frozen(axis) if fault in _OF_MOTION and axis != NO_AXIS else None
+        return self._history.why_it_left(axis) if fault in _OF_MOTION and axis != NO_AXIS else None
 
     def _accuracy(self, record: np.void, loss: Loss) -> Event:
         name, kind = self._axes[loss.axis]

@@ -27,6 +27,7 @@ from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CycleResult, Tick
 from hil.events.event import Event as Happened
+from hil.events.followed import only_followed
 from hil.events.marks import marks_of
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import rig_hash
@@ -39,7 +40,6 @@ from hil.runs.summary import RunData, steady_from
 from hil.runs.summary import load_run as read_run
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import PER_AXIS, PER_TICK
-from hil.telemetry.followed import only_followed
 from hil.telemetry.recorder import LockstepRecorder
 from hil.telemetry.tick_codec import PER_SENSOR
 from hil.virtual import replay as replays

@@ -19,6 +19,7 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
 from hil.events.event import Event
+from hil.events.followed import only_followed
 from hil.events.marks import marks_of
 from hil.events.table import Kind
 from hil.rig.provenance import rig_of_run
@@ -27,7 +28,6 @@ from hil.runs.columns import Columns, seconds_of
 from hil.telemetry import codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.event_codec import decode
-from hil.telemetry.followed import only_followed
 from hil.telemetry.recording import Gap, Gaps, Recorded, Recording, RecordingError, loss_text
 from hil.telemetry.tick_codec import columns as tick_columns
 from hil.telemetry.tick_schema import TickSchema

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import MOTION_FIELDS
-from hil.telemetry.followed import FIELDS, followed
+from hil.events.followed import FIELDS, followed
 from hil.telemetry.tick_schema import LATENESS_STEP, NO_TASK_NS, TickSchema, field_of_axis
 
 Records = NDArray[np.void]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
+from hil.events.followed import followed
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.followed import followed
 
 STALE_NS = 500_000_000  # a control process whose newest tick is older hangs, or is gone
 SILENT_S = 0.5  # an axis that has not answered for so long has fallen silent

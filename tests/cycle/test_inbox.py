@@ -66,6 +66,18 @@ def test_a_duplicate_is_discarded_and_suspicious() -> None:
     assert inbox.fresh[0]
 
 
+def test_suspicious_answers_name_their_axis_where_all_of_them_were_one_axis() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(1, 5), answer(1, 5), answer(1, 4)], 5)
+    assert inbox.suspect_axis == 1
+    inbox.collect([answer(0, 6), answer(0, 6)], 6)
+    assert inbox.suspect_axis == -1
+    inbox.forget()
+    damaged = answer(0, 0)._replace(data=bytes(16))
+    inbox.collect([damaged, answer(1, 7), answer(1, 7)], 7)
+    assert inbox.suspect_axis == -1, "whose the damaged one was, nobody knows"
+
+
 def test_a_reordered_older_answer_never_replaces_a_newer_one() -> None:
     inbox = make_inbox()
     inbox.collect([answer(0, 5, 55), answer(0, 4, 44)], 5)

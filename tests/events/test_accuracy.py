@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hil.cycle.goal import MotionWord
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
-from hil.events.accuracy import AxisModel
+from hil.events.axis_model import AxisModel
 from hil.events.event import Event
 from hil.events.stream import EventStream
 from hil.events.table import Kind, Severity
@@ -90,12 +91,24 @@ def jump(records: NDArray[Any], axis: int, where: NDArray[np.bool_], seconds: Fl
     show(records, axis, records["position"][:, axis] + where * 40_000 * COUNT * np.exp(-(seconds - begin) / 0.02))
 
 
+def push(records: NDArray[Any], axis: int, where: NDArray[np.bool_], seconds: Floats) -> None:
+    """By 1.2 times the dry friction; the law holds against it."""
+    records["force"][:, axis] += where * 1.2 * MODELS[axis].dry
+
+
+def tug(records: NDArray[Any], axis: int, where: NDArray[np.bool_], seconds: Floats) -> None:
+    """Along the motion back, by three times the dry friction."""
+    records["force"][:, axis] += where * 3.0 * MODELS[axis].dry
+
+
 QUIET: Final[dict[str, tuple[Change, str, list[float]]]] = {  # when it shows: in motion, at rest or both
     "noise": (noise, "noise", [5.31, 6.02, 7.1]),
     "vibration": (vibration, "oscillation", [5.31, 6.02, 7.1]),
     "scale": (scale, "periodic error", [7.02, 7.3]),
     "jump": (jump, "encoder jump", [5.31, 7.1]),
     "friction": (friction, "friction up", [7.02, 7.3]),
+    "push": (push, "bias", [6.02, 6.3]),
+    "tug": (tug, "bias", [7.02, 7.3]),
     "stuck": (stuck, "encoder stuck", [5.31, 6.02, 6.4, 7.1]),
 }
 
@@ -154,3 +167,48 @@ def test_where_nothing_is_followed_and_where_no_model_is_known_nothing_is_judged
     assert [e for e in EventStream(AXES, PERIOD).tell(records) if e.kind is Kind.ACCURACY_LOST] == []
     records["state"] = int(State.FAULT)
     assert not told(records)
+
+
+def test_at_rest_several_times_the_force_names_a_weak_drive_too_and_the_other_way_round_it_does_not() -> None:
+    records, seconds = sound(), np.arange(TICKS) * 1e-3
+    records["force"][seconds >= 6.3, 0] *= 2.0  # gravity is held by a drive that gives half
+    assert "its drive gives less force" in told(records)[0].cause
+    records = sound()
+    records["force"][seconds >= 6.3, 0] -= 4.0
+    (pushed,) = told(records)
+    assert (pushed.name, pushed.axis) == ("bias", "x")
+    assert pushed.cause.startswith("something pushes or pulls the axis upwards")
+    assert "drive" not in pushed.cause
+
+
+def test_an_axis_that_is_driven_back_is_pushed_and_one_that_only_drags_has_friction() -> None:
+    records, seconds = sound(), np.arange(TICKS) * 1e-3
+    records["force"][seconds >= 7.1, 0] -= 3.0
+    assert told(records)[0].name == "friction up"
+    back = 3e-4 * np.exp(-((seconds - 7.15) ** 2) / (2 * 0.01**2)) * (seconds >= 7.1)
+    show(records, 0, records["position"][:, 0] + back)
+    first = told(records)[0]
+    assert first.name == "bias"
+    assert "upwards" in first.cause
+
+
+def test_noise_beyond_any_force_is_noise_and_a_step_within_the_force_limits_is_a_jump() -> None:
+    records, seconds = sound(), np.arange(TICKS) * 1e-3
+    draw = np.random.default_rng(3)
+    loud = (seconds >= 6.1) * 2000 * COUNT * draw.standard_normal(TICKS)
+    show(records, 0, records["position"][:, 0] + loud)
+    assert told(records)[0].name == "noise"
+    records = sound()
+    records["force"][:, 0] += (seconds >= 6.1) * 14.0 * (np.arange(TICKS) % 2 * 2 - 1)  # it could have been the force
+    jump(records, 0, seconds >= 6.2, seconds)
+    assert told(records)[0].name == "encoder jump"
+
+
+@pytest.mark.parametrize("word", [MotionWord.MOVE, MotionWord.JOG, MotionWord.STREAM])
+def test_goals_and_homing_are_watched_as_a_task_is(word: MotionWord) -> None:
+    for state in (State.ACTIVE, State.HOMING):
+        records, seconds = sound(), np.arange(TICKS) * 1e-3
+        records["task_ns"], records["motion"], records["state"] = -1, int(word), int(state)
+        assert not told(records)
+        noise(records, 1, seconds >= 5.31, seconds)
+        assert told(records)[0].name == "noise"

@@ -8,6 +8,7 @@ from drivers.protocols.base import Reject
 from hil.cycle.fault_table import ROWS, Fault
 from hil.cycle.record import EVERY_AXIS, RECORD
 from hil.cycle.state_machine import State
+from hil.events.axis_model import AxisModel
 from hil.events.event import Event
 from hil.events.stream import EventStream
 from hil.events.table import Kind
@@ -48,8 +49,11 @@ def silent(axes: list[int], reason: Reject | None = None, skipped: int = 0) -> N
     return records
 
 
-def told(records: NDArray[np.void], chunk: int = TICKS) -> list[Event]:
-    stream = EventStream(AXES, PERIOD)
+MODEL = AxisModel(resolution=5e-9, mass=0.9, dry=0.6, wet=3.0, gravity=0.0)
+
+
+def told(records: NDArray[np.void], chunk: int = TICKS, gravity: float = 0.0) -> list[Event]:
+    stream = EventStream(AXES, PERIOD, models=[MODEL._replace(gravity=gravity)] * len(AXES))
     found = [event for at in range(0, TICKS, chunk) for event in stream.tell(records[at : at + chunk])]
     return [*found, *stream.close()]
 
@@ -124,3 +128,65 @@ def test_one_count_for_ever_is_a_stuck_encoder_and_an_axis_that_trembles_is_bloc
     assert "53 ticks" in stuck.cause
     blocked = one(told(following_error(1)), Kind.FAULT_LATCHED, "following_error")
     assert blocked.cause == ROWS[Fault.FOLLOWING_ERROR].cause
+
+
+def leaving(way: NDArray[np.float64], force: float) -> Event:
+    """The latched error of an axis at rest that has gone `way`, (ticks,), m, in the ticks up to it."""
+    records = following_error(0)
+    records["setpoint_position"][:, 1], records["force"][:, 1] = 0.0, force
+    records["position"][:, 1] = 0.0
+    records["position"][LATCHED_AT + 1 - len(way) : LATCHED_AT + 1, 1] = way
+    records["following_error"] = records["position"] - records["setpoint_position"]
+    return one(told(records), Kind.FAULT_LATCHED, "following_error")
+
+
+def test_an_axis_that_gains_speed_against_its_force_was_pushed() -> None:
+    seconds = np.arange(12) * 1e-3
+    pushed = leaving(0.5 * 4.0 * seconds**2, force=-2.0)  # 0.9 kg * 4 m/s^2, 2 N against it, viscous friction
+    assert pushed.cause.startswith("the axis was pushed or pulled: about 5.7 N (N m) upwards")
+    assert leaving(0.5 * 2.0 * seconds**2, force=1.8).cause == ROWS[Fault.FOLLOWING_ERROR].cause, "its own force did"
+
+
+def test_an_axis_that_sinks_by_no_more_than_its_weight_has_a_weak_drive_or_is_pulled() -> None:
+    records = following_error(0)
+    seconds = np.arange(12) * 1e-3
+    records["setpoint_position"][:, 1], records["force"][:, 1] = 0.0, 5.0
+    records["position"][:, 1] = 0.0
+    records["position"][LATCHED_AT - 11 : LATCHED_AT + 1, 1] = -0.5 * 2.0 * seconds**2
+    records["following_error"] = records["position"]
+    sunk = one(told(records, gravity=-5.0), Kind.FAULT_LATCHED, "following_error")
+    assert sunk.cause.startswith("the drive gives less force than asked for and the axis sinks, or something pulls")
+    assert "downwards" in sunk.cause
+
+
+def test_one_step_is_a_jump_and_steps_to_and_fro_are_noise() -> None:
+    jumped = leaving(np.full(3, 4e-4), force=0.0)
+    assert jumped.cause.startswith("encoder jump: a step of 0.0004 in one tick")
+    noisy = leaving(4e-4 * (np.arange(20) % 2), force=0.0)
+    assert noisy.cause.startswith("noise at the encoder or its cable")
+
+
+def test_an_axis_that_stops_from_one_tick_to_the_next_at_full_speed_has_a_stuck_encoder() -> None:
+    records = following_error(0)
+    speed = 1e-3 * np.arange(TICKS)  # 1 mm a tick, 1 m/s
+    records["setpoint_position"][:, 1] = records["position"][:, 1] = speed
+    records["setpoint_velocity"][:, 1], records["force"][:, 1] = 1.0, 300.0
+    records["position"][LATCHED_AT - 6 :, 1] = speed[LATCHED_AT - 6]
+    records["following_error"] = records["position"] - records["setpoint_position"]
+    stuck = one(told(records), Kind.FAULT_LATCHED, "following_error")
+    assert stuck.cause.startswith("encoder stuck: not one new count for 7 ticks")
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_answers_that_come_twice_are_told_as_such_with_their_axis(axis: int) -> None:
+    records = silent([])
+    records["rejects"][198:203, Reject.DUPLICATE] = np.arange(1, 6)
+    records["rejects"][203:, Reject.DUPLICATE] = 5
+    records["evidence_of"][202, 0] = int(Fault.BAD_FRAMES) | axis << 16
+    records["evidence_value"][202, 0], records["evidence_limit"][202, 0] = 5, 5
+    records["n_evidence"][202] = 1
+    records["evidence_total"][202:] = 1
+    records["faults_active"][202] = np.uint64(1 << Fault.BAD_FRAMES)
+    records["fault"][LATCHED_AT:] = int(Fault.BAD_FRAMES)
+    twice = one(told(records), Kind.FAULT_LATCHED, "bad_frames")
+    assert (twice.axis, twice.cause[:29]) == (AXES[axis][0], "answers came twice (5): a dri")

@@ -108,7 +108,7 @@ ROWS: Final = (
         states=MOVING,
         measured="amplitude of the following error's swing",
         unit="m",
-        cause="the loop is at the edge of stability: gains too high, or a mode nobody modelled",
+        cause="something shakes the stage, or the loop is near the edge of stability: gains too high, a resonance",
         action=f"hil check, lower the gains, {RESET}",
         trials=(Trial("loop swings at 25 Hz"),),
     ),

@@ -1,0 +1,69 @@
+"""What is known of an axis beforehand, and what its model says of a few ticks: what can be force, and what cannot."""
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_BEFORE: Final = 8  # ticks whose forces count
+_MARGIN: Final = 4.0  # a tool on a spring leaves the encoder's side lighter
+_UNSURE: Final = 0.25  # of a period, that a sample's instant may be off by
+_JUMP: Final = 100.0  # counts
+_SEEN: Final = 5.0  # times the largest that was seen
+
+
+class AxisModel(NamedTuple):
+    """SI units. resolution: a count. dry, wet: friction. gravity: as it acts."""
+
+    resolution: float
+    mass: float
+    dry: float
+    wet: float
+    gravity: float
+
+
+def axis_models(axes: Mapping[str, Mapping[str, Any]]) -> list[AxisModel]:
+    """From the tables [axes.NAME] of a validated rig."""
+    found = []
+    for axis in axes.values():
+        model = axis["model"]
+        known = (model["mass"], model["coulomb"], model["viscous"], model["gravity"])
+        found.append(AxisModel(float(axis["encoder_resolution"]), *map(float, known)))
+    return found
+
+
+class Steps(NamedTuple):
+    """size, most: of the position at each tick from the third on, (n - 2,), m."""
+
+    size: Floats
+    most: Floats
+
+    @property
+    def beyond(self) -> int:
+        """How many are too large: of a jump a few, of noise many."""
+        return int(np.count_nonzero(self.size > self.most))
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """(size, most) of the one that is furthest beyond."""
+        at = int(np.argmax(self.size - self.most))
+        return float(self.size[at]), float(self.most[at])
+
+
+def steps(
+    model: AxisModel, period_s: float, position: Floats, force: Floats, velocity: Floats, seen: float = np.inf
+) -> Steps:
+    """Acceleration times a period squared, and what can act on the axis: forces of the ticks just before, friction,
+    gravity, and what the instant of a sample may be off by. position, force, set-point's velocity: (n,), n > 2. seen:
+    the largest step of good ticks, which tells that instant's error and the tool's mass better than the model.
+    """
+    size = np.abs(force)
+    acting = sliding_window_view(np.concatenate((np.full(_BEFORE, size[0]), size)), _BEFORE).max(axis=1)[2:-1]
+    known = (acting + model.dry + abs(model.gravity)) * period_s**2 / model.mass
+    least = _JUMP * model.resolution
+    most = _MARGIN * known + _UNSURE * period_s * np.abs(velocity)[2:] + least
+    return Steps(np.abs(np.diff(position, 2)), np.minimum(most, np.maximum(known + least, _SEEN * seen)))
