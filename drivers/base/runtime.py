@@ -63,6 +63,15 @@ def cache_folder() -> Path:
     return Path(service) if service else Path(base) / "hil"
 
 
+def state_folder() -> Path:
+    """What is kept between runs: $STATE_DIRECTORY (set by systemd), $XDG_STATE_HOME/hil, ~/.local/state/hil; not made
+    here.
+    """
+    service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return Path(service) if service else Path(base) / "hil"
+
+
 def is_private(directory: Path) -> bool:
     """Whether it is a directory of this user that nobody else may write to. Raises OSError."""
     found = directory.lstat()

@@ -51,6 +51,7 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "monitor": Entry("hil.operate.monitor:monitor", "Watch a running rig in the terminal"),
         "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a running rig in a browser"),
         "runs": Entry("hil.runs.listing:runs", "List the runs of a folder: rig, law, how each ended, accuracy, notes"),
+        "baseline": Entry("hil.runs.baseline:baseline", "Keep what a sound run is like, to hold later runs against it"),
         "events": Entry("hil.runs.events:events", "List what happened in a running rig or in a recording"),
         "plot": Entry("hil.runs.views:plot", "Draw a run: set-point, following error, force"),
         "report": Entry("hil.runs.views:report", "Write a run as one HTML page"),

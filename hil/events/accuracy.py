@@ -16,22 +16,21 @@ is said. Two windows in a row beyond their bound are an event, which says what i
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.events.axis_model import AxisModel, Floats, steps
-from hil.events.followed import followed
+from hil.events.baseline import BEYOND, phase_of, tremble
 from hil.events.forces import ForceJudge
+from hil.events.windows import SETTLED, Windows
 
-WINDOW_S: Final = 0.128
-SLOW_LAG_S: Final = 0.008
-SETTLED: Final = 2  # windows at rest before an axis counts as resting
 KNOWN: Final = 4  # windows before what they showed is a reference
 FACTOR: Final = 3.0  # beyond the largest of those
 LOST_IN: Final = 2  # windows in a row
+PLAIN: Final = 2.0  # times its bound: a line that needs no second window
 LINE: Final = 0.4  # share of the spectrum's power that makes a line
 CALM: Final = 16  # good windows in a row, after which the same is told again
 _SPAN, _SHORTEST = 200.0, 8.0  # counts: least travel, and least period along it, for an error that repeats along it
@@ -45,8 +44,9 @@ _LEAST: Final = {
     (False, "slow"): (np.inf, 60.0),  # a law that learns, or is just begun, follows by its own swing at first
 }
 _SINGLE: Final = 8  # ticks of a window, at most, that a jump or a few glitches fill
-_GAUSS: Final = 0.6745 * 6.0**0.5  # of the median of |second difference| of white noise
-_FIELDS: Final = ("index", "position", "following_error", "setpoint_position", "setpoint_velocity", "force")
+_LEAST_COUNTS: Final = 3.0  # below which nothing is held against a baseline
+_BIASED: Final = 0.8  # of an RMS, that is the mean's
+_STRAYED: Final = {"rms": "RMS following error", "innovation": "RMS innovation"}
 
 
 class Loss(NamedTuple):
@@ -73,62 +73,44 @@ class _Look(NamedTuple):
     clear: bool = True
 
 
+_OFFSET: Final = _Look(
+    "bias", ", nearly all of it its mean",
+    "the law no longer holds the axis where it should: a force or a gain changed",
+    "hil diff with the baseline's run; hil check for the law",
+)  # fmt: skip
+
+
 class AccuracyWatch:
-    """Watches one run's axes. period_ns: of the control loop."""
+    """Watches one run's axes. period_ns: of the control loop. known: by axis, what a baseline bounds
+    (baseline.known_of); none of it: bounds are learnt from the run's own beginning.
+    """
 
-    def __init__(self, axes: Sequence[AxisModel], period_ns: int) -> None:
-        self._axes, self._period_s = list(axes), period_ns * 1e-9
-        self._ticks = max(16, round(WINDOW_S / self._period_s))
-        self._lag = max(2, round(SLOW_LAG_S / self._period_s))
-        self._held: dict[str, NDArray[Any]] = {}
-        self._judges = [_Judge(axis, self._period_s) for axis in self._axes]
+    def __init__(
+        self, axes: Sequence[AxisModel], period_ns: int, known: Sequence[Mapping[str, Mapping[str, float]]] = ()
+    ) -> None:
+        self._period_s = period_ns * 1e-9
+        self._windows = Windows(self._period_s)
+        of_axes = known or [{}] * len(axes)
+        lag = self._windows.lag
+        self._judges = [_Judge(axis, self._period_s, lag, of) for axis, of in zip(axes, of_axes, strict=True)]
 
-    def take(self, records: NDArray[np.void]) -> list[Loss]:
-        """What these ticks show, with those before them. The windows lie at fixed ticks, however the records come."""
-        new: dict[str, NDArray[Any]] = {name: records[name] for name in _FIELDS}
-        new["followed"] = followed(records)
-        new["state"] = records["state"]
-        new["fresh"] = records["age_ticks"] == 0
-        held = len(self._held["index"]) if self._held else 0
-        if held:
-            new = {name: np.concatenate((self._held[name], values)) for name, values in new.items()}
+    def take(self, records: NDArray[np.void] | Mapping[Any, NDArray[Any]]) -> list[Loss]:
+        """What these ticks show, with those before them. records: or columns by name."""
         found: list[Loss] = []
-        numbers = new["index"] // self._ticks
-        ends: list[int] = (np.flatnonzero(np.diff(numbers)) + 1).tolist()
-        if len(numbers) and int(new["index"][-1]) % self._ticks == self._ticks - 1:
-            ends.append(len(numbers))  # judged with its last tick, not with the next one
-        begin = 0
-        for end in ends:
-            found += self._judge({name: values[begin:end] for name, values in new.items()}, end - 1 - held)
-            begin = end
-        self._held = {name: values[begin:].copy() for name, values in new.items()}
-        return found
-
-    def _judge(self, window: dict[str, NDArray[Any]], at: int) -> list[Loss]:
-        whole = len(window["index"]) == self._ticks and window["followed"].all() and not np.ptp(window["state"])
-        if not whole:
-            for judge in self._judges:
-                judge.rested = 0
-            return []
-        error, lag = window["following_error"], self._lag
-        fast = np.median(np.abs(error[2:] - 2.0 * error[1:-1] + error[:-2]), axis=0)
-        slow = np.median(np.abs(error[2 * lag :] - 2.0 * error[lag:-lag] + error[: -2 * lag]), axis=0)
-        found = []
-        for number, judge in enumerate(self._judges):
-            if not window["fresh"][:, number].all():
-                continue
-            axis = {name: np.ascontiguousarray(window[name][:, number]) for name in _FIELDS[1:]}
-            loss = judge.judge(axis, float(fast[number]) / _GAUSS, float(slow[number]) / _GAUSS)
-            if loss:
-                found.append(loss._replace(at=at, axis=number))
+        for window in self._windows.take(records):
+            for number, judge in enumerate(self._judges):
+                if window is None:
+                    judge.rested = 0
+                elif (axis := window.axis(number)) and (loss := judge.judge(axis)):
+                    found.append(loss._replace(at=window.at, axis=number))
         return found
 
 
 class _Judge:
     """One axis. rested: windows at rest in a row."""
 
-    def __init__(self, axis: AxisModel, period_s: float) -> None:
-        self._axis, self._period_s = axis, period_s
+    def __init__(self, axis: AxisModel, period_s: float, lag: int, known: Mapping[str, Mapping[str, float]]) -> None:
+        self._axis, self._period_s, self._lag, self._known = axis, period_s, lag, known
         self._forces = ForceJudge(axis, period_s)
         self.rested = 0
         self._step: tuple[float, float] | None = None  # of the window before
@@ -141,20 +123,50 @@ class _Judge:
         self._told: set[str] = set()
         self._clear: _Look | None = None  # what the window before, beyond too, clearly looked like
 
-    def judge(self, axis: dict[str, Floats], fast: float, slow: float) -> Loss | None:
-        """A whole window of one axis' fields; its differences, m."""
+        for phase, bounds in known.items():
+            for name in ("fast", "slow"):
+                key = (phase == "rest", name)
+                self._most[key], self._seen[key] = max(self._most[key], bounds[name] / FACTOR), KNOWN
+            for way, drag in ((1.0, "drag_up"), (-1.0, "drag_down")):
+                if drag in bounds:
+                    self._forces.know(way, bounds[drag] / BEYOND)
+
+    def judge(self, axis: dict[str, Floats]) -> Loss | None:
+        """A whole window of one axis' fields."""
         resting = not axis["setpoint_velocity"].any()
         self.rested = self.rested + 1 if resting else 0
         if jumped := self._jumped(axis):
             return jumped
-        if resting and self.rested <= SETTLED:
+        if self._step is not None or (resting and self.rested <= SETTLED):  # a step shakes the axis
             return None
         if stuck := self._stuck(axis, resting=resting):
             return stuck
         forced, loss = self._forced(axis, resting=resting)
         if forced:  # which shakes the axis, too
             return loss
-        return self._shaken(axis, {"fast": fast, "slow": slow}, resting=resting)
+        error = axis["following_error"]
+        trembles = {"fast": tremble(error, 1), "slow": tremble(error, self._lag)}
+        shaken, loss = self._shaken(axis, trembles, resting=resting)
+        return loss if shaken else self._strayed(axis)
+
+    def _strayed(self, axis: dict[str, Floats]) -> Loss | None:
+        """What else is beyond the baseline of this rig and task: the error, what the model did not foresee."""
+        phase = phase_of(axis["setpoint_velocity"])
+        bounds = self._known.get(phase, {})
+        for name, words in _STRAYED.items():
+            values = axis["following_error" if name == "rms" else name]
+            value = float(np.sqrt(np.mean(values**2)))
+            bound = max(bounds.get(name, np.inf), _LEAST_COUNTS * self._axis.resolution)
+            if value > bound:
+                biased = abs(float(values.mean())) > _BIASED * value
+                look = _OFFSET if biased else self._look(axis, "slow", resting=phase == "rest")
+                loss = Loss(
+                    0, 0, look.signature, f"{words}, {phase}, against the baseline{look.words}", value, bound, "m",
+                    look.cause, look.action,
+                )  # fmt: skip
+                return self._once("baseline", loss)
+        self._good("baseline")
+        return None
 
     def _once(self, what: str, loss: Loss, windows: int = LOST_IN) -> Loss | None:
         """Told once it has lasted; and again when it was gone for CALM windows in between."""
@@ -228,8 +240,10 @@ class _Judge:
         )  # fmt: skip
         return self._once("stuck", loss, windows=1)
 
-    def _shaken(self, axis: dict[str, Floats], figures: dict[str, float], *, resting: bool) -> Loss | None:
-        """Error that trembles more than it did."""
+    def _shaken(
+        self, axis: dict[str, Floats], figures: dict[str, float], *, resting: bool
+    ) -> "tuple[bool, Loss | None]":
+        """(whether the error trembles more than it did, what is to be told of it)."""
         worst, limit = "", 0.0
         for name, value in figures.items():  # the fast one, if it is beyond: what is noise shakes the loop, too
             key = (resting, name)
@@ -243,12 +257,13 @@ class _Judge:
                 self._seen[resting, name] += 1
             self._good("tremble")
             self._clear = None
-            return None
+            return False, None
         look = self._clear or self._look(axis, worst, resting=resting)
         self._clear = look if look.clear else None
         measured = f"following error's tremble, {worst}{look.words}"
         loss = Loss(0, 0, look.signature, measured, figures[worst], limit, "m", look.cause, look.action)
-        return self._once("tremble", loss)
+        plain = look.clear and look.signature != "noise" and figures[worst] > PLAIN * limit
+        return True, self._once("tremble", loss, windows=1 if plain else LOST_IN)
 
     def _look(self, axis: dict[str, Floats], worst: str, *, resting: bool) -> "_Look":
         """What the window's spectrum shows; of the fast difference where that is the worst, which makes the loop's

@@ -13,6 +13,7 @@ _BEFORE: Final = 8  # ticks whose forces count
 _MARGIN: Final = 4.0  # a tool on a spring leaves the encoder's side lighter
 _UNSURE: Final = 0.25  # of a period, that a sample's instant may be off by
 _JUMP: Final = 100.0  # counts
+_SURE: Final = 1000.0  # counts: less is no jump because it is new
 _SEEN: Final = 5.0  # times the largest that was seen
 
 
@@ -66,4 +67,6 @@ def steps(
     known = (acting + model.dry + abs(model.gravity)) * period_s**2 / model.mass
     least = _JUMP * model.resolution
     most = _MARGIN * known + _UNSURE * period_s * np.abs(velocity)[2:] + least
-    return Steps(np.abs(np.diff(position, 2)), np.minimum(most, np.maximum(known + least, _SEEN * seen)))
+    return Steps(
+        np.abs(np.diff(position, 2)), np.minimum(most, np.maximum(known + _SURE * model.resolution, _SEEN * seen))
+    )

@@ -9,6 +9,7 @@ force is now asked for several times over, a weak drive.
 """
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,6 +35,19 @@ class Force(NamedTuple):
     action: str
 
 
+def drag_of(model: AxisModel, period_s: float, axis: Mapping[str, Floats]) -> tuple[float, float] | None:
+    """(direction, drag in N) of the ticks of a window in which the axis moves well; None where it hardly does."""
+    velocity = axis["setpoint_velocity"]
+    speed, sign = np.abs(velocity), np.sign(velocity)
+    moving = speed > 0.3 * speed.max()
+    if abs(sign[moving].sum()) < 0.75 * len(velocity):
+        return None
+    way = float(sign[moving][0])
+    acceleration = np.gradient(velocity, period_s)
+    force = axis["force"] + model.gravity - model.mass * acceleration - model.wet * velocity
+    return way, way * float(np.median(force[moving]))
+
+
 class ForceJudge:
     """One axis. `judge` is given every window in which it follows a task, in order."""
 
@@ -45,7 +59,7 @@ class ForceJudge:
         self._holds: float | None = None  # the force that holds the axis in the present rest
         self._pushed_back = False  # in a window of the present motion
 
-    def judge(self, axis: dict[str, Floats], *, resting: bool, settled: bool) -> Force | None:
+    def judge(self, axis: Mapping[str, Floats], *, resting: bool, settled: bool) -> Force | None:
         """A whole window of the axis' fields. settled: it has been resting for a while."""
         if self._axis.dry <= 0.0:
             return None
@@ -55,11 +69,15 @@ class ForceJudge:
         self._holds = None
         return self._moving(axis)
 
+    def know(self, way: float, drag: float) -> None:
+        """The largest drag of sound runs in that direction."""
+        self._most[way], self._seen[way] = drag, KNOWN
+
     def forget(self) -> None:
         """What holds the axis is not known any more: its encoder stepped."""
         self._holds = None
 
-    def _resting(self, axis: dict[str, Floats]) -> Force | None:
+    def _resting(self, axis: Mapping[str, Floats]) -> Force | None:
         force = float(np.median(axis["force"]))
         if self._holds is None:
             self._holds = force
@@ -72,17 +90,11 @@ class ForceJudge:
         weak = _WEAK[0] <= ratio <= _WEAK[1]
         return _bias("step of the force that holds the axis", abs(step), bound, -np.sign(step), weak=weak)
 
-    def _moving(self, axis: dict[str, Floats]) -> Force | None:
-        """Of the ticks in which the axis moves well."""
-        velocity, model = axis["setpoint_velocity"], self._axis
-        speed, sign = np.abs(velocity), np.sign(velocity)
-        moving = speed > 0.3 * speed.max()
-        if abs(sign[moving].sum()) < 0.75 * len(velocity):
+    def _moving(self, axis: Mapping[str, Floats]) -> Force | None:
+        model = self._axis
+        if (found := drag_of(model, self._period_s, axis)) is None:
             return None
-        way = float(sign[moving][0])
-        acceleration = np.gradient(velocity, self._period_s)
-        force = axis["force"] + model.gravity - model.mass * acceleration - model.wet * velocity
-        drag = way * float(np.median(force[moving]))
+        way, drag = found
         known = self._seen[way] >= KNOWN
         most = max(self._most[way] if known else 0.0, model.dry) + self._slack + (0.0 if known else model.dry)
         self._pushed_back |= self._went_back(axis, way)
@@ -101,7 +113,7 @@ class ForceJudge:
             "move the axis by hand; clean and grease the guide, look at the cables",
         )  # fmt: skip
 
-    def _went_back(self, axis: dict[str, Floats], way: float) -> bool:
+    def _went_back(self, axis: Mapping[str, Floats], way: float) -> bool:
         """Friction stops an axis; it never drives it backwards, further than the set-point's own motion and its law's
         overshoot would.
         """

@@ -55,9 +55,10 @@ class CycleEvents:
         return self._stream.close()
 
 
-def events_of(rig: RigConfig) -> CycleEvents:
-    """Those of a cycle of this rig."""
-    return CycleEvents(stream_of(rig.model_dump(include={"axes", "sensors"}), rig.period_ns), rig.period_ns)
+def events_of(rig: RigConfig, baseline: dict[str, Any] | None = None) -> CycleEvents:
+    """Those of a cycle of this rig. baseline: a valid one that its accuracy is held against."""
+    document = rig.model_dump(include={"axes", "sensors"})
+    return CycleEvents(stream_of(document, rig.period_ns, baseline), rig.period_ns)
 
 
 class Ring(Protocol):
@@ -90,7 +91,7 @@ class RingEvents:
     """
 
     def __init__(self, reader: Ring, notes: Path, begin: int | None = 0) -> None:
-        self._stream = stream_of(reader.metadata["rig"], reader.period_ns)
+        self._stream = stream_of(reader.metadata["rig"], reader.period_ns, reader.metadata.get("baseline"))
         self._period_ns = reader.period_ns
         self._path = notes
         self._notes: list[Note] = []

@@ -12,7 +12,7 @@ each record with the one before it; numpy finds the few ticks in which anything 
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.events.accuracy import AccuracyWatch, Loss
 from hil.events.axis_model import AxisModel, axis_models
+from hil.events.baseline import known_of
 from hil.events.causes import History
 from hil.events.event import Event
 from hil.events.motion_causes import Cause
@@ -71,8 +72,8 @@ class EventStream:
     """Tells the events of one run from its records, in order.
 
     axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. sensors: name and unit of
-    every sensor. models: of every axis, for its accuracy to be watched; none: it is not. latched: the event of the
-    fault that is latched now.
+    every sensor. models: of every axis, for its accuracy to be watched; none: it is not. known: what a baseline bounds,
+    by axis. latched: the event of the fault that is latched now.
     """
 
     def __init__(
@@ -81,10 +82,11 @@ class EventStream:
         period_ns: int,
         sensors: Sequence[tuple[str, str]] = (),
         models: Sequence[AxisModel] = (),
+        known: Sequence[Mapping[str, Mapping[str, float]]] = (),
     ) -> None:
         self._axes = list(axes)
         self._sensors = list(sensors)
-        self._watch = AccuracyWatch(models, max(period_ns, 1)) if models else None
+        self._watch = AccuracyWatch(models, max(period_ns, 1), known) if models else None
         self._period_ns = max(period_ns, 1)
         self._window_ticks = max(1, round(1e9 / self._period_ns))
         self._tallies = Tallies()
@@ -387,8 +389,9 @@ def _changes(column: NDArray[Any], before: int) -> NDArray[np.bool_]:
     return changed
 
 
-def stream_of(rig: dict[str, Any], period_ns: int) -> EventStream:
-    """The stream for a rig as a run's description holds it (hil.rig.provenance.describe_run)."""
+def stream_of(rig: dict[str, Any], period_ns: int, baseline: dict[str, Any] | None = None) -> EventStream:
+    """The stream for a rig, and its baseline, as a run's description holds them (hil.rig.provenance.describe_run)."""
     axes = [(name, str(axis["kind"])) for name, axis in rig["axes"].items()]
     sensors = [(name, str(sensor["unit"])) for name, sensor in rig.get("sensors", {}).items()]
-    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]))
+    known = [known_of(baseline["axes"].get(name, {})) for name, _ in axes] if baseline else []
+    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]), known)

@@ -34,6 +34,7 @@ from hil.live.stop_line import RigInUseError, StopLine
 from hil.live.systemd import Notifier
 from hil.live.timing_record import TimingRecorder, read_timing
 from hil.live.watched_file import WatchedFile
+from hil.rig.baseline_file import read_baseline
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
@@ -143,7 +144,7 @@ def control_loop(
         verdict = held.verdict.text()
         if not held.verdict.ok and not rig.timing.allow_degraded:
             raise RealtimeRefusedError(f"{verdict}. To run all the same: --set timing.allow_degraded=true")
-        metadata = describe_run(rig, base_dir, realtime=verdict)
+        metadata = describe_run(rig, base_dir, realtime=verdict, baseline=read_baseline(rig))
         ring = RingWriter(files.ring, rig.ring_slots, period_ns=rig.period_ns, metadata=metadata)
         mailbox = Mailbox.create(files.mailbox)
         stack.callback(mailbox.close)

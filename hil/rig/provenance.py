@@ -21,11 +21,14 @@ from hil.rig.schema import RigConfig, RigError
 _ABSENT = "a file that is not in the recording"
 
 
-def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[str, Any]:
+def describe_run(
+    rig: RigConfig, base_dir: Path, *, realtime: str = "", baseline: dict[str, Any] | None = None
+) -> dict[str, Any]:
     """The metadata of a ring: rig, hash, versions, machine, clock.
 
     realtime: the verdict on what the kernel granted, for people. wall_offset_ns: wall clock minus monotonic clock at
-    the start; recordings add it to their times so that other tools show a date.
+    the start; recordings add it to their times so that other tools show a date. baseline: what its accuracy is held
+    against (hil.rig.baseline_file), where there is one.
     """
     return {
         "rig": rig.model_dump(mode="json"),
@@ -38,7 +41,7 @@ def describe_run(rig: RigConfig, base_dir: Path, *, realtime: str = "") -> dict[
         "numpy": np.__version__,
         "control_path": control_path(),
         "platform": platform.platform(),
-    }
+    } | ({"baseline": baseline} if baseline else {})
 
 
 def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:

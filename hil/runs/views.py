@@ -17,6 +17,7 @@ from hil.cli.options import JsonTarget
 from hil.cli.output import drawable, metres, write_json
 from hil.rig.difference import rig_differences
 from hil.runs.api import EXPORTS, Run, load_run
+from hil.runs.baseline import document_of, lines, losses
 from hil.runs.last import last_runs, named_or_last
 from hil.telemetry.recording import RecordingError
 
@@ -85,7 +86,8 @@ def diff(
 
 def differences(first: Run, second: Run) -> dict[str, Any]:
     """Keys: same (every tick is the same, as far as Run.compare looks), ticks [2], rig (lines), final_state [2],
-    events_gone and events_new (texts), and per axis in axes: largest (as Run.compare), and each figure [2].
+    events_gone and events_new (texts), accuracy (lines: where the second is beyond what the first was like, with axis,
+    instant and signature), and per axis in axes: largest (as Run.compare), and each figure [2].
 
     Raises ValueError where the runs have other axes.
     """
@@ -106,6 +108,7 @@ def differences(first: Run, second: Run) -> dict[str, Any]:
         "events_gone": [text for text in texts[0] if text not in texts[1]],
         "events_new": [text for text in texts[1] if text not in texts[0]],
         "axes": axes,
+        "accuracy": lines(second, losses(second, document_of(first))),
     }
 
 
@@ -115,6 +118,8 @@ def _show(console: Console, run: Run, found: dict[str, Any]) -> None:
     for key, sign in (("events_gone", "-"), ("events_new", "+")):
         for text in found[key]:
             console.print(f"event {sign} {text}", soft_wrap=True, markup=False, highlight=False)
+    for line in found["accuracy"]:
+        console.print(f"accuracy, the second against the first: {line}", soft_wrap=True, markup=False, highlight=False)
     table = Table("axis", "figure", "first", "second", "change")
     for name, row in found["axes"].items():
         kind = run.rig.axes[name].kind

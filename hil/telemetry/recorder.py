@@ -228,11 +228,13 @@ class Recorder:
 class LockstepRecorder:
     """Records a lockstep run as the sidecar records a live one: give `observe` to hil.virtual.lockstep as its observer.
 
-    rig_file: where the rig was read from (files it names are beside it). Raises RecordingError when it cannot write.
+    rig_file: where the rig was read from (files it names are beside it). baseline: that the run is held
+    against. Raises RecordingError when it cannot write.
     """
 
-    def __init__(self, path: Path, rig: RigConfig, rig_file: Path) -> None:
-        metadata = {**describe_run(rig, rig_file.parent, realtime="lockstep"), "wall_offset_ns": 0}
+    def __init__(self, path: Path, rig: RigConfig, rig_file: Path, baseline: dict[str, Any] | None = None) -> None:
+        described = describe_run(rig, rig_file.parent, realtime="lockstep", baseline=baseline)
+        metadata = {**described, "wall_offset_ns": 0}
         self._recorder = Recorder(path, metadata)
         self._records = np.zeros(BATCH, RECORD)
         self._held = 0

@@ -50,6 +50,7 @@ def sim(
     from hil.analysis.feasibility import task_problems
     from hil.analysis.task_figures import excursion_notes, excursion_problems
     from hil.control.estimator.gains import per_axis
+    from hil.rig.baseline_file import read_baseline
     from hil.rig.bus_load import refuse_unschedulable
     from hil.rig.encoder_range import encoder_range_problems
     from hil.virtual.scenario import load_scenario
@@ -74,7 +75,8 @@ def sim(
     if keep or out:
         folder = _run_folder(out)
         record, picture = record or folder / "run.mcap", picture or folder / "tracking.png"
-    recorder = _recorder(record, config, rig)
+    baseline = read_baseline(config)
+    recorder = _recorder(record, config, rig, baseline)
     with Progress(console=console, transient=True) as bar:
         total = round(seconds * config.rate_hz)
         job = bar.add_task(f"{config.name}: {config.law.name}", total=total)
@@ -87,6 +89,7 @@ def sim(
                 observer=recorder.observe if recorder else None,
                 scenario=scenario,
                 tell=recorder.tell if recorder else None,
+                baseline=baseline,
             )
         except ValueError as error:  # a task or layout the rig cannot carry
             raise RigError([f"{rig}: {error}"]) from None
@@ -115,14 +118,14 @@ def _run_folder(asked: Path | None) -> Path:
     return asked
 
 
-def _recorder(path: Path | None, config: RigConfig, rig: Path) -> Any:
+def _recorder(path: Path | None, config: RigConfig, rig: Path, baseline: dict[str, Any] | None) -> Any:
     if path is None:
         return None
     from hil.telemetry.recorder import LockstepRecorder
     from hil.telemetry.recording import RecordingError
 
     try:
-        return LockstepRecorder(path, config, rig)
+        return LockstepRecorder(path, config, rig, baseline)
     except RecordingError as error:
         raise typer.BadParameter(str(error), param_hint="--record") from None
 

@@ -19,6 +19,7 @@ from hil.cycle.tick import CommandKind, LoadedTask, Tick
 from hil.events.event import Event
 from hil.events.sources import events_of
 from hil.live.task_loading import loaded_task, rig_with_task
+from hil.rig.baseline_file import is_baseline
 from hil.rig.carried_code import carried_code
 from hil.rig.provenance import other_version, rig_of_run
 from hil.rig.schema import RigConfig, RigError
@@ -186,7 +187,8 @@ def replay_run(
         prepare()
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
         cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
-        stream = events_of(rig)
+        baseline = meta.get("baseline")
+        stream = events_of(rig, baseline if is_baseline(baseline, rig.axis_names) else None)
         other = _Comparison(*changed) if changed else None
         gaps = Gaps()
         for step in steps(recording):

@@ -52,11 +52,13 @@ def simulate(
     observer: Observer | None = None,
     scenario: Scenario | None = None,
     tell: Callable[[Sequence[Event]], None] | None = None,
+    baseline: dict[str, Any] | None = None,
 ) -> tuple[SimReport, "Traces"]:
     """Run the rig for `seconds` of virtual time; true following error (the stage's position, before the encoder) at
-    every sample. tell: is given the events as they are told.
+    every sample. tell: is given the events as they are told. baseline: what its accuracy is held
+    against (hil.events.baseline).
     """
-    stream = events_of(rig)
+    stream = events_of(rig, baseline)
     events: list[Event] = []
 
     def told(new: Sequence[Event]) -> None:

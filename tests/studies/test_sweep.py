@@ -8,7 +8,7 @@ import pytest
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.studies.crew import crew
-from hil.studies.sweep.plants import Job, jobs, plant_rig, reproduce, run_chunk, save_worst
+from hil.studies.sweep.plants import Job, beyond_baseline, jobs, plant_rig, reproduce, run_chunk, save_worst
 from tests.support.paths import RIGS
 
 PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
@@ -36,6 +36,14 @@ def test_the_worst_plants_reproduce_singly_bit_for_bit(tmp_path: Path) -> None:
     assert not reproduce(saved, 0.7, figures.max_error[1])
     assert load_rig(saved).plant == plant_rig(rig, 9, 2, False).plant
     assert "# The stage of Xu" in saved.read_text()
+
+
+def test_plants_beyond_the_rigs_baseline_are_counted_by_axis() -> None:
+    rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
+    figures = run_chunk(jobs(rig, RIGS, 3, 0.7, seed=9)[0])
+    middle = sorted(figures.rms_error[:, 0])[1]
+    kept = {"steady": {"x": 0.5 * middle * 0.999}}
+    assert beyond_baseline(rig, figures, kept) == {"x": 2}
 
 
 def test_a_saved_plant_is_the_rig_that_was_swept_whatever_was_set_for_it(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ import typer
 from hil.cli.options import JsonTarget, Overrides, RigFile, Scheduler
 from hil.cli.output import metres, print_plant_notes, write_json
 from hil.control.law_registry import file_name
+from hil.events.baseline import BEYOND
+from hil.rig.baseline_file import read_baseline
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
 from hil.rig.schema import RigConfig
@@ -17,6 +19,7 @@ from hil.studies.crew import Crew, crew, resumed
 from hil.studies.sweep.plants import (
     Figures,
     Job,
+    beyond_baseline,
     collect,
     jobs,
     plot,
@@ -65,6 +68,8 @@ def sweep(
             paths = save_worst(rig_file, rig, seed, hard, chosen, output)
             cases = [_case(path, seconds, n, figures) for path, n in zip(paths, chosen, strict=True)]
             document["laws"][name] = {"axes": summary(rig, figures), "plant_ticks_per_s": rate, "worst": cases}
+            if (kept := read_baseline(rig)) is not None:
+                document["laws"][name]["baseline"] = {"run": kept["run"], "beyond": beyond_baseline(rig, figures, kept)}
             _show(console, rig, document["laws"][name], output / f"{file_name(name)}.png")
     if json_target:
         write_json(document, json_target)
@@ -102,6 +107,10 @@ def _show(console: Any, rig: RigConfig, found: dict[str, Any], picture: Path) ->
             table.add_row(name, key.removesuffix("_error"), *values)
     console.print(table)
     console.print(f"distributions: {picture}")
+    if held := found.get("baseline"):
+        counts = ", ".join(f"{name} {count}" for name, count in held["beyond"].items())
+        limit = f"{BEYOND:g} times the RMS error of the baseline, {held['run']}"
+        console.print(f"plants beyond {limit}: {counts}", soft_wrap=True)
     for case in found["worst"]:
         verdict = (
             "reproduced singly, bit for bit" if case["reproduced"] else "NOT reproduced (a fault stops the single run)"

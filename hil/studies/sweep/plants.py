@@ -18,6 +18,7 @@ from drivers.families import layouts, sides_of
 from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
 from hil.control.trajectories import make_trajectory
+from hil.events.baseline import BEYOND
 from hil.rig.file import load_rig
 from hil.rig.former_keys import modernise
 from hil.rig.schema import RigConfig, RigError
@@ -214,6 +215,15 @@ def summary(rig: RigConfig, figures: Figures) -> dict[str, Any]:
     return {
         name: {key: quantiles(values[:, index]) for key, values in figures._asdict().items()}
         for index, name in enumerate(rig.axis_names)
+    }
+
+
+def beyond_baseline(rig: RigConfig, figures: Figures, kept: dict[str, Any]) -> dict[str, int]:
+    """How many plants have an RMS error that the rig's baseline (hil.events.baseline) does not allow, by axis."""
+    return {
+        name: int(np.count_nonzero(figures.rms_error[:, number] > BEYOND * kept["steady"][name]))
+        for number, name in enumerate(rig.axis_names)
+        if name in kept["steady"]
     }
 
 
