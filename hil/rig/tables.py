@@ -349,7 +349,11 @@ class TelemetryConfig(Table):
     record_part_size: int = key(500_000_000, "a file that is larger is followed by another", "B", ge=100_000, le=2**40)
     record_part_s: float = key(3600.0, "a file that is older is followed by another", "s", ge=1, le=604800)
     record_quota: int = key(
-        20_000_000_000, "most that recordings take; the oldest go, those of faults stay", "B", ge=1_000_000, le=2**50
+        20_000_000_000,
+        "most that recordings, snapshots of faults and black boxes take; the oldest go",
+        "B",
+        ge=1_000_000,
+        le=2**50,
     )
     recording_required: bool = key(False, "without a working recorder a new ACTIVE is refused")
     # The last: in what follows in this class the name would hide the function.

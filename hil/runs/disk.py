@@ -12,7 +12,7 @@ from hil.rig.tables import TelemetryConfig
 from hil.runs.listed import ListedRun
 
 KINDS = {
-    "recordings": re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap"),  # the quota's: hil.telemetry.run_recorder.prune
+    "recordings": re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap"),
     "fault snapshots": re.compile(r"fault-.*\.mcap"),
     "black boxes": re.compile(r"blackbox.*\.mcap"),
     "other files": re.compile(r".*", re.DOTALL),

@@ -83,14 +83,19 @@ def loss_text(gaps: Sequence[Gap], period_s: float, *, damaged: bool, most: int 
 
 
 def part_path(path: Path, number: int) -> Path:
-    """Where part `number` (2, 3, ...) of the recording is that `path` is a part of."""
-    return path.with_name(f"{_PART.sub('', path.name.removesuffix('.mcap'))}.part-{number}.mcap")
+    """Where part `number` (2, 3, ...) of the recording is that `path` is a part of. Names sort as the parts do; earlier
+    versions wrote the number without zeros.
+    """
+    return path.with_name(f"{_stem(path)}.part-{number:04}.mcap")
+
+
+def _stem(path: Path) -> str:
+    return _PART.sub("", path.name.removesuffix(".mcap"))
 
 
 def first_part(path: Path) -> Path:
     """Where the first file of the recording is that `path` is a later part of; `path` itself where it is none."""
-    stem = path.name.removesuffix(".mcap")
-    return path.with_name(f"{_PART.sub('', stem)}.mcap") if _PART.search(stem) else path
+    return path.with_name(f"{_stem(path)}.mcap") if _PART.search(path.name.removesuffix(".mcap")) else path
 
 
 class Recording:
@@ -166,7 +171,7 @@ class Recording:
         run, part = self.metadata.get("run"), self.metadata.get("part")
         if not isinstance(run, str) or not isinstance(part, int):  # written whole, or by an earlier version
             return
-        stem = part_path(self.path, 0).name.removesuffix("0.mcap")
+        stem = f"{_stem(self.path)}.part-"
         numbers = {path: path.name.removeprefix(stem).removesuffix(".mcap") for path in self.path.parent.glob("*.mcap")}
         parts = {
             int(number): path for path, number in numbers.items() if path.name.startswith(stem) and number.isdigit()

@@ -1,6 +1,6 @@
 """The recording of one control process, in as many files as its length, full disks and restarts of the sidecar make.
 
-Files: `run.mcap`, then `run.part-2.mcap`, ...; `run-2.mcap` of the next control process in the same folder. No tick is
+Files: `run.mcap`, then `run.part-0002.mcap`, ...; `run-2.mcap` of the next control process in the same folder. No tick is
 in two of them. What a full disk kept out is taken from the ring as soon as there is room again, as far as it is still
 there.
 """
@@ -28,6 +28,8 @@ PASSING = frozenset({"status"})  # topics whose old messages are of no use
 CAUGHT_UP = 512  # ticks taken from the ring at a time
 BEHIND = 250  # ticks at once: of a sidecar that keeps up, a few tens
 _OURS = re.compile(r"run(-\d+)?(\.part-\d+)?\.mcap")
+_SNAPSHOTS = re.compile(r"(fault-|blackbox).*\.mcap")
+SNAPSHOTS = 0.5  # of the quota, at most, for snapshots of faults and black boxes
 
 
 class Limits(NamedTuple):
@@ -215,19 +217,34 @@ def _forget_unbegun(progress: Progress) -> None:
 
 
 def prune(folder: Path, quota: int, newest: Path) -> list[Path]:
-    """Remove the oldest recordings of runs in a folder and the folders in it, until the rest has at most `quota` bytes.
+    """Remove the oldest recordings of runs in a folder and the folders in it, until those that are left, with snapshots
+    of faults and black boxes, have at most `quota` bytes.
 
-    Snapshots of faults and black boxes stay, and so does `newest`. Returns what was removed.
+    Of snapshots and black boxes the oldest go only where they alone have more than SNAPSHOTS of the quota. `newest`
+    stays. Returns what was removed.
     """
+    snapshots = _kept(folder, _SNAPSHOTS)
+    removed = _thinned(snapshots, quota * SNAPSHOTS, newest)
+    left = sum(size for _, size, path in snapshots if path not in removed)
+    return removed + _thinned(_kept(folder, _OURS), quota - left, newest)
+
+
+def _kept(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, int, Path]]:
+    """(time, bytes, path) of the files with such names, the oldest first."""
     found: list[tuple[int, int, Path]] = []
-    for path in (*folder.glob("run*.mcap"), *folder.glob("*/run*.mcap")):
+    for path in (*folder.glob("*.mcap"), *folder.glob("*/*.mcap")):
         with contextlib.suppress(OSError):
             status = path.lstat()
-            if _OURS.fullmatch(path.name) and stat.S_ISREG(status.st_mode):
+            if pattern.fullmatch(path.name) and stat.S_ISREG(status.st_mode):
                 found.append((status.st_mtime_ns, status.st_size, path))
+    return sorted(found)
+
+
+def _thinned(found: Sequence[tuple[int, int, Path]], quota: float, newest: Path) -> list[Path]:
+    """Remove the oldest of them, but `newest`, until the rest has at most that many bytes; what was removed."""
     total = sum(size for _, size, _ in found)
     removed: list[Path] = []
-    for _, size, path in sorted(found):
+    for _, size, path in found:
         if total <= quota:
             break
         if path.absolute() != newest.absolute():

@@ -2,7 +2,6 @@
 
 import io
 import json
-import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -74,6 +73,9 @@ def replay(
     in a fault.
     """
     changes = (*([f"law.name={json.dumps(law)}"] if law else []), *(overrides or ()))
+    if (first := first_part(recording)) != recording and first.exists():
+        print(printable(f"hil replay: a later part: replays the whole run, from {first} on"), file=sys.stderr)
+        recording = first
     try:
         with rig_of_run(Recording(recording).metadata) as (rig, _):
             code = carried_code(rig)
@@ -90,13 +92,11 @@ def replay(
 
 
 def _where_it_begins(recording: Path) -> str:
-    """Which file a later part of a recording needs; empty of a first part."""
+    """Which file a later part of a recording lacks; empty of a first part."""
     first = first_part(recording)
     if first == recording:
         return ""
-    shown, name = (escape(printable(text)) for text in (str(first), first.name))
-    if first.exists():
-        return f", whose first part is {shown}; this replays all parts: hil replay {shlex.quote(shown)}"
+    name = escape(printable(first.name))
     return f"; a replay needs its first part, {name}, in the same folder, and all parts between"
 
 

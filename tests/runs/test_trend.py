@@ -132,4 +132,4 @@ def test_the_disk_use_counts_every_file_once(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(listing, "read", lambda folder: [run(1e-7, quota=11_110)])
     done = command("disk", "--in", str(tmp_path))
     assert done.exit_code == 1
-    assert "snapshots and black boxes stay" in done.output
+    assert "the oldest go when the next recording begins" in done.output

@@ -128,12 +128,16 @@ def test_another_control_processs_part_is_not_read_as_this_ones(ring: Ring, tmp_
                 pass
         recorder.close(ring.reader.written, ring.now_ns)
         ring = Ring(tmp_path / "next" / name)
-    (tmp_path / "one" / "run.part-2.mcap").unlink()
-    (tmp_path / "two" / "run.part-2.mcap").rename(tmp_path / "one" / "run.part-2.mcap")
+    (tmp_path / "one" / "run.part-0002.mcap").unlink()
+    (tmp_path / "two" / "run.part-0002.mcap").rename(tmp_path / "one" / "run.part-0002.mcap")
     recording = Recording(tmp_path / "one" / "run.mcap")
     assert len(list(recording)) > 0
     names = [path.name for path in recording.parts]
-    assert names == ["run.mcap", "run.part-3.mcap", "run.part-4.mcap"]  # that ticks are missing, their indices say
+    assert names == [
+        "run.mcap",
+        "run.part-0003.mcap",
+        "run.part-0004.mcap",
+    ]  # that ticks are missing, their indices say
 
 
 def test_who_takes_over_records_on_where_the_file_on_the_disk_ends(ring: Ring, tmp_path: Path) -> None:
@@ -188,10 +192,26 @@ def test_ticks_the_ring_lost_before_they_were_recorded_are_counted_once(tmp_path
     assert sum(len(cycle.index) for cycle in cycles) == 255
 
 
-def test_the_quota_takes_the_oldest_and_leaves_the_newest_faults_and_what_is_not_ours(tmp_path: Path) -> None:
+def test_snapshots_count_in_the_quota_and_go_only_beyond_half_of_it(tmp_path: Path) -> None:
+    snapshots = ["a/fault-SPEED-7-00.mcap", "a/fault-SPEED-9-00.mcap", "b/blackbox-2.mcap"]
+    recordings = ["a/run.mcap", "b/run.mcap", "c/run.mcap"]
+    for age, name in enumerate([*snapshots, *recordings]):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(bytes(1000))
+        os.utime(path, ns=(age, age))
+    newest = tmp_path / "c" / "run.mcap"
+    assert prune(tmp_path, 6000, newest) == []
+    assert prune(tmp_path, 5999, newest) == [tmp_path / snapshots[0]], "three have more than half"
+    assert prune(tmp_path, 4000, newest) == [tmp_path / "a" / "run.mcap"]
+    assert prune(tmp_path, 0, newest) == [tmp_path / name for name in (*snapshots[1:], "b/run.mcap")]
+    assert newest.exists()
+
+
+def test_the_quota_takes_the_oldest_and_leaves_the_newest_and_what_is_not_ours(tmp_path: Path) -> None:
 
     names = ["a/run.mcap", "a/run.part-2.mcap", "b/run.mcap", "b/run-2.mcap", "run.mcap"]
-    others = ["a/fault-TRAVEL-7-00.mcap", "a/blackbox.mcap", "b/runs.mcap", "b/run.mcap.txt", "c/d/run.mcap"]
+    others = ["b/runs.mcap", "b/run.mcap.txt", "c/d/run.mcap"]
     for age, name in enumerate([*names, *others]):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
