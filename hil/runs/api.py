@@ -29,6 +29,7 @@ from hil.cycle.tick import CycleResult, Tick
 from hil.events.event import Event as Happened
 from hil.events.followed import only_followed
 from hil.events.marks import marks_of
+from hil.events.table import Kind
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import rig_hash
 from hil.rig.schema import RigConfig, RigError
@@ -194,7 +195,8 @@ class Run:
         from hil.runs.report import Story, report_page
 
         events = [(e.run_ns * 1e-9, e.line) for e in self.log] or [(event.time, event.text) for event in self.events]
-        story = Story(self.summary(), events, {"rig hash": rig_hash(self.rig), **self._facts()}, self._failure())
+        facts = {"rig hash": rig_hash(self.rig), **self._facts()}
+        story = Story(self.summary(), events, facts, self._failure(), self._latched())
         Path(path).write_text(report_page(self.rig, self, story), encoding="utf-8")
         return Path(path)
 
@@ -204,6 +206,12 @@ class Run:
 
     def _failure(self) -> str:
         return ""
+
+    def _latched(self) -> str:
+        """The event of the fault that the run ended with; empty where none did."""
+        at_end = self.columns["fault"][-1:].any()
+        lines = [event.line for event in self.log if event.kind is Kind.FAULT_LATCHED]
+        return lines[-1] if at_end and lines else ""
 
     def export(self, path: str | os.PathLike[str]) -> Path:
         """Write the columns, by the suffix: .csv and .parquet as `table` has them, .npz whole, for `load_run`.

@@ -149,9 +149,7 @@ def disk(folder: InFolder = RUNS, json_target: JsonTarget = "") -> None:
         share = f"{kept / quota:.1%} of the quota of {quota / 1e6:.0f} MB"
         print(f"recordings, snapshots and black boxes take {share} (telemetry.record_quota of {whose})")
         if kept > quota:
-            print(
-                "the oldest go when the next recording begins: first recordings, of snapshots what is beyond half of the quota"
-            )
+            print("the oldest go when the next recording begins; of snapshots only what is beyond half of the quota")
     if kept > quota:
         raise typer.Exit(1)
 

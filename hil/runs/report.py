@@ -30,13 +30,15 @@ _HEAD = (
 
 class Story(NamedTuple):
     """What a page tells beside the pictures. summary: as Run.summary gives it. events: time (s) and text of each.
-    facts: whatever else is known, by name. failure: why a user's law no longer counted, or empty.
+    facts: whatever else is known, by name. failure: why a user's law no longer counted, or empty. latched: the event of
+    the fault that the run ended with, or empty.
     """
 
     summary: Mapping[str, Any]
     events: Sequence[tuple[float, str]]
     facts: Mapping[str, Any]
     failure: str = ""
+    latched: str = ""
 
 
 def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
@@ -45,6 +47,7 @@ def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
     parts = [
         f"{_HEAD}<title>{_text(title)}</title><style>{_STYLE}</style></head><body><h1>{_text(title)}</h1>",
         f"<p>{_text(rig.description)}</p>" if rig.description else "",
+        f'<p class="bad">{_text(story.latched)}</p>' if story.latched else "",
         f'<p class="bad">{_text(story.failure)}</p>' if story.failure else "",
         _table([], _verdict(story)),
         "<h2>Steady window</h2>",

@@ -1,8 +1,8 @@
 """The recording of one control process, in as many files as its length, full disks and restarts of the sidecar make.
 
-Files: `run.mcap`, then `run.part-0002.mcap`, ...; `run-2.mcap` of the next control process in the same folder. No tick is
-in two of them. What a full disk kept out is taken from the ring as soon as there is room again, as far as it is still
-there.
+Files: `run.mcap`, then `run.part-0002.mcap`, ...; `run-2.mcap` of the next control process in the same folder. No
+tick is in two of them. What a full disk kept out is taken from the ring as soon as there is room again, as far as it is
+still there.
 """
 
 import contextlib
