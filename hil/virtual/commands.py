@@ -39,9 +39,14 @@ def sim(
     ] = None,
     *,
     keep: Annotated[
-        bool, typer.Option("--keep", help="keep recording and picture in runs/<time>, for hil runs and hil report")
-    ] = False,
-    out: Annotated[Path | None, typer.Option(help="keep them in this folder")] = None,
+        bool | None,
+        typer.Option(
+            "--keep/--no-keep",
+            help="keep recording and picture in runs/<time>, or nothing  [the recording, without --record]",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="keep recording and picture in this folder")] = None,
 ) -> None:
     """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time.
 
@@ -53,6 +58,7 @@ def sim(
     from hil.rig.baseline_file import read_baseline
     from hil.rig.bus_load import refuse_unschedulable
     from hil.rig.encoder_range import encoder_range_problems
+    from hil.telemetry.run_recorder import prune
     from hil.virtual.scenario import load_scenario
     from hil.virtual.sim import simulate
 
@@ -72,9 +78,10 @@ def sim(
     for note in excursion_notes(config):
         console.print(note, soft_wrap=True, markup=False)
 
-    if keep or out:
-        folder = _run_folder(out)
-        record, picture = record or folder / "run.mcap", picture or folder / "tracking.png"
+    folder = _run_folder(out, keep, console) if keep or out or (keep is None and record is None) else None
+    if folder is not None:
+        record = record or folder / "run.mcap"
+        picture = picture or (folder / "tracking.png" if keep or out else None)
     baseline = read_baseline(config)
     recorder = _recorder(record, config, rig, baseline)
     with Progress(console=console, transient=True) as bar:
@@ -96,9 +103,11 @@ def sim(
         finally:
             if recorder:
                 recorder.close()
+    if folder is not None and out is None:
+        prune(folder.parent, config.telemetry.record_quota, folder / "run.mcap")
     report.overrides = list(overrides or ())
     _show(console, config, report, traces, picture)
-    if keep or out:
+    if folder is not None:
         console.print(f"kept in {folder}/", soft_wrap=True, markup=False, highlight=False)
     if json_target:
         write_json(report_document(report), json_target)
@@ -106,12 +115,21 @@ def sim(
         raise typer.Exit(EXIT_FAULT)
 
 
-def _run_folder(asked: Path | None) -> Path:
-    """The folder that was asked for, which holds no run yet, or a new one. Raises typer.BadParameter, OSError."""
+def _run_folder(asked: Path | None, keep: bool | None, console: Console) -> Path | None:
+    """The folder that was asked for, which holds no run yet, or a new one; None where nobody asked, and none can be
+    made here. Raises typer.BadParameter, OSError.
+    """
     from hil.telemetry.blackbox import run_directory
 
     if asked is None:
-        return run_directory()
+        try:
+            return run_directory()
+        except OSError as error:
+            if keep:
+                raise
+            why = f"not kept: {error.filename}: {error.strerror}; --out FOLDER keeps a run elsewhere"
+            console.print(why, soft_wrap=True, markup=False, highlight=False)
+            return None
     asked.mkdir(parents=True, exist_ok=True)
     if (asked / "run.mcap").exists():
         raise typer.BadParameter(f"{asked}: it holds a run already", param_hint="--out")

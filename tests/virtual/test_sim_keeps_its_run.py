@@ -1,4 +1,4 @@
-"""`hil sim --keep` leaves a folder as a demo does, which other commands take as a run."""
+"""`hil sim` leaves a folder as a demo does, which other commands take as a run."""
 
 from pathlib import Path
 
@@ -14,17 +14,50 @@ def command(name: str, *words: str) -> Result:
     return CliRunner().invoke(build_app(name), [name, *words])
 
 
-def test_a_run_is_kept_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert command("sim", "paper", *QUICK).exit_code == 0
-    assert not (tmp_path / "runs").exists()
-    done = command("sim", "paper", *QUICK, "--keep")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
+
+
+@pytest.mark.parametrize(("words", "files"), [
+    ((), ["run.mcap"]),
+    (("--keep",), ["run.mcap", "tracking.png"]),
+])  # fmt: skip
+def test_a_run_is_kept_and_listed(here: Path, words: tuple[str, ...], files: list[str]) -> None:
+    done = command("sim", "paper", *QUICK, *words)
     assert done.exit_code == 0, done.output
-    (folder,) = (tmp_path / "runs").iterdir()
+    (folder,) = (here / "runs").iterdir()
     assert f"kept in runs/{folder.name}/" in done.output
-    assert sorted(path.name for path in folder.iterdir()) == ["run.mcap", "tracking.png"]
+    assert sorted(path.name for path in folder.iterdir()) == files
     assert f"{folder.name}  paper  pd-feedforward  0.4 s" in command("runs").output
+
+
+@pytest.mark.parametrize("words", [("--no-keep",), ("--record", "mine.mcap")])
+def test_none_is_kept_where_it_is_not_wanted(here: Path, words: tuple[str, ...]) -> None:
+    done = command("sim", "paper", *QUICK, *words)
+    assert done.exit_code == 0, done.output
+    assert not (here / "runs").exists()
+    assert (here / "mine.mcap").exists() is ("--record" in words)
+
+
+def test_where_no_folder_can_be_made_the_run_is_made_all_the_same_and_it_is_said(here: Path) -> None:
+    (here / "runs").write_text("a file")
+    done = command("sim", "paper", *QUICK)
+    assert done.exit_code == 0, done.output
+    assert "not kept: runs" in done.output
+    assert command("sim", "paper", *QUICK, "--keep").exit_code != 0
+
+
+def test_kept_runs_take_no_more_than_the_quota(here: Path) -> None:
+    old = here / "runs" / "20200101-000000"
+    old.mkdir(parents=True)
+    (old / "run.mcap").write_bytes(bytes(1_000_001))
+    assert command("sim", "paper", *QUICK, "--set", "telemetry.record_quota=1000000").exit_code == 0
+    assert not (old / "run.mcap").exists()
+    assert len(list((here / "runs").glob("*/run.mcap"))) == 1
 
 
 def test_a_folder_that_holds_a_run_is_refused(tmp_path: Path) -> None:
