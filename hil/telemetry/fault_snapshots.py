@@ -6,6 +6,7 @@ what its predecessor left undone.
 """
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,11 @@ import numpy as np
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
+from hil.events.event import Event
+from hil.events.stream import EventStream, stream_of
 from hil.live.ring import RingReader
 from hil.telemetry.codec import Records
+from hil.telemetry.event_codec import encode
 from hil.telemetry.recorder import Recorder, write_batch
 
 BEFORE_S, AFTER_S = 10.0, 2.0
@@ -42,6 +46,8 @@ class FaultSnapshots:
         self._latched = 0
         self._pending: list[_Pending] = []
         self._writing: Recorder | None = None
+        self._stream: EventStream | None = None  # of the one that is being written
+        self._told = 0  # of its events
         self._next = 0
         self._retry_ns = 0
         self.failed = 0  # those that could not be written before the ring had nothing of them any more
@@ -91,9 +97,11 @@ class FaultSnapshots:
             batch = self._reader.look(self._next, min(_ROUND, end - self._next))
             if len(batch.records):
                 write_batch(recorder, batch.records, first=batch.first, lost=batch.lost)
+                self._tell(recorder, self._stream.tell(batch.records, batch.lost) if self._stream else ())
                 self._next = batch.first + len(batch.records)
             if recorder.ok and self._next < end and len(batch.records):
                 return True
+            self._tell(recorder, self._stream.close() if self._stream else ())
             recorder.close()
         self._end(job, now_ns, over)
         return True
@@ -108,8 +116,18 @@ class FaultSnapshots:
             "snapshot": job.path.name,
         }
         self._next = job.first
+        known = self._reader.metadata
+        self._stream = stream_of(known["rig"], max(self._reader.period_ns, 1), known.get("baseline"))
+        self._told = 0
         self._writing = Recorder(temporary, metadata)
         self._writing.hurried = True
+
+    def _tell(self, recorder: Recorder, events: Sequence[Event]) -> None:
+        """A snapshot tells its own story: no replay can, as it begins in the middle of a run."""
+        offset_ns = int(self._reader.metadata.get("wall_offset_ns", 0))
+        for event in events:
+            recorder.write("events", event.time_ns, encode(event, self._told, offset_ns).SerializeToString())
+            self._told += 1
 
     def _end(self, job: _Pending, now_ns: int, over: bool) -> None:
         recorder, self._writing = self._writing, None

@@ -37,7 +37,8 @@ TICKS = st.tuples(
     st.lists(COMMANDS, max_size=4),
     st.integers(0, 31),
 )
-AXIS = {"kind": "linear", "encoder_resolution": 2.0**-20, "limits": {"force": 1.0}}
+MODEL = {"mass": 1.0, "coulomb": 0.0, "viscous": 0.0, "gravity": 0.0}
+AXIS = {"kind": "linear", "encoder_resolution": 2.0**-20, "limits": {"force": 1.0}, "model": MODEL}
 RIG = {"name": "x", "rate_hz": 1000.0, "axes": {"x": AXIS, "y": AXIS, "state": AXIS}}
 DIGEST = document_hash(RIG)
 METADATA = {"rig": RIG, "rig_hash": DIGEST, "version": "0", "wall_offset_ns": 10}

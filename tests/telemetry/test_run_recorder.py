@@ -11,9 +11,11 @@ import pytest
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
+from hil.events.table import Kind
 from hil.live.ring import RingReader, RingWriter
-from hil.telemetry import cycle_codec
+from hil.telemetry import cycle_codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
+from hil.telemetry.event_codec import decode
 from hil.telemetry.fault_snapshots import AFTER_S, BEFORE_S, FaultSnapshots
 from hil.telemetry.recorder import Recorder, write_batch
 from hil.telemetry.recording import Recording
@@ -261,6 +263,9 @@ def test_each_fault_that_latches_leaves_the_seconds_around_it_in_a_file_of_its_o
     assert seconds_of(overrun) == (1610 - before, 1610 + after - 1)
     assert not Recording(estop).truncated
     assert estop.stat().st_mode & 0o007 == 0
+    told = [decode(events_pb2.Event.FromString(item.data)) for item in Recording(estop) if item.topic == "events"]
+    latched = [(event.name, event.tick) for event in told if event.kind is Kind.FAULT_LATCHED]
+    assert latched == [("travel", 1500), ("overrun", 1610)], "in the middle of a run, where no replay tells anything"
 
 
 def test_a_fault_just_before_the_end_and_one_a_killed_sidecar_left_undone_have_their_files_too(
