@@ -49,7 +49,8 @@ COMMANDS: dict[str, dict[str, Entry]] = {
     },
     "Look": {
         "monitor": Entry("hil.operate.monitor:monitor", "Watch a running rig in the terminal"),
-        "dashboard": Entry("hil.operate.dashboard:dashboard", "Watch a running rig in a browser"),
+        "page": Entry("hil.page.command:page", "Watch and stop rigs from a browser or a phone"),
+        "dashboard": Entry("hil.page.command:dashboard", "The former name of hil page"),
         "runs": Entry("hil.runs.listing:runs", "List the runs of a folder: rig, law, how each ended, accuracy, notes"),
         "baseline": Entry("hil.runs.baseline:baseline", "Keep what a sound run is like, to hold later runs against it"),
         "events": Entry("hil.runs.events:events", "List what happened in a running rig or in a recording"),

@@ -28,11 +28,18 @@ def stop_rig(name: str) -> int:
 
 def report(name: str, page: Page, pressed_ns: int, status: Status) -> int:
     """Print what one control process made of the press; its exit status."""
+    verdict, text = told(name, pressed_ns, status)
+    print(text, file=sys.stderr if verdict == HUNG else sys.stdout)
+    return verdict
+
+
+def told(name: str, pressed_ns: int, status: Status) -> tuple[int, str]:
+    """What one control process made of the press: its exit status, and in words."""
     who = f"{name} (pid {status.pid})"
     if status.latched_at >= pressed_ns:
         after_ms = (status.latched_at - pressed_ns) / 1e6
-        print(f"{who}: {status.latched_state} in tick {status.latched_index}, {after_ms:.1f} ms after the press")
-        return OK if status.latched_state == "ESTOP" else NOT_STOPPED
+        text = f"{who}: {status.latched_state} in tick {status.latched_index}, {after_ms:.1f} ms after the press"
+        return OK if status.latched_state == "ESTOP" else NOT_STOPPED, text
     last = "it has not begun"
     if status.alive_at:
         age_s = (time.monotonic_ns() - status.alive_at) / 1e9
@@ -41,8 +48,7 @@ def report(name: str, page: Page, pressed_ns: int, status: Status) -> int:
         fate = f"pressed, but the process does not run: {last}. It stops in its next tick"
     else:
         fate = f"the process ended while stop was pressed: {last}"
-    print(f"{who}: {fate}. The drives' watchdogs end the torque meanwhile", file=sys.stderr)
-    return HUNG
+    return HUNG, f"{who}: {fate}. The drives' watchdogs end the torque meanwhile"
 
 
 def estop(name: str) -> None:

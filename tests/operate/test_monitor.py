@@ -1,9 +1,7 @@
 """What people look at: terminal view, one-line form, browser page, picture."""
 
-import builtins
 import io
 import os
-import sys
 import termios
 import time
 from pathlib import Path
@@ -13,11 +11,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from rich.console import Console
-from typer import Exit
 
 from drivers.protocols.base import DriveStatus
 from hil.cli.pictures import tracking_picture
-from hil.operate import dashboard, monitor
+from hil.operate import monitor
 from hil.operate.monitor import Newest, banner, line, silence, view
 from hil.rig.schema import RigConfig
 from hil.telemetry import events_pb2 as pb_events
@@ -56,11 +53,10 @@ def status(**changes: Any) -> pb.Status:
 
 def test_an_axis_that_has_fallen_silent_is_named_with_how_long_ago() -> None:
     silent = status(answer_age=[0.0, 0.7], drive_problems=["theta: <b>1018h</b> differs"])
-    for text in (shown(silent), line(silent), dashboard.headline(silent)):
+    for text in (shown(silent), line(silent)):
         assert "no answer from theta for 0.7 s" in text
         assert "1018h" in text
         assert "x for" not in text
-    assert "<b>1018h" not in dashboard.headline(silent)
     assert "no answer" not in shown(status(answer_age=[0.1, 0.4]))
 
 
@@ -115,15 +111,6 @@ def test_a_status_without_any_tick_is_shown_too() -> None:
     assert "is not running" in line(pb.Status(rig="microscope"))
 
 
-def test_the_page_streams_one_column_per_axis_and_quantity() -> None:
-    row = dashboard.row(status())
-    assert row["position_0"] == [pytest.approx(1.234567)]
-    assert row["max_error_1"] == [pytest.approx(30)]
-    assert row["late"] == [pytest.approx(410)]
-    assert row["t"] == [pytest.approx(1.234)]
-    assert "killed" in dashboard.headline(status(control_alive=False))
-
-
 def event(name: str, kind: int = pb_events.Event.FAULT_LATCHED, **changes: Any) -> pb_events.Event:
     line = f"tick 7 (0.007 s): fault latched: {name} on x: age 3 ticks, limit 3 ticks; cause: <b>; next: reset"
     return pb_events.Event(kind=kind, name=name, severity=pb_events.Event.ERROR, line=line, wall_ns=10**18, **changes)
@@ -142,43 +129,6 @@ def test_a_latched_fault_is_a_banner_above_the_list_of_events() -> None:
     text = console.export_text()
     assert text.count("encoder_lost on x") == 2
     assert text.index("encoder_lost on x") < text.index("max error, last s")
-    page = dashboard.event_list(stopped, events)
-    assert "<b>;" not in page
-    assert page.count("encoder_lost on x") == 2
-    assert page.index("encoder_lost on x", page.index("</div>")) < page.index("speed on x"), "the newest first"
-
-
-def test_the_page_is_laid_out_by_the_first_status_and_fed_by_the_next() -> None:
-    pytest.importorskip("bokeh", reason="the extra `dashboard` is not installed")
-    from bokeh.document import Document
-
-    messages = [pb.Status(rig="microscope"), status(), None, status(index=1334)]
-    client = SimpleNamespace(status=lambda: messages.pop(0), events=list, close=lambda: None)
-    document = Document()
-    page = dashboard.Page(document, client)  # type: ignore[arg-type]
-    for _ in range(4):
-        page.update()
-    [root] = document.roots
-    source = root.select_one({"type": __import__("bokeh.models", fromlist=["x"]).ColumnDataSource})
-    assert source.data["t"] == [pytest.approx(1.234), pytest.approx(1.334)]
-
-
-def test_without_bokeh_the_command_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    original = builtins.__import__
-
-    def without_bokeh(name: str, *arguments: Any, **keywords: Any) -> Any:
-        if name.startswith("bokeh"):
-            raise ImportError(name)
-        return original(name, *arguments, **keywords)
-
-    monkeypatch.setattr(builtins, "__import__", without_bokeh)
-    for name in [name for name in sys.modules if name.startswith("bokeh")]:
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(Exit):
-        dashboard.dashboard(rig=None, connect="tcp/127.0.0.1:9", key="hil", port=5006, show=False)
-    assert 'pip install "hil[dashboard]"' in capsys.readouterr().err
 
 
 @pytest.mark.long
@@ -210,7 +160,6 @@ def test_a_control_process_that_hangs_is_said_to_and_how_old_what_is_shown_is() 
     hung = status(now_ns=10_000_000_000, tick_ns=6_800_000_000)
     assert "THE CONTROL PROCESS HANGS: no tick for 3.2 s; what is shown is as old; it was ACTIVE" in line(hung)
     assert "HANGS" in shown(hung)
-    assert "HANGS" in dashboard.headline(hung)
     assert "HANGS" not in line(status(now_ns=10_000_000_000, tick_ns=9_600_000_000))
 
 
@@ -232,7 +181,6 @@ def test_a_sidecar_that_falls_silent_is_said_to_within_a_second() -> None:
         assert time.monotonic() - began < 1.0
     assert newest.status
     assert "NO WORD FROM THE SIDECAR for 0.5 s" in line(newest.status, newest.age_s)
-    assert "NO WORD" in dashboard.headline(newest.status, newest.age_s)
 
 
 def test_no_text_in_a_status_commands_the_terminal_or_the_browser() -> None:
@@ -253,7 +201,6 @@ def test_no_text_in_a_status_commands_the_terminal_or_the_browser() -> None:
     text = console.export_text()
     assert "\x1b" not in text
     assert "\x07" not in text
-    assert "<script" not in dashboard.headline(clean)
     assert "[bold red on white]" in text  # shown, not obeyed
 
 

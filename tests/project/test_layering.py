@@ -22,6 +22,7 @@ ROOMS = (
     "connection",
     "studies",
     "identify",
+    "page",
     "operate",
     "runs",
     "virtual",

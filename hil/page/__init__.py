@@ -1,0 +1,1 @@
+"""`hil page`: rigs in a browser, from a process of its own."""

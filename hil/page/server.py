@@ -1,0 +1,251 @@
+"""The page's requests: what each needs, and who may make it. Everything but the page's own files asks for a pairing."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hil.cycle.tick import CommandKind
+from hil.page.access import Access, Pairing, PairingError, Role
+from hil.page.audit import Audit
+from hil.page.guard import Guard
+from hil.page.hub import Hub, Viewer
+from hil.page.rig_facts import rig_facts, runs_in
+from hil.page.ring_feed import running_rigs
+from hil.page.stopping import ask, emergency_stop
+
+STATIC: Final = Path(__file__).with_name("static")
+LARGEST: Final = 4096  # bytes of a request
+VIEWERS: Final = 32
+CHECKED_S: Final = 0.2  # how often an open page's rights are looked at
+COOKIE_S: Final = 90 * 24 * 3600
+_COMMANDS: Final = {"stop": (CommandKind.STOP, Role.STOP), "reset": (CommandKind.RESET, Role.OPERATE)}
+
+
+class RefusedError(Exception):
+    """A request that is answered with this status and text."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status, self.text = status, text
+
+
+class PageServer:
+    """rigs: names of those that are shown; empty: all that run here. cookie: its name. secure: over TLS."""
+
+    def __init__(
+        self, access: Access, audit: Audit, rigs: Sequence[str], runs: Path, *, cookie: str, secure: bool
+    ) -> None:
+        self._access, self._audit = access, audit
+        self._named, self._runs = tuple(rigs), runs
+        self._cookie, self._secure = cookie, secure
+        self.hubs: dict[str, Hub] = {}
+
+    def routes(self) -> list[BaseRoute]:
+        """All there is to ask for."""
+        return [
+            Route("/", self._answer(self._front), methods=["GET"]),
+            Route("/pair", self._answer(self._pair), methods=["POST"]),
+            Route("/leave", self._answer(self._leave), methods=["POST"]),
+            Route("/me", self._answer(self._me), methods=["GET"]),
+            Route("/runs", self._answer(self._list_runs), methods=["GET"]),
+            Route("/rigs/{rig}/facts", self._answer(self._facts), methods=["GET"]),
+            Route("/rigs/{rig}/estop", self._answer(self._estop), methods=["POST"]),
+            Route("/rigs/{rig}/{command:str}", self._answer(self._command), methods=["POST"]),
+            WebSocketRoute("/rigs/{rig}/feed", self._feed),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ]
+
+    def _answer(self, handle: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+        """The same with refusals answered, and every request in the audit."""
+
+        async def answered(request: Request) -> Response:
+            try:
+                response = await handle(request)
+            except RefusedError as error:
+                response = JSONResponse({"accepted": False, "said": error.text}, error.status)
+            except (PairingError, OSError) as error:
+                response = JSONResponse({"accepted": False, "said": str(error)}, 403)
+            said = bytes(response.body).decode() if request.method == "POST" else ""
+            self._note(request, request.method, response.status_code, said)
+            return response
+
+        return answered
+
+    def _note(self, request: HTTPConnection, method: str, status: int, said: str = "") -> None:
+        pairing = self._pairing(request)
+        who = f"{pairing.name} ({pairing.role.name.lower()})" if pairing else "nobody"
+        self._audit.note(
+            who, request.client.host if request.client else "", f"{method} {request.url.path}", status, said
+        )
+
+    def _pairing(self, request: HTTPConnection) -> Pairing | None:
+        return self._access.pairing_of(request.cookies.get(self._cookie))
+
+    def _may(self, request: HTTPConnection, role: Role) -> Pairing:
+        pairing = self._pairing(request)
+        if pairing is None:
+            raise RefusedError(401, "this browser is not paired: give it a code")
+        if pairing.role < role:
+            raise RefusedError(403, f"{pairing.name} may {pairing.role.name.lower()}, not {role.name.lower()}")
+        return pairing
+
+    def rigs(self) -> list[str]:
+        """Names of the rigs that can be looked at."""
+        return list(self._named) or running_rigs()
+
+    def _rig(self, request: HTTPConnection) -> str:
+        """The rig that a request names. Raises RefusedError for one that is not shown."""
+        name = str(request.path_params["rig"])
+        if name not in self.rigs():
+            raise RefusedError(404, f"no rig {name[:80]!a}: {', '.join(self.rigs()) or 'none runs here'}")
+        return name
+
+    def _hub(self, rig: str) -> Hub:
+        if rig not in self.hubs:
+            self.hubs[rig] = Hub(rig)
+        return self.hubs[rig]
+
+    async def _front(self, _request: Request) -> Response:
+        return FileResponse(STATIC / "index.html")
+
+    async def _pair(self, request: Request) -> Response:
+        given = await _document(request)
+        secret, pairing = self._access.pair(str(given.get("code", ""))[:40], str(given.get("name", "")))
+        response = JSONResponse({"accepted": True, "said": f"paired as {pairing.name}: {pairing.role.name.lower()}"})
+        response.set_cookie(
+            self._cookie, secret, max_age=COOKIE_S, httponly=True, samesite="strict", secure=self._secure
+        )
+        return response
+
+    async def _leave(self, request: Request) -> Response:
+        self._access.revoke(self._may(request, Role.WATCH).name)
+        response = JSONResponse({"accepted": True, "said": "this browser is no longer paired"})
+        response.delete_cookie(self._cookie, httponly=True, samesite="strict", secure=self._secure)
+        return response
+
+    async def _me(self, request: Request) -> Response:
+        pairing = self._pairing(request)
+        if pairing is None:
+            return JSONResponse({"role": ""})
+        return JSONResponse({"name": pairing.name, "role": pairing.role.name.lower(), "rigs": self.rigs()})
+
+    async def _list_runs(self, request: Request) -> Response:
+        self._may(request, Role.WATCH)
+        return JSONResponse({"folder": self._runs.name, "runs": await asyncio.to_thread(runs_in, self._runs)})
+
+    async def _facts(self, request: Request) -> Response:
+        self._may(request, Role.WATCH)
+        hub = self._hub(self._rig(request))
+        return JSONResponse(await asyncio.to_thread(rig_facts, hub.ring.metadata))
+
+    async def _estop(self, request: Request) -> Response:
+        self._may(request, Role.STOP)
+        rig = str(request.path_params["rig"])
+        if self._named and rig not in self._named:
+            raise RefusedError(404, f"no rig {rig[:80]!a}: {', '.join(self._named)}")
+        return JSONResponse(await emergency_stop(rig))
+
+    async def _command(self, request: Request) -> Response:
+        name, rig = str(request.path_params["command"]), self._rig(request)
+        if name not in _COMMANDS:
+            raise RefusedError(404, f"no command {name[:40]!a}: {', '.join(_COMMANDS)}, estop")
+        kind, role = _COMMANDS[name]
+        pairing = self._may(request, role)
+        given = await _document(request)
+        hub = self._hub(rig)
+        if role is Role.OPERATE and not hub.take(pairing.name, over=given.get("take") is True):
+            raise RefusedError(409, f"{hub.operator} operates this rig: take over from there first")
+        return JSONResponse(await asyncio.to_thread(ask, rig, kind))
+
+    async def _feed(self, socket: WebSocket) -> None:
+        """A rig's stream, for as long as the browser is there and may watch."""
+        try:
+            pairing, hub = self._may(socket, Role.WATCH), self._hub(self._rig(socket))
+        except RefusedError as error:
+            self._note(socket, "WS", error.status, error.text)
+            await socket.accept()  # so that the browser can tell why: a refused handshake says nothing
+            await socket.close(4000 + error.status, error.text[:100])
+            return
+        await socket.accept()
+        if sum(len(each.viewers) for each in self.hubs.values()) >= VIEWERS:
+            await socket.close(4503, f"{VIEWERS} pages are open")
+            return
+        self._note(socket, "WS", 101)
+        viewer = Viewer(pairing.name)
+        hub.join(viewer)
+        try:
+            await self._stream(socket, hub, viewer)
+        finally:
+            hub.leave(viewer)
+
+    async def _stream(self, socket: WebSocket, hub: Hub, viewer: Viewer) -> None:
+        """Until the first of these ends: sending, what the browser asks for, its right to watch."""
+
+        async def send(message: bytes | str) -> None:
+            await (socket.send_bytes(message) if isinstance(message, bytes) else socket.send_text(message))
+
+        async def listen() -> None:
+            while True:
+                text = await socket.receive_text()
+                viewer.choose(text[:LARGEST], len(hub.ring.signals))
+
+        async def watch_rights() -> None:
+            while self._pairing(socket) is not None:
+                await asyncio.sleep(CHECKED_S)
+
+        tasks = [asyncio.create_task(work) for work in (viewer.pump(send), listen(), watch_rights())]
+        done, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+        await asyncio.gather(*waiting, return_exceptions=True)
+        failed = [error for task in done if (error := task.exception())]
+        if any(
+            not isinstance(error, WebSocketDisconnect | RuntimeError | OSError | ValueError | KeyError)
+            for error in failed
+        ):
+            raise failed[0]
+        with contextlib.suppress(RuntimeError, OSError, WebSocketDisconnect):
+            reason = str(failed[0]) if failed and isinstance(failed[0], ValueError) else "" if failed else "revoked"
+            await socket.close(4401 if reason == "revoked" else 1008, reason[:100])
+
+    @contextlib.asynccontextmanager
+    async def lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        """Nothing to begin; at the end all rigs are let go."""
+        yield
+        for hub in self.hubs.values():
+            await hub.close()
+
+
+async def _document(request: Request) -> dict[str, Any]:
+    """The JSON object of a request; {} where it has none. Raises RefusedError."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > LARGEST:
+            raise RefusedError(413, f"a request of more than {LARGEST} bytes")
+    try:
+        found = json.loads(body or b"{}")
+    except (ValueError, RecursionError):
+        raise RefusedError(400, "the request is no JSON") from None
+    if not isinstance(found, dict):
+        raise RefusedError(400, "the request is no JSON object")
+    return found
+
+
+def make_app(server: PageServer, audit: Audit, hosts: Sequence[str], *, secure: bool) -> Starlette:
+    """The whole application. hosts: names with port under which it may be asked for."""
+    guard = Middleware(Guard, hosts=hosts, secure=secure, audit=audit)
+    zipped = Middleware(GZipMiddleware, minimum_size=500)
+    return Starlette(routes=server.routes(), middleware=[guard, zipped], lifespan=server.lifespan)

@@ -1,0 +1,73 @@
+"""A rig's sidecar as the page hears it: the newest status and the events, from a thread, as Zenoh may wait."""
+
+import threading
+import time
+from collections import deque
+from typing import Any, Final
+
+from hil.live.mapped_file import Closing
+from hil.page.words import event_words, status_words
+from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+
+POLL_S: Final = 0.05
+SILENT_S: Final = 2.0  # after which it is looked for elsewhere
+KEPT: Final = 500  # events
+
+
+class SidecarFeed(Closing):
+    """rig: its name. key: [telemetry] key. What came is kept under a lock; nobody who asks waits for the network."""
+
+    def __init__(self, rig: str, key: str = "hil") -> None:
+        self._rig, self._key = rig, key
+        self._lock = threading.Lock()
+        self._status: dict[str, Any] = {}
+        self._heard_s: float | None = None
+        self._events: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._told = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name=f"sidecar of {rig}", daemon=True)
+        self._thread.start()
+
+    @property
+    def age_s(self) -> float:
+        """Of its last word; NaN before the first."""
+        return float("nan") if self._heard_s is None else time.monotonic() - self._heard_s
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """The newest status in words; empty before the first."""
+        with self._lock:
+            return self._status
+
+    def events(self, told: int = 0) -> tuple[int, list[dict[str, Any]]]:
+        """How many events have come so far, and those after the first `told` that are still kept."""
+        with self._lock:
+            fresh = self._told - told
+            return self._told, list(self._events)[max(len(self._events) - fresh, 0) :] if fresh > 0 else []
+
+    def _listen(self) -> None:
+        while not self._over.is_set():
+            try:
+                with RigClient(find_endpoint(self._rig), self._key, self._rig) as client:
+                    self._follow(client)
+            except NoSidecarError:
+                return  # a name that no sidecar can have
+
+    def _follow(self, client: RigClient) -> None:
+        """Until the sidecar has been silent for long, or the page ends."""
+        since = time.monotonic()
+        while not self._over.wait(POLL_S):
+            status, events = client.status(), client.events()
+            now = time.monotonic()
+            with self._lock:
+                if status is not None:
+                    self._status, self._heard_s, since = status_words(status), now, now
+                self._events.extend(map(event_words, events))
+                self._told += len(events)
+            if now - since > SILENT_S:
+                return
+
+    def close(self) -> None:
+        """End the thread; idempotent."""
+        self._over.set()
+        self._thread.join(SILENT_S)

@@ -1,0 +1,34 @@
+// What this browser asks for. Nothing is sent twice by itself, except E-STOP, which does no harm twice.
+
+const WAIT_MS = 3000;
+
+export async function ask(path, body, method = "POST") {
+  const options = { method, signal: AbortSignal.timeout(WAIT_MS), keepalive: method === "POST" };
+  if (method === "POST") options.body = JSON.stringify(body ?? {});
+  try {
+    const response = await fetch(path, options);
+    return { status: response.status, ...(await response.json()) };
+  } catch {
+    return { status: 0, accepted: false, said: "the page's server does not answer" };
+  }
+}
+
+export const load = (path) => ask(path, undefined, "GET");
+
+/** E-STOP: two tries, then words that nobody can take for a success. */
+export async function emergencyStop(rig, tell) {
+  const path = `/rigs/${encodeURIComponent(rig)}/estop`;
+  tell("E-STOP sent ...");
+  let answer = await ask(path);
+  if (answer.status === 0) answer = await ask(path);
+  if (answer.accepted) tell(`E-STOP: ${answer.said}`);
+  else tell(`E-STOP DID NOT ARRIVE: ${answer.said}. Use the stop that cuts the drives' power.`);
+}
+
+export async function command(rig, name, tell, body = {}) {
+  tell(`${name} sent ...`);
+  const answer = await ask(`/rigs/${encodeURIComponent(rig)}/${name}`, body);
+  if (answer.status === 409 && confirm(`${answer.said}\nTake over?`)) return command(rig, name, tell, { take: true });
+  tell(`${name}: ${answer.said}`);
+  return answer;
+}

@@ -1,0 +1,53 @@
+// Rig: what its axes are held to, what its drives say, what its bus carries.
+
+import { load } from "./actions.js";
+import { el, say } from "./dom.js";
+import { place, short } from "./units.js";
+
+const table = (heads, rows) => el("div", { className: "wide" }, el("table", {},
+  el("thead", {}, el("tr", {}, ...heads.map((head) => el("th", {}, head)))),
+  el("tbody", {}, ...rows.map((row) => el("tr", {}, ...row.map((cell) => el("td", {}, cell)))))));
+
+const card = (title, ...children) => el("section", { className: "card" }, el("h2", {}, title), ...children);
+
+export class Rig {
+  constructor(main, feed) {
+    this.feed = feed;
+    this.main = main;
+    this.drives = el("p");
+    this.counters = el("p");
+    this.read();
+  }
+
+  async read() {
+    const facts = await load(`/rigs/${encodeURIComponent(this.feed.rig)}/facts`);
+    if (!facts.axes) return this.main.replaceChildren(facts.said ?? "No control process has left word of this rig.");
+    const limits = facts.axes.map((axis) => {
+      const unit = axis.kind === "linear" ? "m" : "rad", force = axis.kind === "linear" ? "N" : "N m";
+      return [axis.name, `${place(axis.position[0], unit)} to ${place(axis.position[1], unit)}`, short(axis.speed, `${unit}/s`),
+        short(axis.force, force), short(axis.following_error, unit)];
+    });
+    const { bus, load: traffic } = facts;
+    const rate = [bus.bitrate, bus.data_bitrate].filter(Boolean).map((bits) => `${bits / 1e6} Mbit/s`).join(" and ");
+    const carried = traffic
+      ? [el("p", {}, `worst-case load ${(traffic.share * 100).toFixed(1)} %; a tick's frames take ${short(traffic.tick, "s")}; ${traffic.fits ? "all frames meet their deadlines" : "NOT all frames meet their deadlines"}`),
+        table(["frame", "ends at the latest", "in time"], traffic.frames.map((each) => [each.frame, short(each.worst, "s"), each.fits ? "yes" : "NO"]))]
+      : [el("p", {}, facts.problem)];
+    this.main.replaceChildren(
+      el("div", { className: "cards" },
+        card("Rig", el("p", {}, `${this.feed.rig}: law ${facts.law}, ${facts.rate} Hz, ${bus.protocol} on ${bus.interface} ${bus.channel ?? ""}, ${rate}`),
+          el("p", { className: "quiet" }, `hil ${facts.version}, rig hash ${facts.hash.slice(0, 12)}; ${facts.realtime}`)),
+        card("Drives", this.drives), card("Frames", this.counters)),
+      el("p"), card("Limits", table(["axis", "travel", "speed", "force", "following error"], limits)),
+      el("p"), card("Bus", ...carried));
+    this.look();
+  }
+
+  look() {
+    const { status, run } = this.feed;
+    say(this.drives, run.axes.map((axis, n) => `${axis.name}: ${status.drives?.[n] ?? "-"}`).join("; "));
+    if (!status.frames) return;
+    const [sent, received, lost, rejected, refused] = status.frames;
+    say(this.counters, `${sent} sent, ${received} received; ${lost} samples lost, ${rejected} rejected, ${refused} refused`);
+  }
+}
