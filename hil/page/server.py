@@ -164,9 +164,8 @@ class PageServer:
         kind, role = _COMMANDS[name]
         pairing = self._may(request, role)
         given = await _document(request)
-        hub = self._hub(rig)
-        if role is Role.OPERATE and not hub.take(pairing.name, over=given.get("take") is True):
-            raise RefusedError(409, f"{hub.operator} operates this rig: take over from there first")
+        if role is Role.OPERATE and not self._hub(rig).take(pairing.name, over=given.get("take") is True):
+            raise RefusedError(409, f"{self._hub(rig).operator} operates this rig: take over from there first")
         return JSONResponse(await asyncio.to_thread(ask, rig, kind))
 
     async def _feed(self, socket: WebSocket) -> None:
@@ -206,10 +205,12 @@ class PageServer:
                 await asyncio.sleep(CHECKED_S)
 
         tasks = [asyncio.create_task(work) for work in (viewer.pump(send), listen(), watch_rights())]
-        done, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in waiting:
-            task.cancel()
-        await asyncio.gather(*waiting, return_exceptions=True)
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
         failed = [error for task in done if (error := task.exception())]
         if any(
             not isinstance(error, WebSocketDisconnect | RuntimeError | OSError | ValueError | KeyError)

@@ -6,13 +6,16 @@ import { clock, short } from "./units.js";
 
 const SHOWN = 200;
 
+/** An event in a few words; its line has all of it. */
+const headline = (event) => `${event.kind.toLowerCase().replaceAll("_", " ")}: ${event.name}${event.axis ? ` on ${event.axis}` : ""}`;
+
 export function eventNode(event, feed, { tell, may }, active = false) {
   const measured = event.value === null ? "" : `${event.measured || "measured"} ${short(event.value, event.unit)}` +
     (event.limit === null ? "" : `, limit ${short(event.limit, event.unit)}`);
   const times = event.times > 1 ? ` (${event.times} times)` : "";
   const node = el("article", { className: `event ${event.severity}` },
-    el("time", {}, clock(event.wall)), el("strong", {}, event.line + times));
-  if (measured) node.append(el("p", { className: "quiet" }, [event.axis, measured].filter(Boolean).join(": ")));
+    el("time", {}, clock(event.wall)), el("strong", { title: event.line }, headline(event) + times));
+  node.append(el("p", { className: "quiet" }, [`at ${event.run.toFixed(3)} s of the run`, measured].filter(Boolean).join(", ")));
   if (event.cause) node.append(el("p", {}, `Cause: ${event.cause}`));
   if (event.action && event.action !== "none") node.append(el("p", {}, `Next: ${event.action}`));
   if (active && event.button) {

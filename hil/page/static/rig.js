@@ -2,7 +2,7 @@
 
 import { load } from "./actions.js";
 import { el, say } from "./dom.js";
-import { place, short } from "./units.js";
+import { short } from "./units.js";
 
 const table = (heads, rows) => el("div", { className: "wide" }, el("table", {},
   el("thead", {}, el("tr", {}, ...heads.map((head) => el("th", {}, head)))),
@@ -24,7 +24,7 @@ export class Rig {
     if (!facts.axes) return this.main.replaceChildren(facts.said ?? "No control process has left word of this rig.");
     const limits = facts.axes.map((axis) => {
       const unit = axis.kind === "linear" ? "m" : "rad", force = axis.kind === "linear" ? "N" : "N m";
-      return [axis.name, `${place(axis.position[0], unit)} to ${place(axis.position[1], unit)}`, short(axis.speed, `${unit}/s`),
+      return [axis.name, `${short(axis.position[0], unit, true)} to ${short(axis.position[1], unit, true)}`, short(axis.speed, `${unit}/s`),
         short(axis.force, force), short(axis.following_error, unit)];
     });
     const { bus, load: traffic } = facts;
@@ -38,8 +38,8 @@ export class Rig {
         card("Rig", el("p", {}, `${this.feed.rig}: law ${facts.law}, ${facts.rate} Hz, ${bus.protocol} on ${bus.interface} ${bus.channel ?? ""}, ${rate}`),
           el("p", { className: "quiet" }, `hil ${facts.version}, rig hash ${facts.hash.slice(0, 12)}; ${facts.realtime}`)),
         card("Drives", this.drives), card("Frames", this.counters)),
-      el("p"), card("Limits", table(["axis", "travel", "speed", "force", "following error"], limits)),
-      el("p"), card("Bus", ...carried));
+      card("Limits", table(["axis", "travel", "speed", "force", "following error"], limits)),
+      card("Bus", ...carried));
     this.look();
   }
 

@@ -1,0 +1,89 @@
+"""The page follows a control process, says when it hangs, ends or is killed, and follows the next."""
+
+import time
+
+import pytest
+
+from hil.cycle.state_machine import State
+from hil.page.frames import Fate
+from hil.page.ring_feed import MOST, RingFeed, running_rigs
+from tests.page.conftest import Told
+
+
+def test_only_what_is_new_is_read_at_the_instants_of_the_run(told: Told) -> None:
+    told.tick(1)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        told.tick(5, force=2.0)
+        told.tick(7, force=4.0)
+        block = feed.turn()
+        assert block is not None
+        assert block.instants.tolist() == pytest.approx([0.005, 0.007])  # a missed tick is a gap
+        assert block.values[feed_row(feed, "force")].tolist() == [2.0, 4.0]
+        assert feed.turn() is None
+
+
+def feed_row(feed: RingFeed, quantity: str) -> int:
+    return next(number for number, signal in enumerate(feed.signals) if signal.quantity == quantity)
+
+
+def test_what_came_while_nobody_watched_is_left_out(told: Told) -> None:
+    with RingFeed("paper") as feed:
+        for index in range(20):
+            told.tick(index)
+        feed.turn()
+        for index in range(20, 40):
+            told.tick(index)
+        feed.skip()
+        assert feed.turn() is None
+
+
+def test_ticks_that_were_overwritten_are_counted_as_lost(told: Told) -> None:
+    told.tick(0)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        for index in range(1, 400):  # the ring holds 256
+            told.tick(index)
+        block = feed.turn()
+        assert block is not None
+        assert len(block.instants) + block.lost == 399
+        assert 0 < block.lost < MOST
+
+
+def test_state_and_age_are_of_the_newest_tick(told: Told) -> None:
+    told.tick(1, now_ns=time.monotonic_ns() - 700_000_000, state=State.FAULT, fault=3)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        pulse = feed.pulse(0.25)
+    assert (pulse.state, pulse.fault, pulse.fate, pulse.word_age) == (State.FAULT, 3, Fate.ALIVE, 0.25)
+    assert 0.7 <= pulse.tick_age < 5.0
+
+
+def test_an_ended_process_is_said_to_have_ended_and_its_successor_is_followed(told: Told) -> None:
+    told.tick(1, state=State.SHUTDOWN)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        first = feed.run_id
+        told.ring.close()
+        assert feed.pulse(0.0).fate is Fate.ENDED
+        told.ring = Told().ring
+        told.tick(1, state=State.READY)
+        until = time.monotonic() + 5.0
+        while feed.run_id == first and time.monotonic() < until:
+            feed.turn()
+        assert feed.run_id != first
+        pulse = feed.pulse(0.0)
+        assert (pulse.fate, pulse.state) == (Fate.ALIVE, State.READY)
+
+
+def test_without_any_ring_nothing_is_claimed() -> None:
+    with RingFeed("paper") as feed:
+        assert feed.turn() is None
+        pulse = feed.pulse(float("nan"))
+    assert (pulse.fate, pulse.state) == (Fate.NONE, -1)
+    assert pulse.tick_age != pulse.tick_age
+    assert running_rigs() == []
+
+
+def test_rigs_that_run_here_are_found(told: Told) -> None:
+    assert running_rigs() == ["paper"]
