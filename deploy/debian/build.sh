@@ -35,7 +35,7 @@ pip() { $PYTHON -m pip -qq --disable-pip-version-check "$@"; }
 mkdir -p "$root/opt/hil/bin" "$root/$packages"
 ln -s "/usr/bin/python$minor" "$root/opt/hil/bin/python3"
 printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "$minor" > "$root/opt/hil/pyvenv.cfg"
-$PYTHON deploy/debian/runtime_lock.py requirements.lock dashboard > "$stage/runtime.lock"
+$PYTHON deploy/debian/runtime_lock.py requirements.lock page > "$stage/runtime.lock"
 pip install --no-compile --no-deps --require-hashes --only-binary :all: --target "$root/$packages" -r "$stage/runtime.lock"
 pip wheel --no-deps --no-build-isolation --wheel-dir "$stage" .
 pip install --no-compile --no-deps --target "$root/$packages" "$stage"/hil-*.whl
@@ -58,7 +58,7 @@ mkdir -p "$root/usr/bin" "$root/usr/share/doc/hil" "$root/usr/share/hil" "$root/
 ln -s /opt/hil/bin/hil "$root/usr/bin/hil"
 ln -s "/$packages/hil/deploy/rigs" "$root/usr/share/hil/rigs"
 cp LICENSE "$root/usr/share/doc/hil/copyright"
-cp docs/at-the-rig.md "$root/usr/share/doc/hil/"
+cp docs/at-the-rig.md docs/page.md "$root/usr/share/doc/hil/"
 $PYTHON - "$root" <<'INNER'
 import sys
 from pathlib import Path

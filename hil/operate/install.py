@@ -23,7 +23,7 @@ from hil.rig.shipped import shipped
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"
 CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, computed again where they are missing
-_UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil.target")
+_UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil-page.service", "hil.target")
 _PACKAGED_TARGET = "usr/lib/systemd/system/hil.target"
 
 Files = dict[str, str]  # path relative to the root -> content

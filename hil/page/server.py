@@ -211,15 +211,14 @@ class PageServer:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-        failed = [error for task in done if (error := task.exception())]
-        if any(
-            not isinstance(error, WebSocketDisconnect | RuntimeError | OSError | ValueError | KeyError)
-            for error in failed
-        ):
-            raise failed[0]
-        with contextlib.suppress(RuntimeError, OSError, WebSocketDisconnect):
-            reason = str(failed[0]) if failed and isinstance(failed[0], ValueError) else "" if failed else "revoked"
-            await socket.close(4401 if reason == "revoked" else 1008, reason[:100])
+        error = next((found for task in done if (found := task.exception())), None)
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):  # the browser is gone
+            if error is None:
+                await socket.close(4401, "revoked")
+            elif isinstance(error, ValueError | KeyError):  # KeyError: bytes where a text belongs
+                await socket.close(1008, str(error)[:100])
+            else:
+                raise error
 
     @contextlib.asynccontextmanager
     async def lifespan(self, _app: Starlette) -> AsyncIterator[None]:
