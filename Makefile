@@ -9,6 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each woul
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test test-long review test-live test-adapters attacks lint lock proto docs mutants hashes bench bench-compiled wheel client
+.PHONY: help setup run test test-long review test-live test-browser attacks lint lock proto docs mutants hashes bench bench-compiled wheel
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -60,6 +61,8 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 	@$(ADAPTERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/adapters/requirements.lock
 	@$(ADAPTERS)/bin/python -m sim_plant.native || true
 	@touch $@
+test-browser: setup  ## the page in a real browser, with pictures in build/browser (needs Chromium; not in .ci/run)
+	@$(BIN)/python -m pytest -m browser $(ARGS)
 
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json

@@ -7,8 +7,9 @@ import socket
 import ssl
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -21,6 +22,16 @@ if TYPE_CHECKING:
 PORT = 5006
 _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 _NOT_INSTALLED = 'hil page: its server is not installed: pip install "hil[page]"'
+
+
+class Place(NamedTuple):
+    """Where the page is served. names: others under which browsers ask for it. key: of the certificate."""
+
+    port: int
+    bind: str
+    names: tuple[str, ...]
+    certificate: Path | None
+    key: Path | None
 
 
 def page(
@@ -48,7 +59,7 @@ def page(
         _administer(access, revoke)
         return
     try:
-        config = configured(access, rigs or [], port, bind, host or [], certificate, key, runs)
+        config = configured(access, Place(port, bind, tuple(host or ()), certificate, key), rigs or [], runs)
     except ImportError:
         print(_NOT_INSTALLED, file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
@@ -86,30 +97,22 @@ def state_folder() -> Path:
     return (Path(service) if service else home) / "page"
 
 
-def configured(
-    access: Access,
-    rigs: list[str],
-    port: int,
-    bind: str,
-    names: list[str],
-    certificate: Path | None,
-    key: Path | None,
-    runs: Path,
-) -> "Config":
+def configured(access: Access, place: Place, rigs: list[str], runs: Path) -> "Config":
     """The server. Raises ImportError where it is not installed, typer.BadParameter for what cannot be served."""
     from uvicorn import Config
 
     from hil.page.audit import Audit
     from hil.page.server import PageServer, make_app
 
+    certificate, key = place.certificate, place.key
     secure = certificate is not None
-    hosts = allowed_hosts(bind, names, port, secure=secure)
+    hosts = allowed_hosts(place.bind, place.names, place.port, secure=secure)
     if (certificate is None) != (key is None):
         raise typer.BadParameter("--certificate and --key belong together", param_hint="--key")
-    audit = Audit(access.folder / "audit.jsonl")
-    server = PageServer(access, audit, rigs, runs, cookie=f"hil_page_{port}", secure=secure)
     if certificate and key:
         _refuse_unusable(certificate, key)
+    audit = Audit(access.folder / "audit.jsonl")
+    server = PageServer(access, audit, rigs, runs, cookie=f"hil_page_{place.port}", secure=secure)
     return Config(
         make_app(server, audit, hosts, secure=secure),
         log_level="warning",
@@ -123,7 +126,7 @@ def configured(
     )
 
 
-def allowed_hosts(bind: str, names: list[str], port: int, *, secure: bool) -> list[str]:
+def allowed_hosts(bind: str, names: Sequence[str], port: int, *, secure: bool) -> list[str]:
     """Values of Host that are this page's. Raises typer.BadParameter for an address that may not be served so."""
     try:
         address = ipaddress.ip_address(bind)

@@ -39,7 +39,7 @@ async def _latched(page: Page, pressed_ns: int) -> Status:
 
 
 def ask(rig: str, kind: CommandKind) -> dict[str, Any]:
-    """An operator's command through the sidecar's door, with the control process' verdict; waits up to a second."""
+    """An operator's command through the sidecar, with the control process' verdict; waits up to a second."""
     try:
         with nearest(rig, local_client, NoGatewayError) as client:
             verdict = client.command(kind)

@@ -29,7 +29,7 @@ def test_the_codes_can_be_read_by_the_group_and_the_secrets_by_nobody(access: Ac
     assert words == {role.name.lower(): spelt(code) for role, code in access.codes.items()}
 
 
-def test_five_wrong_codes_close_the_door_for_a_while_and_spoil_the_codes(access: Access) -> None:
+def test_five_wrong_codes_end_pairing_for_a_while_and_spoil_the_codes(access: Access) -> None:
     code = access.codes[Role.OPERATE]
     for _ in range(WRONG):
         with pytest.raises(PairingError, match="no such code"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -53,7 +54,7 @@ def test_a_control_process_that_is_stopped_is_told_within_a_second(tmp_path: Pat
         control.wait_for(State.READY)
         headers = {"Cookie": page.cookie}
         address = f"ws://localhost:{page.port}/rigs/paper/feed"
-        with connect(address, origin=page.url, additional_headers=headers, proxy=None) as feed:  # type: ignore[arg-type]
+        with connect(address, origin=Origin(page.url), additional_headers=headers, proxy=None) as feed:
             control.process.send_signal(signal.SIGSTOP)
             began = time.monotonic()
             age, fate = 0.0, Fate.NONE

@@ -112,7 +112,7 @@ def test_estop_of_a_rig_that_does_not_run_says_so(paired: Paired) -> None:
     assert (answer["accepted"], answer["status"]) == (False, 69)
 
 
-def test_stop_goes_through_the_door_and_comes_back_with_the_verdict(paired: Paired) -> None:
+def test_stop_goes_through_the_sidecar_and_comes_back_with_the_verdict(paired: Paired) -> None:
     with CommandBench(runtime_paths("paper").directory) as bench:
         answer = paired(Role.STOP).post("/rigs/paper/stop").json()
         assert answer["accepted"], answer

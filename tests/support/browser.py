@@ -11,8 +11,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
+from websockets.sync.client import ClientConnection, connect
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 PATIENCE_S = 30.0
@@ -36,10 +38,8 @@ class BrowserError(Exception):
 class Browser:
     """One tab. Everything the page logs, throws or asks for elsewhere is kept."""
 
-    def __init__(self, address: str) -> None:
-        from websockets.sync.client import connect
-
-        self._socket = connect(address, max_size=64 * 2**20, proxy=None)
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
         self._numbers = itertools.count(1)
         self.errors: list[str] = []
         self.requested: list[str] = []
@@ -105,10 +105,6 @@ class Browser:
         """A screenshot, PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
-    def close(self) -> None:
-        """Leave the tab."""
-        self._socket.close()
-
 
 @contextlib.contextmanager
 def browser(profile: Path) -> Iterator[Browser]:
@@ -118,8 +114,8 @@ def browser(profile: Path) -> Iterator[Browser]:
     flags = [*FLAGS, f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank"]
     process = subprocess.Popen([PROGRAM, *flags], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        with contextlib.closing(Browser(_tab(profile / "DevToolsActivePort", process))) as tab:
-            yield tab
+        with connect(_tab(profile / "DevToolsActivePort", process), max_size=64 * 2**20, proxy=None) as socket:
+            yield Browser(socket)
     finally:
         process.terminate()
         try:
@@ -131,8 +127,6 @@ def browser(profile: Path) -> Iterator[Browser]:
 
 def _tab(file: Path, process: "subprocess.Popen[bytes]") -> str:
     """The address of the first tab, once the browser has said where it listens. Raises BrowserError."""
-    from urllib.request import urlopen
-
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until and process.poll() is None:
         lines = file.read_text().split() if file.exists() else []

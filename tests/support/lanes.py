@@ -30,7 +30,7 @@ SAME_IN_BOTH_BUILDS = {
     "tests/rig": ("test_checks.py", "test_user_tasks.py"),
 }
 # What is not compiled, and uses what is as anybody does.
-_USERS = ("events", "identify", "operate", "runs", "studies", "telemetry")
+_USERS = ("events", "identify", "operate", "page", "runs", "studies", "telemetry")
 USERS_OF_THE_BUILD = tuple(f"tests/{name}" for name in _USERS)
 
 
@@ -86,7 +86,16 @@ def _slice(config: pytest.Config, items: list[pytest.Item]) -> None:
     items[:] = [item for item in items if item not in set(left_out)]
 
 
+def _leave_browsers_out(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A browser is on few machines, and no lane of .ci/run may need one: `make test-browser` asks for them."""
+    if "browser" not in config.option.markexpr:
+        theirs = [item for item in items if item.get_closest_marker("browser")]
+        config.hook.pytest_deselected(items=theirs)
+        items[:] = [item for item in items if item not in set(theirs)]
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    _leave_browsers_out(config, items)
     not_compiled = pytest.mark.skip(reason="replaces methods of classes that are compiled here")
     once = pytest.mark.skip(reason="runs the same code in either build: tests/support/lanes.py")
     compiled = control_path() == "compiled"

@@ -22,6 +22,7 @@ from hil.rig.provenance import describe_run
 from hil.virtual.lockstep import LockstepRun
 
 SLOTS = 8192
+AGAIN = 100  # ticks, after which a rig that is READY is activated
 
 
 def main(rig_file: str, overrides: Sequence[str]) -> None:
@@ -31,9 +32,9 @@ def main(rig_file: str, overrides: Sequence[str]) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(1))
     asked: list[CommandKind] = []
 
-    def operator(run: LockstepRun, _index: int) -> Sequence[CommandKind]:
+    def operator(run: LockstepRun, index: int) -> Sequence[CommandKind]:
         posted = [asked.pop()] if asked else []
-        if run.activated_at < 0 and run.cycle.state is State.READY:
+        if run.cycle.state is State.READY and index % AGAIN == 0:
             posted.append(CommandKind.ACTIVATE)
         return posted
 

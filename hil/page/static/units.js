@@ -14,6 +14,7 @@ export function scaleOf(size, unit) {
 /** A small quantity: three digits, sign, prefix. */
 export function short(value, unit, signed = false) {
   if (!exists(value)) return "-";
+  if (value === 0) return `0 ${unit}`;
   const found = scaleOf(value, unit);
   const text = (value / found.scale).toPrecision(3);
   return `${signed && value > 0 ? "+" : ""}${text.replace("-", "−")} ${found.unit}`;

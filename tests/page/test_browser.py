@@ -1,0 +1,177 @@
+"""The page in a real browser: what a person sees, at a desk and on a phone, by day and by night."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hil.page.access import Role
+from tests.support.browser import Browser, BrowserError, browser
+from tests.support.page_process import PageProcess
+from tests.support.paths import RIGS, ROOT
+
+pytestmark = pytest.mark.browser
+
+PICTURES = ROOT.joinpath("build", "browser")
+PAGES = ("Now", "Scope", "Events", "Path", "Runs", "Rig")
+SIZES = {"phone": (390, 844), "desk": (1280, 800)}
+RIG = RIGS / "microscope-ideal.toml"
+PACE = ("rate_hz=250", "task.kind=circle", "task.axes=['x', 'y']", "task.radius=1e-3", "task.frequency_hz=0.5")
+LEAST_CONTRAST = 4.5
+
+# The least contrast of any text with the nearest ground behind it, and which text that is.
+CONTRAST = """(() => {
+  const numbers = (text) => text.match(/[\\d.]+/g).map(Number);
+  const light = (c) => c.slice(0, 3).map((v) => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, n) => sum + v * [0.2126, 0.7152, 0.0722][n], 0);
+  let least = [99, ''];
+  for (const node of document.querySelectorAll('body *')) {
+    const own = [...node.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    if (!own || !node.getClientRects().length || node.tagName === 'OPTION') continue;
+    let ground = node, colour;
+    while (ground && !((colour = numbers(getComputedStyle(ground).backgroundColor)).length < 4 || colour[3] > 0)) {
+      ground = ground.parentElement;
+    }
+    const pair = [light(numbers(getComputedStyle(node).color)), light(colour)].sort((a, b) => b - a);
+    const found = (pair[0] + 0.05) / (pair[1] + 0.05);
+    if (found < least[0]) least = [found, node.textContent.trim().slice(0, 60)];
+  }
+  return least;
+})()"""
+
+
+# A tap on the first plot, at that share of its width.
+TAP = """(() => {
+  const plot = document.querySelector('canvas'), at = plot.getBoundingClientRect();
+  plot.dispatchEvent(new MouseEvent('click', {clientX: at.left + at.width * %s, clientY: at.top + 50}));
+})()"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A runtime directory with a rig in it that moves, and its sidecar."""
+    folder = tmp_path_factory.mktemp("rig")
+    (folder / "run").mkdir(mode=0o700)
+    environment = {**os.environ, "HIL_RUNTIME_DIR": str(folder / "run")}
+    listen = [str(RIG), "--listen", "tcp/127.0.0.1:7561", "--or-free-port", "--out", str(folder / "runs" / "one")]
+    commands = ([sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE],)
+    commands += ([sys.executable, "-m", "hil", "sidecar", *listen],)
+    with contextlib.ExitStack() as stack:
+        for command in commands:
+            child = stack.enter_context(subprocess.Popen(command, env=environment, cwd=ROOT))
+            stack.callback(child.terminate)
+        yield folder
+
+
+@pytest.fixture
+def page(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PageProcess]:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(place / "run"))
+    with PageProcess(tmp_path / "state", "microscope-ideal", "--runs", str(place / "runs")) as process:
+        yield process
+
+
+@pytest.fixture
+def tab(page: PageProcess, tmp_path: Path) -> Iterator[Browser]:
+    """A paired browser that shows a rig that is ACTIVE."""
+    with browser(tmp_path / "profile") as found:
+        found.size(*SIZES["phone"], dark=False)
+        found.open(page.url)
+        found.wait("document.getElementById('pair').open")
+        code = page.code(Role.OPERATE)
+        found.run(
+            f"code.value = {code!r}; document.getElementById('name').value = 'Ana'; document.forms[0].requestSubmit()"
+        )
+        found.wait("document.getElementById('state').textContent === 'ACTIVE'")
+        yield found
+
+
+def test_every_page_at_both_sizes_and_in_both_schemes(tab: Browser, page: PageProcess) -> None:
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for size, (width, height) in SIZES.items():
+        for dark in (False, True):
+            tab.size(width, height, dark=dark)
+            for name in PAGES:
+                tab.run(f"location.hash = {name!r}")
+                tab.wait(f"document.querySelector('[aria-current=page]').textContent === {name!r}")
+                tab.wait("document.querySelector('#main .card') !== null")
+                tab.run("new Promise((done) => setTimeout(done, 1500))")  # what is drawn has something to show
+                tab.picture(PICTURES / f"{name}-{size}-{'dark' if dark else 'light'}.png")
+                assert tab.run("document.documentElement.scrollWidth <= innerWidth"), (name, size)
+                least, text = tab.run(CONTRAST)
+                assert least >= LEAST_CONTRAST, (name, size, dark, text)
+    assert tab.errors == []
+    assert [url for url in tab.requested if not url.startswith((page.url, page.url.replace("http", "ws")))] == []
+
+
+def test_a_finger_on_estop_stops_and_every_page_says_so(tab: Browser) -> None:
+    began = time.monotonic()
+    tab.run("estop.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true}))")
+    tab.wait("document.getElementById('state').textContent === 'ESTOP'")
+    assert time.monotonic() - began < 5.0
+    tab.wait("said.textContent.includes('ESTOP in tick')")
+    tab.wait("!latched.hidden && latched.querySelector('button').textContent === 'Reset'")
+    tab.picture(PICTURES / "estop.png")
+    tab.run("location.hash = 'Now'")
+    tab.wait("document.querySelector('#main').textContent.includes('setpoint: none is followed')")
+    tab.run("latched.querySelector('button').click()")
+    tab.wait("said.textContent.startsWith('reset: ')")
+
+
+def test_a_server_that_hangs_is_told_within_a_second_and_estop_does_not_pretend(
+    tab: Browser, page: PageProcess
+) -> None:
+    page.process.send_signal(signal.SIGSTOP)
+    try:
+        tab.wait("trouble.textContent.startsWith('No word from the page')", patience_s=1.0)
+        assert tab.run("document.getElementById('main').classList.contains('stale')")
+        tab.picture(PICTURES / "silent.png")
+        tab.run("estop.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true}))")
+        tab.wait("said.textContent.startsWith('E-STOP DID NOT ARRIVE')", patience_s=10.0)
+    finally:
+        page.process.send_signal(signal.SIGCONT)
+    tab.wait("trouble.hidden")
+
+
+def test_the_scope_pauses_without_losing_ticks_and_its_cursors_measure(tab: Browser) -> None:
+    tab.run("location.hash = 'Scope'")
+    tab.wait("document.querySelector('canvas') !== null")
+    tab.run("new Promise((done) => setTimeout(done, 1000))")
+    tab.run("[...document.querySelectorAll('main button')].find((b) => b.textContent === 'Pause').click()")
+    for share in (0.4, 0.8):
+        tab.run(TAP % share)
+    words = tab.wait(
+        "[...document.querySelectorAll('[role=status]')].map((n) => n.textContent).find((t) => t.includes('B − A'))"
+    )
+    assert "paused" in words
+    assert "Hz" in words
+    assert tab.errors == []
+
+
+def test_triggers_and_spectra_count_right(tab: Browser) -> None:
+    script = """(async () => {
+      const { crossing, spectrum } = await import('/static/analysis.js');
+      const wave = Float64Array.from({ length: 1500 }, (_, n) => 3 * Math.sin(2 * Math.PI * 62.5 * n / 1000) + 7);
+      const { f, amplitude } = spectrum(wave, 1000);
+      const peak = amplitude.reduce((best, a, n) => (a > amplitude[best] ? n : best), 1);
+      const saw = Float64Array.from([0, 1, 2, 0, 1, 2, NaN, 0]);
+      return [f[peak], amplitude[peak], crossing(saw, 1.5, 'rising', 0, 7), crossing(saw, 1.5, 'falling', 0, 7),
+              crossing(saw, 1.5, 'either', 0, 4), crossing(saw, 9, 'either', 0, 7), spectrum(saw, 1000).f.length];
+    })()"""
+    frequency, amplitude, *places = tab.run(script)
+    assert frequency == pytest.approx(62.5, abs=0.5)
+    assert amplitude == pytest.approx(3.0, rel=0.01)
+    assert places == [5, 3, 3, -1, 0]
+
+
+def test_a_browser_that_is_revoked_is_asked_for_a_code_again(tab: Browser, page: PageProcess) -> None:
+    environment = {**os.environ, "XDG_STATE_HOME": str(page.folder.parent.parent), "STATE_DIRECTORY": ""}
+    subprocess.run([sys.executable, "-m", "hil", "page", "--revoke", "Ana"], env=environment, check=True)
+    with contextlib.suppress(BrowserError):  # the page is loaded anew while it is asked
+        tab.wait("document.getElementById('pair')?.open")
+    assert tab.wait("document.getElementById('pair').open")
