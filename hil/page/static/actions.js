@@ -21,8 +21,9 @@ export async function emergencyStop(rig, tell) {
   tell("E-STOP sent ...");
   let answer = await ask(path);
   if (answer.status === 0) answer = await ask(path);
-  if (answer.accepted) tell(`E-STOP: ${answer.said}`);
-  else tell(`E-STOP DID NOT ARRIVE: ${answer.said}. Use the stop that cuts the drives' power.`);
+  if (answer.accepted) return tell(`E-STOP: ${answer.said}`);
+  const fate = answer.status === 0 ? "E-STOP WAS NOT ANSWERED" : "E-STOP DID NOT STOP IT";
+  tell(`${fate}: ${answer.said}. Use the stop that cuts the drives' power.`);
 }
 
 export async function command(rig, name, tell, body = {}) {
