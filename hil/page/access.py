@@ -1,6 +1,6 @@
 """Who may see and do what: one-time codes, and the browsers that were paired by them.
 
-    FOLDER/codes           one code a role, each good once; readable by the owner and the group of the folder
+    FOLDER/codes-PORT      one code a role, each good once; readable by the owner and the group of the folder
     FOLDER/pairings.json   name, role and SHA-256 of the secret of every paired browser; the owner's alone
 
 A browser that gives a code gets a secret of 256 bits, which it shows with every request (a cookie). Both files are
@@ -53,10 +53,10 @@ class PairingError(Exception):
 
 
 class Access:
-    """The codes and pairings in a folder, which is made. now: a clock, s. Raises OSError."""
+    """The codes and pairings in a folder, which is made. port: of the page that gives the codes. Raises OSError."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, port: int = 0) -> None:
+        self.folder, self._port = folder, port
         folder.mkdir(mode=0o750, parents=True, exist_ok=True)
         self._pairings: list[Pairing] = []
         self._stamp = (-1, -1)
@@ -66,7 +66,7 @@ class Access:
     @property
     def codes_file(self) -> Path:
         """Where the codes are."""
-        return self.folder / "codes"
+        return self.folder / f"codes-{self._port}"
 
     def renew(self, role: Role | None = None) -> None:
         """A new code for that role, or for all."""

@@ -54,7 +54,7 @@ def page(
 
     Exit status 69: no port, or the server is not installed; 1: --revoke names no paired browser.
     """
-    access = Access(state_folder())
+    access = Access(state_folder(), port)
     if paired or revoke:
         _administer(access, revoke)
         return
@@ -66,7 +66,7 @@ def page(
     try:
         listening = _listen(bind, port)
     except OSError as error:
-        print(f"hil page: {bind} port {port}: {error.strerror}; choose another with --port", file=sys.stderr)
+        print(f"hil page: {bind} port {port}: {os.strerror(error.errno or 0)}; choose another with --port", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     access.renew()
     scheme = "https" if certificate else "http"

@@ -51,7 +51,7 @@ class PageProcess:
 
     def code(self, role: Role) -> str:
         """The code in force for a role, as the rig's group reads it."""
-        words = dict(line.split() for line in (self.folder / "codes").read_text().splitlines())
+        words = dict(line.split() for line in (self.folder / f"codes-{self.port}").read_text().splitlines())
         return words[role.name.lower()]
 
     def pair(self, role: Role, name: str) -> None:
