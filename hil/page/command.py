@@ -66,7 +66,8 @@ def page(
     try:
         listening = _listen(bind, port)
     except OSError as error:
-        print(f"hil page: {bind} port {port}: {os.strerror(error.errno or 0)}; choose another with --port", file=sys.stderr)
+        why = os.strerror(error.errno or 0)
+        print(f"hil page: {bind} port {port}: {why}; choose another with --port", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     access.renew()
     scheme = "https" if certificate else "http"
