@@ -62,7 +62,7 @@ class SidecarFeed(Closing):
             with self._lock:
                 if status is not None:
                     self._status, self._heard_s, since = status_words(status), now, now
-                self._events.extend(map(event_words, events))
+                self._events.extend(event_words(event, self._rig) for event in events)
                 self._told += len(events)
             if now - since > SILENT_S:
                 return

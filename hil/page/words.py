@@ -12,8 +12,8 @@ from hil.telemetry.window import silent_axes
 SAFE = ("reset", "stop")  # what the page's buttons may ask for
 
 
-def event_words(event: pb_events.Event) -> dict[str, Any]:
-    """One event. value, limit: None where nothing was measured."""
+def event_words(event: pb_events.Event, rig: str) -> dict[str, Any]:
+    """One event. value, limit: None where nothing was measured. rig: its name, for commands that can be pasted."""
     return {
         "number": event.sequence,
         "kind": pb_events.Event.Kind.Name(event.kind),
@@ -27,7 +27,7 @@ def event_words(event: pb_events.Event) -> dict[str, Any]:
         "unit": event.unit,
         "measured": event.measured,
         "cause": event.cause,
-        "action": event.action,
+        "action": re.sub(r"\b(hil [a-z]+) NAME\b", lambda found: f"{found[1]} {rig}", event.action),
         "button": safe_command(event.action),
         "times": event.times,
         "line": event.line,
@@ -48,7 +48,7 @@ def status_words(status: pb.Status) -> dict[str, Any]:
         "realtime": status.realtime,
         "alive": status.control_alive,
         "faults": list(status.faults_active),
-        "latched": event_words(status.latched) if status.HasField("latched") else None,
+        "latched": event_words(status.latched, status.rig) if status.HasField("latched") else None,
         "problems": list(status.drive_problems),
         "silent": silent_axes(status.axes, status.answer_age),
         "drives": [drive_words(bits).plain.strip() or "-" for bits in status.drive_status],

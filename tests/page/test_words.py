@@ -37,4 +37,9 @@ def test_what_was_not_measured_is_null_and_the_whole_is_json() -> None:
     assert (words["latched"]["value"], words["latched"]["limit"]) == (None, 3.0)
     assert words["latched"]["kind"] == "FAULT_LATCHED"
     assert status_words(pb.Status())["latched"] is None
-    assert event_words(event)["button"] == ""
+    assert event_words(event, "paper")["button"] == ""
+
+
+def test_a_next_step_names_the_rig_so_that_it_can_be_pasted() -> None:
+    event = pb_events.Event(action="hil check, then hil command NAME reset; hil monitor NAME")
+    assert event_words(event, "paper")["action"] == "hil check, then hil command paper reset; hil monitor paper"

@@ -2,7 +2,7 @@
 
 import { ask, command, emergencyStop, load } from "./actions.js";
 import { byId, el, say } from "./dom.js";
-import { Events } from "./events.js";
+import { Events, headline, measured } from "./events.js";
 import { Feed } from "./feed.js";
 import { Now } from "./now.js";
 import { Path } from "./path.js";
@@ -134,8 +134,11 @@ function showLatched() {
   box.hidden = !latched;
   const reset = el("button", { type: "button", disabled: !may("operate"), onclick: () => command(feed.rig, "reset", tell) });
   reset.append(may("operate") ? "Reset" : "Reset needs the role operate");
-  box.replaceChildren(el("p", {}, event?.line ?? (latched === "ESTOP" ? "Stopped by E-STOP" : `Fault ${latched}`)));
-  if (event) box.append(el("p", { className: "next" }, `Next: ${event.action || "find out why"}`));
+  box.replaceChildren(el("p", {}, event ? headline(event) : latched === "ESTOP" ? "Stopped by E-STOP" : `Fault ${latched}`));
+  if (event) {
+    const words = [measured(event), event.cause && `Cause: ${event.cause}`, `Next: ${event.action || "find out why"}`];
+    box.append(...words.filter(Boolean).map((text) => el("p", { className: "next" }, text)));
+  }
   box.append(reset);
 }
 

@@ -7,15 +7,17 @@ import { clock, short } from "./units.js";
 const SHOWN = 200;
 
 /** An event in a few words; its line has all of it. */
-const headline = (event) => `${event.kind.toLowerCase().replaceAll("_", " ")}: ${event.name}${event.axis ? ` on ${event.axis}` : ""}`;
+export const headline = (event) => `${event.kind.toLowerCase().replaceAll("_", " ")}: ${event.name}${event.axis ? ` on ${event.axis}` : ""}`;
+
+/** What was measured and against which limit; empty where nothing was. */
+export const measured = (event) => (event.value === null ? "" : `${event.measured || "measured"} ${short(event.value, event.unit)}` +
+  (event.limit === null ? "" : `, limit ${short(event.limit, event.unit)}`));
 
 export function eventNode(event, feed, { tell, may }, active = false) {
-  const measured = event.value === null ? "" : `${event.measured || "measured"} ${short(event.value, event.unit)}` +
-    (event.limit === null ? "" : `, limit ${short(event.limit, event.unit)}`);
   const times = event.times > 1 ? ` (${event.times} times)` : "";
   const node = el("article", { className: `event ${event.severity}` },
     el("time", {}, clock(event.wall)), el("strong", { title: event.line }, headline(event) + times));
-  node.append(el("p", { className: "quiet" }, [`at ${event.run.toFixed(3)} s of the run`, measured].filter(Boolean).join(", ")));
+  node.append(el("p", { className: "quiet" }, [`at ${event.run.toFixed(3)} s of the run`, measured(event)].filter(Boolean).join(", ")));
   if (event.cause) node.append(el("p", {}, `Cause: ${event.cause}`));
   if (event.action && event.action !== "none") node.append(el("p", {}, `Next: ${event.action}`));
   if (active && event.button) {
