@@ -83,8 +83,11 @@ def page(
 def dashboard(
     rig: Annotated[str | None, typer.Argument(help="name of the rig [all that run here]")] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port")] = PORT,
+    _connect: Annotated[str | None, typer.Option("--connect", hidden=True)] = None,
+    _key: Annotated[str | None, typer.Option("--key", hidden=True)] = None,
+    _show: Annotated[bool, typer.Option("--show/--no-show", hidden=True)] = False,
 ) -> None:
-    """The former name of `hil page`; it goes with the next version."""
+    """The former name of `hil page`; it goes with the next version. Its other options have no effect any more."""
     print("hil dashboard is now hil page; this name goes with the next version", file=sys.stderr)
     page([rig] if rig else None, port=port)
 

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -53,26 +54,34 @@ TAP = """(() => {
 })()"""
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+class Place(NamedTuple):
     """A runtime directory with a rig in it that moves, and its sidecar."""
+
+    folder: Path
+    rig: "subprocess.Popen[bytes]"
+    sidecar: "subprocess.Popen[bytes]"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
     folder = tmp_path_factory.mktemp("rig")
     (folder / "run").mkdir(mode=0o700)
     environment = {**os.environ, "HIL_RUNTIME_DIR": str(folder / "run")}
     listen = [str(RIG), "--listen", "tcp/127.0.0.1:7561", "--or-free-port", "--out", str(folder / "runs" / "one")]
-    commands = ([sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE],)
-    commands += ([sys.executable, "-m", "hil", "sidecar", *listen],)
+    rig = [sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE]
+    sidecar = [sys.executable, "-m", "hil", "sidecar", *listen]
     with contextlib.ExitStack() as stack:
-        for command in commands:
-            child = stack.enter_context(subprocess.Popen(command, env=environment, cwd=ROOT))
-            stack.callback(child.terminate)
-        yield folder
+        children = []
+        for command in (rig, sidecar):
+            children.append(stack.enter_context(subprocess.Popen(command, env=environment, cwd=ROOT)))
+            stack.callback(children[-1].terminate)
+        yield Place(folder, *children)
 
 
 @pytest.fixture
-def page(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PageProcess]:
-    monkeypatch.setenv("HIL_RUNTIME_DIR", str(place / "run"))
-    with PageProcess(tmp_path / "state", "microscope-ideal", "--runs", str(place / "runs")) as process:
+def page(place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PageProcess]:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(place.folder / "run"))
+    with PageProcess(tmp_path / "state", "microscope-ideal", "--runs", str(place.folder / "runs")) as process:
         yield process
 
 
@@ -143,6 +152,22 @@ def test_a_server_that_hangs_is_told_within_a_second_and_estop_does_not_pretend(
         page.process.send_signal(signal.SIGCONT)
     tab.wait("trouble.hidden && document.getElementById('state').textContent === 'ESTOP'")  # it arrives all the same
     reset(tab)
+
+
+@pytest.mark.parametrize(
+    ("who", "words"), [("rig", "The control process hangs: no tick for"), ("sidecar", "No word from the sidecar")]
+)
+def test_whichever_process_hangs_is_told_within_a_second(tab: Browser, place: Place, who: str, words: str) -> None:
+    tab.wait("trouble.hidden")
+    child = getattr(place, who)
+    child.send_signal(signal.SIGSTOP)
+    try:
+        tab.wait(f"trouble.textContent.startsWith({words!r})", patience_s=1.0)
+        assert tab.run("!estop.disabled")
+        assert tab.run("document.getElementById('stop').disabled") is (who == "sidecar")
+    finally:
+        child.send_signal(signal.SIGCONT)
+    tab.wait("trouble.hidden")
 
 
 def test_the_scope_pauses_without_losing_ticks_and_its_cursors_measure(tab: Browser) -> None:

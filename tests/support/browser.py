@@ -114,7 +114,8 @@ def browser(profile: Path) -> Iterator[Browser]:
     flags = [*FLAGS, f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank"]
     process = subprocess.Popen([PROGRAM, *flags], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        with connect(_tab(profile / "DevToolsActivePort", process), max_size=64 * 2**20, proxy=None) as socket:
+        address = _tab(profile / "DevToolsActivePort", process)
+        with connect(address, max_size=64 * 2**20, proxy=None, ping_interval=None) as socket:
             yield Browser(socket)
     finally:
         process.terminate()
