@@ -15,8 +15,10 @@ from hil.cycle.state_machine import State
 from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_line import StopLine
 from hil.page.access import Access, Role
+from hil.page.audit import Audit
 from hil.page.frames import HEADER, Message
 from hil.page.guard import HEADERS
+from hil.page.server import PageServer, make_app
 from tests.page.conftest import HOST, ORIGIN, Told
 from tests.support.command_bench import CommandBench
 
@@ -238,3 +240,38 @@ def test_a_full_disk_does_not_keep_anybody_from_stopping(paired: Paired, audit: 
     audit.unlink()
     audit.mkdir()  # nothing can be written there
     assert browser.post("/rigs/nobody/estop").status_code == 200
+
+
+def served(access: Access, audit: Path, rigs: list[str], *, secure: bool) -> TestClient:
+    """A browser before a page of its own."""
+    notes = Audit(audit)
+    server = PageServer(access, notes, rigs, audit.parent, cookie="hil_page", secure=secure)
+    scheme = "https" if secure else "http"
+    app = make_app(server, notes, [HOST], secure=secure)
+    return TestClient(app, base_url=f"{scheme}://{HOST}", headers={"Origin": f"{scheme}://{HOST}"})
+
+
+def test_over_tls_the_secret_never_travels_in_the_clear(access: Access, audit: Path) -> None:
+    browser = served(access, audit, [], secure=True)
+    given = {"code": access.codes[Role.WATCH], "name": "Ana"}
+    assert browser.post("/pair", json=given, headers=ORIGIN).status_code == 403  # of the same name without TLS
+    answer = browser.post("/pair", json=given)
+    assert "secure" in answer.headers["set-cookie"].lower().split("; ")
+
+
+def test_a_page_of_some_rigs_shows_and_stops_no_others(told: Told, access: Access, audit: Path) -> None:
+    browser = served(access, audit, ["left", "right"], secure=False)
+    browser.post("/pair", json={"code": access.codes[Role.OPERATE], "name": "Ana"})
+    assert browser.get("/me").json()["rigs"] == ["left", "right"]
+    for name in ("estop", "stop", "reset"):
+        refused = browser.post(f"/rigs/paper/{name}")
+        assert refused.status_code == 404
+        assert "left, right" in refused.json()["said"]
+    assert browser.post("/rigs/left/estop").json()["status"] == 69
+
+
+def test_a_browser_that_leaves_is_paired_no_more(paired: Paired, access: Access) -> None:
+    browser = paired(Role.STOP)
+    assert browser.post("/leave").json()["accepted"]
+    assert access.pairings() == []
+    assert browser.post("/rigs/paper/estop").status_code == 401
