@@ -1,10 +1,16 @@
 """The CANopen master's side of one drive: finds it, configures it over SDO, starts it, follows its states.
 
-Rules. Steps are made in order, one SDO transfer at a time; one that is required and fails refuses the drive, with a
-reason for people, and after a while it is tried again from the start; one that is optional and gets no answer is left
-out. At the end what was written is read back: a drive that acknowledged and did otherwise is refused. What a drive's
-application was told is read back after every fault, too, and where it is no longer so the drive is configured anew. A
-boot-up message starts over at any time, so a drive may boot late, or twice. A drive that was lost (neither heartbeat
+Rules. Steps are made in order, one SDO transfer at a time. A required one that is aborted or reads another value
+refuses the drive, with a reason for people; after a while it is tried again from the start. A required one without an
+answer is asked again, for ever, and told. An optional write that is aborted, or gets no answer twice, is left out;
+after silence so are the other values of that object.
+
+At the end every value that was written is read back, and 6061h with it. Another value, an abort, or twice no answer
+refuses the drive by the object's name. Only what was left out when it was to be written is not read back. What a
+drive's application was told (6000h and above) is read back again after every fault reset, by the same rules. Where a
+value has changed by then, the drive is configured anew.
+
+A boot-up message starts over at any time, so a drive may boot late, or twice. A drive that was lost (neither heartbeat
 nor TPDO) is configured anew.
 
 Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clock.
@@ -23,7 +29,7 @@ from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
 
 SDO_TIMEOUT_TICKS = 100
-MOST_ASKED = 2  # times, for a step that is optional
+MOST_ASKED = 2  # times, for a step that is optional or reads back
 APPLICATION = 0x6000  # first object of a drive's own profile
 RETRY_TICKS = 1000  # after a refusal, before the node is asked again from the start
 LOST_TICKS = 500  # no heartbeat and no TPDO for so long: the node is gone
@@ -62,9 +68,6 @@ class NodeMaster:
         self._steps = tuple(steps)
         proofs = [at for at, step in enumerate(steps) if step.proof and step.object_index >= APPLICATION]
         self._application = proofs[0] if proofs else len(self._steps)  # what is read back after a fault
-        self._left_out: set[tuple[int, int]] = set()
-        self._mute: set[int] = set()  # objects without an answer
-        self._proving = False  # after a fault
         self._autostart = autostart
         self.problem = ""
         self.emergency = ""
@@ -83,9 +86,9 @@ class NodeMaster:
         self.alarms = 0
         self.emergency, self._closing = "", b""
         self.answers.clear()
-        self._left_out.clear()
-        self._mute.clear()
-        self._proving = False
+        self._left_out: set[tuple[int, int]] = set()  # places that were to be written
+        self._mute: set[int] = set()  # objects that did not answer a write
+        self._proving = False  # after a fault
         self._begin(0)
         self._asked_tick = -1  # of the request not answered yet
         self._since_tick = self._tick  # of the current phase
@@ -138,7 +141,9 @@ class NodeMaster:
         if progress is Progress.ABORTED:
             aborted = f"aborted with {describe_abort(transfer.code)}"
             self._note(aborted)
-            if step.required:
+            if step.proof:
+                self._refuse_unproved(step, aborted)
+            elif step.required:
                 self.refuse(f"{object_name(step.object_index, step.subindex)} {aborted}")
             else:
                 self._leave_out(step)
@@ -146,6 +151,7 @@ class NodeMaster:
             self._check(step, transfer.value)
         elif progress is Progress.DONE:
             self._note("done")
+            self._left_out.discard((step.object_index, step.subindex))
             self._next()
         return True
 
@@ -167,11 +173,15 @@ class NodeMaster:
         if self.phase is Phase.RUNNING and self._application < len(self._steps):
             self._enter(Phase.CONFIGURE)
             self._proving = True
-            self._begin(self._application)
+            self._go_on(self._application)
 
     def _leave_out(self, step: Step) -> None:
         self._left_out.add((step.object_index, step.subindex))
         self._next()
+
+    def _refuse_unproved(self, step: Step, answered: str) -> None:
+        """What cannot be read back is not believed."""
+        self.refuse(f"{object_name(step.object_index, step.subindex)} {answered} when it was read back")
 
     def _note(self, text: str) -> None:
         """The answer to the step under way; one that is asked again has its last."""
@@ -186,7 +196,10 @@ class NodeMaster:
         self._transfer = Transfer(self._steps[at])
 
     def _next(self) -> None:
-        at = self._step + 1
+        self._go_on(self._step + 1)
+
+    def _go_on(self, at: int) -> None:
+        """With the first step from there on that is not left out."""
         while at < len(self._steps) and self._is_left_out(self._steps[at]):
             at += 1
         if at < len(self._steps):
@@ -196,9 +209,13 @@ class NodeMaster:
         self._enter(Phase.START)
 
     def _is_left_out(self, step: Step) -> bool:
-        if step.proof and (step.object_index, step.subindex) in self._left_out:
-            return True
-        return not step.required and step.object_index in self._mute
+        place = step.object_index, step.subindex
+        if step.proof:
+            return place in self._left_out
+        if step.required or step.object_index not in self._mute:
+            return False
+        self._left_out.add(place)
+        return True
 
     def refuse(self, reason: str) -> None:
         """It cannot be used as it is; it is asked again after a while, or once it boots."""
@@ -245,8 +262,11 @@ class NodeMaster:
         self._asked += 1
         if not step.required and self._asked == MOST_ASKED:
             overdue = self._transfer
-            self._mute.add(step.object_index)
-            self._leave_out(step)
+            if step.proof:
+                self._refuse_unproved(step, "gave no answer")
+            else:
+                self._mute.add(step.object_index)
+                self._leave_out(step)
             return self._frame(overdue.abort(Abort.TIMEOUT))
         if not self.problem:
             self._silent = True

@@ -90,7 +90,8 @@ class DrivePlan:
     """What is to be done with one drive. unit: 6076h in mN m (mN), None where it is read from the drive at the start.
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
-    its emergency messages, 0 where it sends none. proofs: what is read back of what was planned.
+    its emergency messages, 0 where it sends none. proofs: reads of every
+    place that the plan writes and the file lets be read, and of 6061h where the file has it; by index.
     """
 
     name: str
@@ -322,8 +323,9 @@ class _Planner:
                 self._write(index, subindex, value, "optional", why)
 
     def _proofs(self) -> None:
-        """What was written is read back at the end, by value that was written last: an answer to a write is no proof
-        of it. The drive's own application comes last, as it is asked again after every fault.
+        """What was written is read back at the end, the value that was written last: an answer to a write is no proof
+        of it. Orders (1010h, 1011h) and what the file calls write-only are not read. The drive's own application comes
+        last, as it is asked again after every fault.
         """
         written = {
             (planned.step.object_index, planned.step.subindex): planned.step

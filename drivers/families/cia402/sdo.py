@@ -30,7 +30,8 @@ class Step(NamedTuple):
     """One access to make. size: bytes of `value` to write; or 0: read, and check that the answer & mask is `value`.
 
     required: the drive is refused where it fails. width: bytes of the object, for answers that do not tell. proof: it
-    reads back what an earlier step wrote, and is not made where that was left out.
+    reads back what an earlier step wrote, or 6061h what 6060h was told. The drive is refused where it fails; it is not
+    made where the write was left out.
     """
 
     object_index: int

@@ -1,13 +1,13 @@
-"""What stage_fd and stage_classic share: identifiers, the pattern of their traffic."""
+"""What stage_fd and stage_classic share: identifiers, what their answers carry, the pattern of their traffic."""
 
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drivers.config import BusConfig
+from drivers.config import BusConfig, Wiring
 from drivers.families.stage.config import stage_keys
 from drivers.protocols.base import LayoutError, Message
-from drivers.protocols.common import MAX_AXES
+from drivers.protocols.common import INT32, MAX_AXES
 
 
 def check_ids(bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None:
@@ -24,6 +24,31 @@ def check_ids(bus: BusConfig, n_axes: int, rated_force: Sequence[float]) -> None
             f"bus.host_id = {keys.host_id:#x} is one of the feedback identifiers "
             f"{keys.feedback_id:#x} to {keys.feedback_id + n_axes - 1:#x}"
         )
+
+
+class StageLayout:
+    """Both ends of a stage layout. A layout says the rest: name, fd, tells, sequence_modulus, _wrap_ns. Raises
+    LayoutError for a rig that it cannot carry.
+    """
+
+    checksum = True
+    states = True
+    causes = True
+    problems: Sequence[str] = ()
+    _wrap_ns: int  # of the time stamp
+
+    def __init__(self, wiring: Wiring) -> None:
+        bus, n_axes = wiring.bus, wiring.n_axes
+        check_ids(bus, n_axes, wiring.rated_force)
+        keys = stage_keys(bus)
+        self.n_axes = n_axes
+        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
+        self.echo_id: int | None = None
+        self.acts_ns: Sequence[int] = ()
+        self.stamp_wraps_ns: Sequence[int] = [self._wrap_ns] * n_axes
+        self.state_ns = 0
+        self._command_id = keys.host_id
+        self._feedback_id = keys.feedback_id
 
 
 def cut(bus: BusConfig, n_axes: int) -> Callable[[range], dict[str, Any]]:

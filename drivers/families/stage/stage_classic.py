@@ -4,17 +4,16 @@ Quantisation: force in steps of 1/2047 of the rated force (12 bits), sample time
 is left to enable single axes; the torque value -2048, which no force maps to, says "disabled" instead.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar, Final
 
 from drivers.config import Wiring
-from drivers.families.stage.common import check_ids, cyclic_messages
-from drivers.families.stage.config import stage_keys
+from drivers.families.stage.common import StageLayout, cyclic_messages
 from drivers.frame import FD, Frame
 from drivers.protocols.base import OF_DRIVES, Command, LayoutError, Message, Reject, Sample
 from drivers.protocols.checksum import IdentifiedCrc8
-from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
+from drivers.protocols.common import MAX_AXES, check_force, reject_id
 from drivers.protocols.dbc_codec import compile_codec, load_dbc
 
 DBC = Path(__file__).with_name("stage_classic.dbc")
@@ -33,38 +32,26 @@ _HALF: Final = 1 << 31
 _BYTES = [bytes((value,)) for value in range(256)]
 
 
-class _Layout:
-    """What both ends share: identifiers, codecs, scales."""
+class _Layout(StageLayout):
+    """What both ends share: codecs, scales."""
 
     name = "stage_classic"
-    checksum = True
-    states = True
-    causes = True
     tells = OF_DRIVES  # seven bits, all taken
-    problems: Sequence[str] = ()
     fd = False
+    sequence_modulus = SEQUENCE_MODULUS
+    _wrap_ns = _WRAP_NS
 
     def __init__(self, wiring: Wiring) -> None:
-        bus, n_axes, rated_force = wiring.bus, wiring.n_axes, wiring.rated_force
-        check_ids(bus, n_axes, rated_force)
-        keys = stage_keys(bus)
+        super().__init__(wiring)
         database = load_dbc(DBC)
         self._command = compile_codec(database.get_message_by_name("Command"), COMMAND_NAMES)
         self._feedback = compile_codec(database.get_message_by_name("Feedback0"), FEEDBACK_NAMES)
         if (self._command.length, self._feedback.length) != (LENGTH, LENGTH):
             raise LayoutError(f"{DBC.name}: lengths {self._command.length} and {self._feedback.length}, not 8 and 8")
-        self.n_axes = n_axes
-        self.sequence_modulus = SEQUENCE_MODULUS
-        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
-        self.echo_id: int | None = None
-        self.acts_ns: Sequence[int] = ()
-        self.stamp_wraps_ns: Sequence[int] = [_WRAP_NS] * n_axes
-        self.state_ns = 0
-        self._command_id = keys.host_id
-        self._feedback_id = keys.feedback_id
-        self._rated = list(rated_force)
-        self._absent = [DISABLED] * (MAX_AXES - n_axes)
-        self._crc = IdentifiedCrc8([keys.host_id, *range(keys.feedback_id, keys.feedback_id + n_axes)])
+        self._rated = list(wiring.rated_force)
+        self._absent = [DISABLED] * (MAX_AXES - wiring.n_axes)
+        answers = range(self._feedback_id, self._feedback_id + wiring.n_axes)
+        self._crc = IdentifiedCrc8([self._command_id, *answers])
 
 
 class StageClassicHost(_Layout):

@@ -4,18 +4,17 @@ Contract: stage_fd.dbc. Its two messages are of whole bytes, so that a struct sa
 the DBC file says. So a control process on this layout needs no DBC parser.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from struct import Struct
 from typing import Final
 from zlib import crc32 as _crc32
 
 from drivers.config import Wiring
-from drivers.families.stage.common import check_ids, cyclic_messages
-from drivers.families.stage.config import stage_keys
+from drivers.families.stage.common import StageLayout, cyclic_messages
 from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import EVERY_STATUS, Command, Message, Reject, Sample
-from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
+from drivers.protocols.common import MAX_AXES, check_force, reject_id
 
 DBC = Path(__file__).with_name("stage_fd.dbc")
 COMMAND: Final = Struct("<ffffHHI")  # force_0 to force_3, sequence, flags, checksum
@@ -35,30 +34,18 @@ crc32: Final = _crc32
 _SINGLE = Struct("<f")
 
 
-class _Layout:
+class _Layout(StageLayout):
     """What both ends share: identifiers and limits."""
 
     name = "stage_fd"
-    checksum = True
-    states = True
-    causes = True
     tells = EVERY_STATUS
-    problems: Sequence[str] = ()
     fd = True
+    sequence_modulus = SEQUENCE_MODULUS
+    _wrap_ns = _WRAP
 
     def __init__(self, wiring: Wiring) -> None:
-        bus, n_axes, rated_force = wiring.bus, wiring.n_axes, wiring.rated_force
-        check_ids(bus, n_axes, rated_force)
-        keys = stage_keys(bus)
-        self.n_axes = n_axes
-        self.sequence_modulus = SEQUENCE_MODULUS
-        self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes
-        self.echo_id: int | None = None
-        self.acts_ns: Sequence[int] = ()
-        self.stamp_wraps_ns: Sequence[int] = [_WRAP] * n_axes
-        self.state_ns = 0
-        self._command_id = keys.host_id
-        self._feedback_id = keys.feedback_id
+        super().__init__(wiring)
+        n_axes, rated_force = wiring.n_axes, wiring.rated_force
         # The largest force after rounding to single precision, so that a command of exactly the rated force passes.
         self._limits = [_SINGLE.unpack(_SINGLE.pack(force))[0] for force in rated_force]
         self._limits += [0.0] * (MAX_AXES - n_axes)

@@ -27,14 +27,16 @@ Place = tuple[int, int]
 
 
 class Drive(ForeignDrive):
-    """lies: what it says of an object, whatever was written. mute: objects it answers nothing about. nameless: objects
-    it aborts without naming one. forgets: with a fault, its mode.
+    """lies: what it says of an object, whatever was written. mute: objects it answers nothing about. unread: those it
+    takes and does not tell, "mute" or "aborts". nameless: objects it aborts without naming one. forgets: with a fault,
+    its mode.
     """
 
     def __init__(self) -> None:
         super().__init__(FACTS, NODE)
         self.lies: dict[Place, int] = {}
         self.mute: set[Place] = set()
+        self.unread: dict[Place, str] = {}
         self.nameless: set[Place] = set()
         self.forgets = False
         self.writes: list[Place] = []
@@ -51,6 +53,9 @@ class Drive(ForeignDrive):
             return [Frame(cia301.SDO_RESPONSE_ID + NODE, struct.pack("<BHBI", 0x80, 0, 0, 0x06020000))]
         if command >> 5 == 1:
             self.writes.append(at)
+        elif at in self.unread:
+            aborted = Frame(cia301.SDO_RESPONSE_ID + NODE, struct.pack("<BHBI", 0x80, *at, 0x06020000))
+            return [aborted] if self.unread[at] == "aborts" else []
         answers = super().on_frame(frame)
         if command >> 5 == 2 and at in self.lies:
             said = self.lies[at].to_bytes(4, "little")
@@ -210,3 +215,49 @@ def test_what_was_left_out_is_not_read_back(bench: Bench) -> None:
     bench.settle()
     assert bench.was_enabled
     assert sum(kept(answer.step) == (0x605C, 0) for answer in bench.host.nodes[0].answers) == 1
+
+
+UNTOLD = {"mute": "gave no answer when it was read back", "aborts": "aborted with 0x06020000"}
+
+
+@pytest.mark.parametrize("how", UNTOLD)
+@pytest.mark.parametrize("place", [(0x6061, 0), (0x605C, 0), (0x60C2, 2), (0x1A00, 1), (0x1400, 2)])
+def test_a_value_that_cannot_be_read_back_refuses_the_drive_by_name(bench: Bench, place: Place, how: str) -> None:
+    bench.drive.unread[place] = how
+    bench.settle()
+    assert bench.problem.startswith(f"node 3: {place[0]:04X}h:{place[1]:02X} {UNTOLD[how]}")
+    assert not bench.was_enabled
+
+
+@pytest.mark.parametrize("how", UNTOLD)
+def test_nor_is_it_enabled_where_it_tells_its_mode_no_more_after_a_fault_reset(bench: Bench, how: str) -> None:
+    bench.settle()
+    bench.drive.unread[0x6061, 0] = how
+    bench.drive.state = DriveState.FAULT
+    bench.tick(20, enable=False)
+    bench.tick(5, enable=False, reset=True)
+    bench.was_enabled = False
+    bench.settle()
+    assert bench.problem.startswith(f"node 3: 6061h:00 {UNTOLD[how]}")
+    assert not bench.was_enabled
+
+
+def test_what_was_left_out_is_not_read_back_after_a_fault_either(bench: Bench) -> None:
+    first = min(kept(step) for step in bench.host.plans[0].steps if step.proof and step.object_index >= APPLICATION)
+    bench.drive.nameless = {first}
+    bench.settle()
+    bench.drive.state = DriveState.FAULT
+    bench.tick(20, enable=False)
+    bench.tick(5, enable=False, reset=True)
+    bench.was_enabled = False
+    bench.settle()
+    assert bench.problem == ""
+    assert bench.was_enabled
+
+
+def test_of_an_object_that_went_mute_what_was_written_before_is_read_back(bench: Bench) -> None:
+    bench.drive.mute = {(0x60C2, 2)}
+    bench.drive.lies[0x60C2, 1] = 0x77
+    bench.settle()
+    assert "60C2h:01 = 0x77" in bench.problem
+    assert not bench.was_enabled
