@@ -153,9 +153,18 @@ ObjectPlace = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{4}h?(:[0-9A-Fa-f]{1,2}
 Turn = Annotated[float, Field(ge=-1e3, le=1e3)]
 Interval = Annotated[float, Field(ge=0, le=10)]  # s
 _OF_KIND = {
-    "cia402": {"missing", "aborts", "answer_delay_s", "enable_delay_s", "dummy_mapping", "status_bits", "answers"},
-    "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s"},
-    "moteus": {"nodes", "turn", "enable_delay_s"},
+    "cia402": {
+        "missing",
+        "aborts",
+        "answer_delay_s",
+        "enable_delay_s",
+        "dummy_mapping",
+        "status_bits",
+        "answers",
+        "instead",
+    },
+    "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s", "instead"},
+    "moteus": {"nodes", "turn", "enable_delay_s", "instead"},
     "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
     "damiao": {"nodes", "turn", "position_range", "torque_range", "told_to"},
     "cubemars": {"nodes", "turn", "position_range", "torque_range", "told_to"},
@@ -201,6 +210,12 @@ class EmulatedDriveConfig(Table):
         "expedited",
         "cia402: how it answers SDO reads; unsized: expedited, without telling the size; block: what is longer than "
         "four bytes by block transfer alone",
+    )
+    instead: dict[str, float] = key(
+        {},
+        "cia402, moteus, odrive: values that it acknowledges and then has otherwise, by object (6061h), register "
+        "(kp_scale) or endpoint (controller.config.control_mode)",
+        exclude_if=lambda values: not values,
     )
     status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)
 

@@ -165,6 +165,9 @@ class Layout(Protocol):
         """A new drives' side."""
 
 
+SERVICE: Final = "service"  # how the name of a message begins with which other tools may ask a drive, too
+
+
 class OwnIds(NamedTuple):
     """Identifiers in which the host alone speaks: those whose bits of `mask` are one of `masked`."""
 
@@ -184,10 +187,14 @@ def own_ids(layout: HostProtocol, period_ns: int = 1_000_000) -> list[OwnIds]:
     for part in getattr(unmounted, "segments", (unmounted,)):
         messages = part.messages(period_ns)
         mask = getattr(part, "own_mask", -1)
-        own = {message.can_id & mask for message in messages if message.sender == "host" and message.name != "service"}
+        own = {message.can_id & mask for message in messages if message.sender == "host" and not _is_service(message)}
         others = {message.can_id & mask for message in messages if message.sender != "host"}
         found.append(OwnIds(mask, frozenset(own | set(getattr(part, "network_ids", ()))) - others))
     return found
+
+
+def _is_service(message: Message) -> bool:
+    return message.name.partition(" ")[0] == SERVICE
 
 
 def echo_ids(layout: HostProtocol) -> Sequence[int | None]:

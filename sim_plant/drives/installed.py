@@ -90,9 +90,8 @@ def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: 
         from sim_plant.drives.odrive import Odrive
 
         delay_ns = round(config.enable_delay_s * 1e9)
-        return Odrive(
-            node, servo, turns, start_ns, feedback_ns=feedback_ns, heartbeat_ns=state_ns, enable_delay_ns=delay_ns
-        )
+        periods = {"feedback_ns": feedback_ns, "heartbeat_ns": state_ns, "enable_delay_ns": delay_ns}
+        return Odrive(node, servo, turns, start_ns, instead=config.instead, **periods)
     from sim_plant.drives.vesc import Motor, Vesc
 
     motor = Motor(config.torque_constant, config.pole_pairs)
@@ -115,9 +114,11 @@ def _moteus(
     else:
         nodes = config.nodes or list(range(1, len(servos) + 1))
         turn = [abs(travel) for travel in config.turn]
-    delay_ns = round(config.enable_delay_s * 1e9) if config else 0
+    delay_ns, instead = (round(config.enable_delay_s * 1e9), config.instead) if config else (0, {})
     return [
-        Moteus(node, servo, partial(_turns, servo, position, travel), start_ns, enable_delay_ns=delay_ns)
+        Moteus(
+            node, servo, partial(_turns, servo, position, travel), start_ns, enable_delay_ns=delay_ns, instead=instead
+        )
         for node, servo, position, travel in zip(nodes, servos, positions, turn, strict=True)
     ]
 

@@ -17,7 +17,7 @@ Source: moteus' documentation, pages "CAN Protocol", "Register Reference", "Conf
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import DriveStatus
@@ -54,21 +54,41 @@ _QUANTITY = {
     0x27: "time",
     0x2B: "scale",
 }
+_NAMES = {  # of registers that `instead` may name
+    "mode": 0x00,
+    "kp_scale": 0x23,
+    "kd_scale": 0x24,
+    "maximum_torque": 0x25,
+    "watchdog_timeout": 0x27,
+    "ilimit_scale": 0x2B,
+}
 _OF_SCALES = (1.0, 1.0, 1.0)
 
 
 class Moteus(CyclicNode):
     """One controller. node_id: its id, 1 to 127. turns: of its output shaft now.
 
-    enable_delay_ns: from the command to mode 10, by way of 2.
+    enable_delay_ns: from the command to mode 10, by way of 2. instead: values that it acknowledges and has otherwise,
+    by register; a mode: the one it enters in place of 10. Raises ValueError for a register that is not among them.
     """
 
     fd = True
 
     def __init__(
-        self, node_id: int, servo: ServoDrive, turns: Callable[[], float], start_ns: int, *, enable_delay_ns: int = 0
+        self,
+        node_id: int,
+        servo: ServoDrive,
+        turns: Callable[[], float],
+        start_ns: int,
+        *,
+        enable_delay_ns: int = 0,
+        instead: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(node_id, servo, start_ns)
+        unknown = sorted((instead or {}).keys() - _NAMES.keys())
+        if unknown:
+            raise ValueError(f"plant.drive.instead: {', '.join(unknown)}: none of {', '.join(_NAMES)}")
+        self._instead = {_NAMES[name]: value for name, value in (instead or {}).items()}
         self._turns = turns
         self._enable_delay_ns = enable_delay_ns
         self._default_ns = servo.watchdog_ns
@@ -167,7 +187,7 @@ class Moteus(CyclicNode):
         value = _physical(register, kind, raw)
         if register == 0x00:
             return self._enter(value)
-        self._command[register] = value
+        self._command[register] = self._instead.get(register, value)
         return self._mode in (POSITION, PREPARING)
 
     def _read(self, first: int, count: int, kind: int, reply: bytearray) -> None:
@@ -191,6 +211,7 @@ class Moteus(CyclicNode):
         if self.mode in (FAULT, TIMEOUT):
             return False
         self._command = dict(_DEFAULTS)
+        mode = self._instead.get(0x00, mode)
         if mode == POSITION:
             if self._mode not in (POSITION, PREPARING):
                 self._mode = PREPARING if self._enable_delay_ns else POSITION

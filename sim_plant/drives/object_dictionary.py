@@ -105,6 +105,7 @@ class ObjectDictionary:
         missing = quirks.missing
         self.entries = {k: e for k, e in file.entries.items() if k >= key_of(_FIRST_OBJECT) and k not in missing}
         self._aborts = quirks.aborts
+        self._instead = quirks.instead
         self.values: dict[int, int | float | bytes] = {}
         self.getters: dict[int, Callable[[], int]] = {}
         self.setters: dict[int, Callable[[int], None]] = {}
@@ -164,7 +165,8 @@ class ObjectDictionary:
         entry = self.entry(index, subindex)
         if not entry.readable:
             raise SdoAbort(Abort.WRITE_ONLY)
-        value = self.get(key_of(index, subindex))
+        key = key_of(index, subindex)
+        value = self._instead.get(key, self.get(key))
         return value if isinstance(value, bytes) else entry.type.pack(value)
 
     def write(self, index: int, subindex: int, data: bytes) -> None:

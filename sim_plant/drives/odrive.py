@@ -10,12 +10,15 @@ requested states and controller modes act at once). Rules:
   emulated, leads to idle. It starts in position control, so that torque needs Set_Controller_Mode (0Bh) with 1, 1.
 - Set_Input_Torque (0Eh) is in N m and is clipped to what the motor has. In the modes of its own position and velocity
   loops, which are not emulated, it applies no torque.
+- RxSdo (04h) reads (opcode 0) and writes (1) an endpoint by its number, which differs from firmware to firmware: a file
+  flat_endpoints.json of each release says them. ENDPOINTS has this drive's. TxSdo (05h) answers a read with the number
+  and the value, as many bytes as its type has; numbers that it has not are not answered.
 - Errors are latched and end closed loop control: watchdog, Estop (02h), defects. Clear_Errors (18h), whatever its
   payload, ends them; Reboot (16h) too.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from struct import Struct
 
 from drivers.frame import FD, REMOTE, Frame
@@ -23,14 +26,23 @@ from drivers.protocols.base import DriveStatus
 from sim_plant.drives.cyclic import CyclicNode
 from sim_plant.drives.servo import ServoDrive
 
-HEARTBEAT, ESTOP, GET_ERROR, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
+HEARTBEAT, ESTOP, GET_ERROR, RX_SDO, TX_SDO, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 1, 2, 3, 4, 5, 7, 9
 SET_CONTROLLER_MODE, SET_INPUT_TORQUE, REBOOT, CLEAR_ERRORS = 0x0B, 0x0E, 0x16, 0x18
 IDLE, CLOSED_LOOP_CONTROL = 1, 8
 TORQUE_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 3, 1
 SUCCESS, DISARMED = 0, 3  # Procedure_Result
 MISSING_ESTIMATE, DRIVE_FAULT, WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 3, 1 << 5, 1 << 24, 1 << 25
 
+READ = 0  # opcode
+ENDPOINTS = {  # number: path below axis0, and the type of its value
+    300: ("controller.config.control_mode", "I"),
+    301: ("controller.config.input_mode", "I"),
+    302: ("config.enable_watchdog", "?"),
+    303: ("config.watchdog_timeout", "f"),
+    304: ("config.torque_soft_max", "f"),
+}
 _ESTIMATES, _HEARTBEAT, _MODES = Struct("<ff"), Struct("<IBBBx"), Struct("<II")
+_SDO = Struct("<BHx")
 _STATE, _TORQUE, _ERRORS = Struct("<I"), Struct("<f"), Struct("<II")
 _DEFECTS = (
     (int(DriveStatus.FAULT), DRIVE_FAULT),
@@ -44,7 +56,7 @@ class Odrive(CyclicNode):
     """One axis. node_id: 0 to 63. turns: its encoder's position now, in turns of the motor.
 
     feedback_ns, heartbeat_ns: encoder_msg_rate_ms and heartbeat_msg_rate_ms. enable_delay_ns: from the request to
-    closed loop control.
+    closed loop control. instead: values that it acknowledges and has otherwise, by path.
     """
 
     def __init__(
@@ -57,11 +69,13 @@ class Odrive(CyclicNode):
         feedback_ns: int,
         heartbeat_ns: int,
         enable_delay_ns: int = 0,
+        instead: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(node_id, servo, start_ns, (feedback_ns, self._estimates), (heartbeat_ns, self._heartbeat))
         self._turns = turns
         self._base = node_id << 5
         self._enable_delay_ns = enable_delay_ns
+        self._instead = dict(instead or {})
         self._estop = False
         self._last = (start_ns, math.nan)
         self._restart()
@@ -93,6 +107,8 @@ class Odrive(CyclicNode):
         if frame.can_id & REMOTE:
             query = self._queries.get(can_id & 0x1F)
             return [query()] if query else []
+        if can_id & 0x1F == RX_SDO:
+            return self._on_sdo(frame.data)
         handler = self._handlers.get(can_id & 0x1F)
         if handler:
             handler(frame.data)
@@ -130,8 +146,31 @@ class Odrive(CyclicNode):
 
     def _on_mode(self, data: bytes) -> None:
         if len(data) >= _MODES.size:
-            self._modes = _MODES.unpack_from(data)
+            control, passed = _MODES.unpack_from(data)
+            self._modes = (
+                int(self._instead.get("controller.config.control_mode", control)),
+                int(self._instead.get("controller.config.input_mode", passed)),
+            )
             self._apply()
+
+    def _on_sdo(self, data: bytes) -> list[Frame]:
+        """A read of an endpoint; writes are not emulated."""
+        if len(data) < _SDO.size:
+            return []
+        opcode, number = _SDO.unpack_from(data)
+        if opcode != READ or number not in ENDPOINTS:
+            return []
+        path, kind = ENDPOINTS[number]
+        held: dict[str, float] = {
+            "controller.config.control_mode": self._modes[0],
+            "controller.config.input_mode": self._modes[1],
+            "config.enable_watchdog": True,
+            "config.watchdog_timeout": self.servo.watchdog_ns * 1e-9,
+            "config.torque_soft_max": self.servo.rated_force,
+        }
+        value = (held | self._instead)[path]
+        packed = Struct("<" + kind).pack(value if kind == "f" else int(value))
+        return [self._send(TX_SDO, _SDO.pack(0, number) + packed)]
 
     def _on_torque(self, data: bytes) -> None:
         if len(data) >= _TORQUE.size:

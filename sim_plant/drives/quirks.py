@@ -14,7 +14,8 @@ class Quirks(NamedTuple):
     read. answer_delay_ns: of every SDO answer. enable_delay_ns: from the command to OPERATION ENABLED. status_bits:
     manufacturer's bits of the statusword, always set (8, 14, 15). dummies: RPDOs may map dummy objects where the file
     says so. answers: how numbers are uploaded: expedited, unsized (expedited, without telling their size) or segmented;
-    CiA 301 leaves that to the drive. block: expedited, and what is longer than four bytes by blocks alone.
+    CiA 301 leaves that to the drive. block: expedited, and what is longer than four bytes by blocks alone. instead:
+    value by object that an SDO client reads, whatever was written and acknowledged.
     """
 
     missing: frozenset[int] = frozenset()
@@ -24,6 +25,7 @@ class Quirks(NamedTuple):
     status_bits: int = 0
     dummies: bool = True
     answers: str = "expedited"
+    instead: Mapping[int, int] = {}
 
 
 NO_QUIRKS = Quirks()
@@ -41,6 +43,7 @@ def stated_quirks(config: EmulatedDriveConfig | None) -> Quirks:
         config.status_bits,
         config.dummy_mapping,
         config.answers,
+        {_keys([place])[0]: round(value) for place, value in config.instead.items()},
     )
 
 

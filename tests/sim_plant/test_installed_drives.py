@@ -87,18 +87,19 @@ def test_drives_that_count_in_turns_need_one_for_every_axis(turn: list[float]) -
 
 def test_without_a_table_a_cia402_drive_is_as_its_file_says() -> None:
     assert stated_quirks(None) == stated_quirks(table("cia402")) == NO_QUIRKS == Quirks()
-    assert (frozenset(), {}, 0, 0, 0, True, "expedited") == NO_QUIRKS
+    assert (frozenset(), {}, 0, 0, 0, True, "expedited", {}) == NO_QUIRKS
 
 
 def test_every_quirk_is_taken_over_in_nanoseconds_and_dictionary_keys() -> None:
     stated = {
         "missing": ["1017h", "60C2h:01"], "aborts": ["6072h", "1010h:01"], "answer_delay_s": 0.0015,
         "enable_delay_s": 0.25, "status_bits": 0x4000, "dummy_mapping": False, "answers": "segmented",
+        "instead": {"6061h": 8},
     }  # fmt: skip
     quirks = stated_quirks(table("cia402", **stated))
     assert quirks.missing == {key_of(0x1017), key_of(0x60C2, 1)} == {0x101700, 0x60C201}
     assert quirks.aborts == {0x607200: 0x08000000, 0x101001: 0x08000000}  # CiA 301: general error
-    assert quirks[2:] == (1_500_000, 250_000_000, 0x4000, False, "segmented")
+    assert quirks[2:] == (1_500_000, 250_000_000, 0x4000, False, "segmented", {0x606100: 8})
 
 
 # the drives -----------------------------------------------------------------------------------------------------------

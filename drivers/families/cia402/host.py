@@ -28,7 +28,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState
 from drivers.families.cia402.config import Cia402Config, cia402_keys
 from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
-from drivers.families.cia402.node import NodeMaster
+from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
 from drivers.frame import ECHO, FD, Frame
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
@@ -39,6 +39,7 @@ from drivers.protocols.segments import of_axes
 # Where a rig has no [bus.cia402]; how it ends is part of its contract.
 OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True, stop_options="keep")
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
+_FAULT = int(DriveStatus.FAULT)  # of a drive that sends positions before it is configured and read back
 _OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
 
 
@@ -202,6 +203,8 @@ class Cia402Host:
         if state is not node.state:
             self.master.stir()
         node.on_state(state)
+        if self._tick and node.phase is not Phase.RUNNING:  # who only listens configures nobody
+            status |= _FAULT
         return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
 
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:

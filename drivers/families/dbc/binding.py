@@ -17,7 +17,13 @@ from drivers.families.dbc.page import Bound, BoundMessage, selection_of
 from drivers.protocols.base import LayoutError
 
 _COUNTERS = ("command_counter", "feedback_counter", "checksum")
-_FEEDBACK = ("bus.dbc.position", "bus.dbc.status", "bus.dbc.error", "bus.dbc.feedback_counter")
+_FEEDBACK = (
+    "bus.dbc.position",
+    "bus.dbc.status",
+    "bus.dbc.error",
+    "bus.dbc.feedback_counter",
+    "bus.dbc.read_back",
+)
 _ONE_PER_AXIS = ("enable", "start", "stop")  # or one for all, or none
 
 
@@ -36,6 +42,11 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
         if count not in (0, 1, n_axes):
             what = "signals" if key == "enable" else "frames"
             raise LayoutError(f"bus.dbc.{key} has {count} {what} for {n_axes} axes; it may also have one or none")
+    for at, item in enumerate(binding.read_back):
+        if item.axis >= n_axes:
+            raise LayoutError(f"bus.dbc.read_back[{at}].axis = {item.axis}: 0 to {n_axes - 1} are there")
+        if not item.least <= item.most:
+            raise LayoutError(f"bus.dbc.read_back[{at}]: least = {item.least:g} is above most = {item.most:g}")
     _check_pairs(binding)
 
 
@@ -58,14 +69,16 @@ def _check_pairs(binding: DbcBinding) -> None:
 
 def bound_items(binding: DbcBinding) -> Iterator[tuple[str, SignalBinding]]:
     """Every bound signal, with its key in the rig file."""
-    for key in ("position", "torque", "status", "error", "enable", "reset", "constant", *_COUNTERS):
+    keys = ("position", "torque", "status", "error", "enable", "reset", "constant", "read_back", *_COUNTERS)
+    for key in keys:
         yield from ((f"bus.dbc.{key}[{at}]", item) for at, item in enumerate(getattr(binding, key)))
 
 
 def bound_names(binding: DbcBinding) -> set[str]:
     """Names of all messages that the binding uses."""
     names = {item.message for _, item in bound_items(binding)}
-    names |= {item.message for item in [*binding.start, *binding.stop]} | {item.message for item in binding.periodic}
+    lone = [*binding.start, *binding.stop, *(item.ask for item in binding.read_back)]
+    names |= {item.message for item in lone} | {item.message for item in binding.periodic}
     names |= set(binding.on_change) | set(binding.remote)
     return {name.partition(".")[0] for name in names}
 
@@ -83,6 +96,8 @@ class Pages:
         for key in ("start", "stop"):
             for at, frame in enumerate(getattr(binding, key)):
                 self._check(f"bus.dbc.{key}[{at}]", frame.message, frame.signal, problems)
+        for at, asked in enumerate(binding.read_back):
+            self._check(f"bus.dbc.read_back[{at}].ask", asked.ask.message, asked.ask.signal, problems)
         if problems:
             raise LayoutError("; ".join(problems))
         for key, item in bound_items(binding):

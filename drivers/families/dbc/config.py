@@ -52,6 +52,15 @@ class FrameBinding(Table):
     value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
 
 
+class ReadBackBinding(SignalBinding):
+    """A value that a drive tells when it is asked: before READY, after every reset, and now and then."""
+
+    axis: int = key(REQUIRED, "whose drive, from 0, in the order of [axes]", "1", ge=0, le=63)
+    ask: FrameBinding = key(REQUIRED, "the frame that asks for it")
+    least: float = key(REQUIRED, "physical value that it has to have at least", "1")
+    most: float = key(REQUIRED, "and at most", "1")
+
+
 class PeriodBinding(Table):
     """How often a message is sent."""
 
@@ -102,6 +111,12 @@ class DbcBinding(Table):
     stop: list[FrameBinding] = key([], "frames that disable by themselves, likewise; also at the start")
     periodic: list[PeriodBinding] = key([], "command messages and requests that are not sent every tick but so often")
     remote: list[str] = key([], "feedback messages that drives send when they are asked by a remote frame: every tick")
+    read_back: list[ReadBackBinding] = key(
+        [],
+        "mode and limits that drives are asked for; with another value, or without an answer, a drive counts as in "
+        "fault and no rig gets READY",
+        exclude_if=lambda entries: not entries,
+    )
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")
     checksum: Signals = key([], "checksums in the payload, besides CAN's own")

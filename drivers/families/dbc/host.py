@@ -19,6 +19,8 @@ Rules. What the binding (drivers.config.DbcBinding) means:
   each again while a drive's state is another than it was told.
 - periodic: sent so often, and at once when a value in it changes. remote: feedback that is asked for in every tick, or
   as periodic says. The positions among them are sampled when they are asked for.
+- read_back: values that a drive is asked for, behind the commands: drivers/protocols/read_back.py has the rules. Until
+  all are right the drive counts as in fault.
 - Signals of multiplexed messages are on pages of their own (dbc_binding.py).
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
@@ -40,6 +42,7 @@ from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import EVERY_STATUS, Command, Reject, Sample
 from drivers.protocols.common import check_force
+from drivers.protocols.read_back import ReadBack
 from drivers.protocols.sampling_clock import SamplingClock
 
 STATE_TIMEOUT_NS = 500_000_000  # after which a state that came in such a message is no longer believed
@@ -69,6 +72,15 @@ class DbcHost(DbcLayout):
         lone = [lone.message.can_id for lone in (*self._start, *self._stop)]
         self._own = {*(message.can_id for message in self._commands), *lone}
         self._own |= {REMOTE | message.can_id for message in self._requests}
+        self._answers = {asked.answer.message for asked in self._read_back}
+        for message in self._answers:
+            self._heard.setdefault(message.can_id, []).append(message)
+        self._own |= {asked.ask.message.can_id for asked in self._read_back}
+        self._asked_of = [[asked for asked in self._read_back if asked.axis == axis] for axis in range(n_axes)]
+        self._proofs = [
+            ReadBack(f"axis {axis}", [asked.question for asked in theirs]) for axis, theirs in enumerate(self._asked_of)
+        ]
+        self._reset_before = False
         self.echo_id: int | None = None if self._free_running else self._trigger_id()
         self.acts_ns: Sequence[int] = self._find_acts(bus) if self._free_running else []
         self._enabled = 0
@@ -115,6 +127,9 @@ class DbcHost(DbcLayout):
             values = page.values(frame.data)
             if not page.is_in(values):
                 continue
+            if page in self._answers:
+                self._note_answer(page, values)
+                continue
             if not self._note_state(page, values):
                 return Reject.INVALID_VALUE
             for axis in self._axes.get(page, ()):
@@ -149,6 +164,12 @@ class DbcHost(DbcLayout):
         self._turns[axis] = Turns(counts, turned)
         return counts + turned
 
+    def _note_answer(self, page: BoundMessage, values: Sequence[Any]) -> None:
+        for asked, proof in zip(self._asked_of, self._proofs, strict=True):
+            for number, (_, (message, place), _, _) in enumerate(asked):
+                if message is page:
+                    proof.answer(number, place.value(values[place.at]), self._tick)
+
     def _note_state(self, message: BoundMessage, values: Sequence[Any]) -> bool:
         """Keep what a message tells of drives; False where it has a status bit that nobody knows."""
         for axis, bound in enumerate(self._status):
@@ -160,16 +181,26 @@ class DbcHost(DbcLayout):
                 self._told_tick[axis] = self._tick
         for axis, bound in enumerate(self._error):
             if bound.message is message:
-                self._fault[axis] = FAULT if values[bound.place.at] else 0
+                fault = FAULT if values[bound.place.at] else 0
+                if self._fault[axis] and not fault:
+                    self._proofs[axis].begin()
+                self._fault[axis] = fault
         return True
 
     def _status_of(self, axis: int) -> int:
         """What is known of a drive: nothing where it has been silent about its state for too long."""
+        unproved = self._tick and not self._proofs[axis].proved  # who only listens asks nobody
+        fault = FAULT if unproved else self._fault[axis]
         if not self._status:
-            return self._enabled >> axis & ENABLED | self._fault[axis]
+            return self._enabled >> axis & ENABLED | fault
         if self._tick - self._told_tick[axis] > self._state_ticks:
-            return self._fault[axis]
-        return self._state[axis] | self._fault[axis]
+            return fault
+        return self._state[axis] | fault
+
+    @property
+    def problems(self) -> list[str]:
+        """What drives were told and do not keep, for people."""
+        return [proof.problem for proof in self._proofs if proof.problem]
 
     def encode(self, command: Command) -> list[Frame]:
         """All command messages that are due. Raises ValueError for a force not finite or beyond its rated force."""
@@ -198,7 +229,22 @@ class DbcHost(DbcLayout):
         if self._start:
             frames += self._switching()
         frames += [message.frame(values[message]) for message in self._cyclic]
-        return frames + self._asking() if self._asked else frames
+        if self._asked:
+            frames += self._asking()
+        return frames + self._reading_back(reset=command.reset) if self._read_back else frames
+
+    def _reading_back(self, *, reset: bool) -> list[Frame]:
+        """The questions that are due."""
+        frames: list[Frame] = []
+        begins, self._reset_before = reset and not self._reset_before, reset
+        for asked, proof in zip(self._asked_of, self._proofs, strict=True):
+            if begins:
+                proof.begin()
+            number = proof.ask(self._tick)
+            if number is not None:
+                ask = asked[number].ask
+                frames.append(ask.message.frame(ask.values))
+        return frames
 
     def _put_enable(self, values: dict[BoundMessage, list[Any]], enable: int) -> None:
         if len(self._enable) == 1 < self.n_axes:

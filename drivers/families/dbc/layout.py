@@ -10,10 +10,15 @@ from drivers.families.dbc.config import DbcBinding, SignalBinding, StatusBinding
 from drivers.families.dbc.file import load_used
 from drivers.families.dbc.page import Bound, BoundMessage, Place
 from drivers.frame import EXTENDED_MASK, REMOTE
-from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError, Message
+from drivers.protocols.base import EVERY_STATUS, SERVICE, DriveStatus, LayoutError, Message
+from drivers.protocols.read_back import ANSWER_TICKS, Question
 
+_NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
 COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
+_BELIEVED = (
+    "bus.dbc.read_back has no entry: whether the drives keep the mode and the limits that they were told is not asked"
+)
 OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
 
 
@@ -24,6 +29,15 @@ class Lone(NamedTuple):
     values: list[Any]
 
 
+class Asked(NamedTuple):
+    """A value that is read back: of which axis' drive, where in its answer, and the frame that asks for it."""
+
+    axis: int
+    answer: Bound
+    ask: Lone
+    question: Question
+
+
 class DbcLayout:
     """What both ends share: the bound messages. Raises LayoutError naming every signal that is not there.
 
@@ -31,7 +45,6 @@ class DbcLayout:
     """
 
     name = "dbc"
-    problems: Sequence[str] = ()
 
     def __init__(self, wiring: Wiring) -> None:
         bus, n_axes, rated_force, _, base_dir = wiring
@@ -43,6 +56,8 @@ class DbcLayout:
         self.n_axes = n_axes
         self._rated = list(rated_force)
         database, self.warnings = load_used(path, bound_names(binding))
+        if not binding.read_back:
+            self.warnings = [*self.warnings, _BELIEVED]
         self._pages = Pages(database, binding, path.name)
         self._free_running = binding.feedback == "cyclic"
         self._bind(binding)
@@ -67,7 +82,7 @@ class DbcLayout:
     def _bind(self, binding: DbcBinding) -> None:
         """Every signal to its page."""
         for key, item in bound_items(binding):
-            if not key.startswith(("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant")):
+            if not key.startswith(_NUMBERS):
                 self._bound(key, item).message.whole(key, item)
         self._position = self._all("position", binding.position)
         self._torque = self._all("torque", binding.torque)
@@ -91,11 +106,20 @@ class DbcLayout:
         self._reset_switch = [(item.on, item.off) for item in binding.reset]
         self._maps = [_status_map(item) for item in binding.status]
         self._wrap = [item.wrap for item in binding.position]
+        self._read_back = self._find_read_back(binding)
         self.sequence_modulus = 1 << self._counters[0].place.bits if self._counters else 0
         self._start, self._stop = (
             [Lone(*self._pages.alone(f"bus.dbc.{key}[{at}]", frame)) for at, frame in enumerate(frames)]
             for key, frames in (("start", binding.start), ("stop", binding.stop))
         )
+
+    def _find_read_back(self, binding: DbcBinding) -> list[Asked]:
+        found = []
+        for at, item in enumerate(binding.read_back):
+            key = f"bus.dbc.read_back[{at}]"
+            question = Question(f"{item.message}.{item.signal}", item.least, item.most)
+            found.append(Asked(item.axis, self._bound(key, item), Lone(*self._pages.alone(key, item.ask)), question))
+        return found
 
     def _carried(self) -> int:
         """DriveStatus bits that every axis' messages can tell."""
@@ -170,7 +194,8 @@ class DbcLayout:
 
     def _check_identifiers(self, file: str) -> None:
         """An identifier belongs to one bound message."""
-        lone = [alone.message for alone in (*self._start, *self._stop)]
+        lone = [alone.message for alone in (*self._start, *self._stop, *(asked.ask for asked in self._read_back))]
+        lone += [asked.answer.message for asked in self._read_back]
         names: dict[int, str] = {}
         for page in (*self._commands, *lone, *self._feedback, *self._state_only):
             if names.setdefault(page.can_id, page.name) != page.name:
@@ -190,7 +215,8 @@ class DbcLayout:
         if len({(bound.message, bound.place.at) for bound in self._position}) != self.n_axes:
             raise LayoutError(f"{file}: two axes with one position; each axis needs a signal of its own in a message")
         said = {page.can_id for page in self._commands} | {lone.message.can_id for lone in (*self._start, *self._stop)}
-        for message in [*self._feedback, *self._state_only]:
+        said |= {asked.ask.message.can_id for asked in self._read_back}
+        for message in [*self._feedback, *self._state_only, *(asked.answer.message for asked in self._read_back)]:
             if message.can_id in said:
                 raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
         if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
@@ -240,7 +266,18 @@ class DbcLayout:
             *(_message(m.name, m, feedback_ns, f"axis {axis}", trigger) for m, axis in feedback.items()),
             *(_message(m.name, m, state_ns, f"axis {axis}") for m, axis in self._state_only.items()),
             *(_message(m.name, m, seldom_ns, "host") for m, seldom_ns in (seldom | lone).items()),
+            *self._service(period_ns),
         ]
+
+    def _service(self, period_ns: int) -> list[Message]:
+        """Questions and their answers: of each drive one in ANSWER_TICKS."""
+        asked_ns, found = ANSWER_TICKS * period_ns, {}
+        for asked in self._read_back:
+            ask, answer = asked.ask.message, asked.answer.message
+            name = f"{SERVICE} {ask.name}"
+            found[ask.can_id] = _message(name, ask, asked_ns, "host")
+            found[answer.can_id] = _message(answer.name, answer, asked_ns, f"axis {asked.axis}", name)
+        return list(found.values())
 
 
 def _message(name: str, page: BoundMessage, period_ns: int, sender: str, trigger: str | None = None) -> Message:

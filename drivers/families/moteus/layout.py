@@ -8,6 +8,10 @@ Rules:
 - A disabled drive gets a query alone. Mode 0 (stop) also clears faults and timeouts, so it is sent only to drives that
   were enabled, twice and until they say that they have no power, to drives that say they have, and when a reset is
   asked for. No start of this process unlatches anything.
+- What every command says besides its torque is written to the registers of a drive without power, without a mode, so
+  that nothing acts, and read back: at the start and after every reset. Until a drive has told all of it rightly it
+  counts as in fault (drivers/protocols/read_back.py). Its mode comes with every answer: another with power than the
+  commanded one is told.
 - Answers are self-describing: any type of value is taken. One without mode and position is no sample.
 """
 
@@ -36,6 +40,7 @@ from drivers.families.moteus.registers import (
 from drivers.frame import BRS, ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, REMOTE, Frame
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import check_force
+from drivers.protocols.read_back import Question, ReadBack
 from drivers.protocols.sampling_clock import SamplingClock, leads_ns
 from drivers.protocols.segments import of_axes
 
@@ -53,11 +58,15 @@ _AT_REST = write(Register.COMMAND_POSITION, Type.INT8, -128, 0)  # where it is, 
 _NO_LOOP = write(Register.KP_SCALE, Type.INT8, 0, 0) + write(Register.ILIMIT_SCALE, Type.INT8, 0)
 
 
+# what every command says besides its torque, in the words of the drive's documentation
+_SCALES = {Register.KP_SCALE: "kp_scale", Register.KD_SCALE: "kd_scale", Register.ILIMIT_SCALE: "ilimit_scale"}
+_ASKED = (*_SCALES, Register.WATCHDOG_TIMEOUT)
+
+
 class MoteusLayout:
     """What both ends share. Raises LayoutError for a rig that it cannot carry."""
 
     name = "moteus"
-    problems: Sequence[str] = ()
     sequence_modulus = 0
     checksum = False
     states = True
@@ -88,6 +97,7 @@ class MoteusLayout:
             + read(Register.POSITION, self._position_type)
             + read(Register.FAULT, Type.INT8)
         )
+        self._watchdog_s = config.watchdog_s
         self._watchdog = write(Register.WATCHDOG_TIMEOUT, Type.FLOAT, config.watchdog_s)
 
     def _torque(self, force: float) -> bytes:
@@ -130,7 +140,13 @@ class MoteusHost(MoteusLayout):
         bus, n_axes = wiring.bus, wiring.n_axes
         reach = {Type.INT16: 327_670.0, Type.INT32: 2.0**31 - 1.0, Type.FLOAT: _EXACT}[self._position_type]
         self.positions: Sequence[tuple[float, float]] = [(-reach, reach)] * n_axes
-        self.problems: list[str] = []
+        self._refused: list[str] = []
+        questions = [Question(name, 0.0, 0.0) for name in _SCALES.values()]
+        questions.append(Question("watchdog_timeout", 0.999 * self._watchdog_s, 1.001 * self._watchdog_s))  # a float32
+        self._proofs = [ReadBack(f"axis {axis}", questions, apart=1) for axis in range(n_axes)]
+        self._astray = [""] * n_axes
+        self._tick = 0
+        self._reset_before = False
         self.acts_ns: Sequence[int] = ()
         self.stamp_wraps_ns: Sequence[int] = ()
         self.echo_id: int | None = self.command_ids[-1]
@@ -163,8 +179,12 @@ class MoteusHost(MoteusLayout):
                 told[value.register] = value
             elif value.operation in (READ_ERROR, WRITE_ERROR):
                 self._note(axis, value)
+        self._note_kept(axis, told)
         if Register.MODE not in told or Register.POSITION not in told:
             return Reject.SERVICE
+        return self._sample(axis, frame, told)
+
+    def _sample(self, axis: int, frame: Frame, told: dict[int, Value]) -> Sample | Reject:
         counts = told[Register.POSITION].number * COUNTS_PER_TURN
         mode = told[Register.MODE].number
         fault = told[Register.FAULT].number if Register.FAULT in told else 0.0
@@ -177,18 +197,42 @@ class MoteusHost(MoteusLayout):
             stamp_ns -= self._lead_ns[axis]
         return Sample(axis, round(counts), self._status(axis, int(mode), int(fault)), -1, stamp_ns)
 
+    def _note_kept(self, axis: int, told: dict[int, Value]) -> None:
+        for number, register in enumerate(_ASKED):
+            if register in told:
+                self._proofs[axis].answer(number, told[register].number, self._tick)
+
     def _note(self, axis: int, value: Value) -> None:
         what = "write" if value.operation == WRITE_ERROR else "read"
         text = f"axis {axis}: {what} of register {value.register:03X}h refused, error {value.raw:g}"
-        if text not in self.problems and len(self.problems) < 20:
-            self.problems.append(text)
+        if text not in self._refused and len(self._refused) < 20:
+            self._refused.append(text)
+
+    @property
+    def problems(self) -> list[str]:
+        """What drives refused, and what they do otherwise than they were told, for people."""
+        return [
+            *self._refused,
+            *(proof.problem for proof in self._proofs if proof.problem),
+            *filter(None, self._astray),
+        ]
 
     def _hear(self, axis: int, mode: int) -> None:
         self._mode[axis] = mode
         if mode in _UNPOWERED and self._stops[axis] > 1:  # an answer to an older command may say so
             self._stopping[axis] = False
 
+        powered = mode not in (*_UNPOWERED, *_PREPARING)
+        if powered and mode != Mode.POSITION:
+            self._astray[axis] = f"axis {axis}: mode = {mode}; told {int(Mode.POSITION)} (position) or 0 (stopped)"
+        elif powered:
+            self._astray[axis] = ""
+
     def _status(self, axis: int, mode: int, fault: int) -> int:
+        unproved = self._tick and not self._proofs[axis].proved  # who only listens asks nobody
+        return self._status_by(axis, mode, fault) | (int(DriveStatus.FAULT) if unproved else 0)
+
+    def _status_by(self, axis: int, mode: int, fault: int) -> int:
         if mode == Mode.FAULT:
             return int(DriveStatus.FAULT) | (int(DriveStatus.ENCODER_FAULT) if fault in _ENCODER_FAULTS else 0)
         if mode == Mode.TIMEOUT:
@@ -211,9 +255,13 @@ class MoteusHost(MoteusLayout):
         """One frame a drive. Raises ValueError for a force not finite or beyond its rated force."""
         check_force(command.force, self._rated)
         self._clock.trigger()
+        self._tick += 1
+        begins, self._reset_before = command.reset and not self._reset_before, command.reset
         frames = []
         for axis, can_id in enumerate(self.command_ids):
             bit = command.enable >> axis & 1
+            if begins:
+                self._proofs[axis].begin()
             if bit:
                 data = self._applying(command.force[axis])
                 self._stopping[axis], self._stops[axis] = True, 0
@@ -221,11 +269,20 @@ class MoteusHost(MoteusLayout):
                 data = _STOP + self._query
                 self._stops[axis] += 1
             else:
-                data = self._query
+                data = self._query + self._proving(axis)
             frames.append(Frame(can_id, padded(data), FD | BRS))
         self._enabled = command.enable
         self._lead_ns = leads_ns(frames, *self._bitrates)
         return frames
+
+    def _proving(self, axis: int) -> bytes:
+        """What writes the registers of a drive without power, and reads one of them. Its answer is longer by that value
+        and the command shorter than one that applies torque: together they are no longer than `messages` says.
+        """
+        number = self._proofs[axis].ask(self._tick)
+        if number is None:
+            return b""
+        return self._watchdog + _NO_LOOP + read(_ASKED[number], Type.FLOAT)
 
     def messages(self, period_ns: int) -> list[Message]:
         """All of them every tick, commands as long as when torque is applied."""

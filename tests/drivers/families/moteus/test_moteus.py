@@ -3,6 +3,7 @@
 import contextlib
 import math
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,19 @@ def bus(**table: Any) -> BusConfig:
 
 
 def ends(**table: Any) -> tuple[Any, Any]:
-    return host_protocol(bus(**table), 2, RATED, Path(), MS), device_protocol(bus(**table), 2, RATED, Path())
+    host, device = host_protocol(bus(**table), 2, RATED, Path(), MS), device_protocol(bus(**table), 2, RATED, Path())
+    prove(host, table.get("nodes", [1, 2]))
+    return host, device
+
+
+def prove(host: Any, nodes: Sequence[int]) -> None:
+    """Tell it that its drives keep what every command says, and nothing else of them."""
+    kept = struct.pack("<BBffBBfBBf", 0x2E, 0x23, 0.0, 0.0, 0x2D, 0x2B, 0.0, 0x2D, 0x27, 0.01)
+    for _ in range(4):
+        host.encode(Command(0, [0.0, 0.0], 0, False))
+        for node in nodes:
+            identifier = node << 8 if node < 8 else EXTENDED | node << 8
+            assert host.decode(Frame(identifier, padded(kept), FD | BRS, MS)) is Reject.SERVICE
 
 
 def answer(node: int, mode: int, turns: float, fault: int = 0) -> Frame:
