@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import hil
+from docs.answers_page import answers_page
 from drivers.config import LAYOUTS, BusConfig
 from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
@@ -313,6 +314,7 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
+    (folder / "answers.md").write_text(answers_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
     for path, text in viewer_files().items():

@@ -77,9 +77,10 @@ def feedback_ns(layout: HostProtocol) -> int:
 
 
 def layout_warnings(layout: HostProtocol) -> list[str]:
-    """What is wrong with the layout's file beside what is used of it, for people."""
+    """What is wrong with the layout's file beside what is used of it, and what its drives are not asked, for people."""
     parts = _parts(layout)  # all of them read the same file
-    return list(dict.fromkeys(text for part in parts for text in getattr(part, "warnings", ())))
+    said = (text for part in parts for name in ("warnings", "unasked") for text in getattr(part, name, ()))
+    return list(dict.fromkeys(said))
 
 
 def messages_by_segment(rig: RigConfig, layout: HostProtocol) -> list[list[Message]]:

@@ -2,6 +2,7 @@
 
 import re
 
+from docs.answers_page import answers_page
 from docs.make_fault_numbers import FILE as FAULT_NUMBERS
 from docs.make_fault_numbers import numbers
 from docs.make_pages import (
@@ -27,6 +28,7 @@ def test_the_pages_are_up_to_date() -> None:
     assert FAULT_NUMBERS.read_text() == numbers(), RENEW
     assert (FOLDER / "states.md").read_text() == states_page(), RENEW
     assert (FOLDER / "faults.md").read_text() == faults_page(), RENEW
+    assert (FOLDER / "answers.md").read_text() == answers_page(), RENEW
     assert (FOLDER / "rig-file.md").read_text() == rig_file_page(), RENEW
     assert SCHEMA.read_text() == rig_schema(), RENEW
     assert (FOLDER / "laws.md").read_text() == laws_page(), RENEW

@@ -16,7 +16,7 @@ from drivers.protocols.read_back import ANSWER_TICKS, Question
 _NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
 COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
-_BELIEVED = (
+_UNASKED = (
     "bus.dbc.read_back has no entry: whether the drives keep the mode and the limits that they were told is not asked"
 )
 OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
@@ -41,7 +41,7 @@ class Asked(NamedTuple):
 class DbcLayout:
     """What both ends share: the bound messages. Raises LayoutError naming every signal that is not there.
 
-    warnings: what is wrong with the file beside what is used of it, for people.
+    warnings: what is wrong with the file beside what is used of it, for people. unasked: what its drives are not asked.
     """
 
     name = "dbc"
@@ -56,8 +56,7 @@ class DbcLayout:
         self.n_axes = n_axes
         self._rated = list(rated_force)
         database, self.warnings = load_used(path, bound_names(binding))
-        if not binding.read_back:
-            self.warnings = [*self.warnings, _BELIEVED]
+        self.unasked = () if binding.read_back else (_UNASKED,)
         self._pages = Pages(database, binding, path.name)
         self._free_running = binding.feedback == "cyclic"
         self._bind(binding)

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.protocols.answer_fields import Field
 from hil.cycle.faults.row import ALWAYS, RESET, Form, Reaction, Row, Trial
 
 _STATES: Final = ("active", "passive", "off the bus", "down")  # by BusState
@@ -114,5 +115,6 @@ ROWS: Final = (
         cause="a second host or master is on the bus, or a drive has a wrong identifier",
         action=f"hil bus shows who talks; take it off the bus, {RESET}",
         trials=(Trial("another node sends our command", "foreign_command"),),
+        guards=(Field.SENDER,),
     ),
 )

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.protocols.answer_fields import Field
 from hil.cycle.faults.row import MOVING, RESET, RESTING, WATCHING, Form, Reaction, Row, Trial
 
 _CABLE: Final = "check the drive's supply and its cable"
@@ -24,6 +25,10 @@ ROWS: Final = (
             Trial("drive fault bit", "status_bit FAULT"),
             Trial("drive fails", "fail"),
         ),
+        guards=(
+            Field.STATUS,
+            Field.CAUSES,
+        ),
     ),
     Row(
         16,
@@ -39,6 +44,7 @@ ROWS: Final = (
         cause="the drive heard no command for drives.watchdog_s",
         action=f"see the events before it, {RESET}",
         trials=(Trial("drive watchdog trips"),),
+        guards=(Field.CAUSES,),
     ),
     Row(
         17,
@@ -54,6 +60,7 @@ ROWS: Final = (
         cause="the drive switched itself off: its own limit, its stop input",
         action=f"{_CABLE}, {RESET}",
         trials=(Trial("drive drops out of operation"),),
+        guards=(Field.STATUS,),
     ),
     Row(
         18,
@@ -82,6 +89,7 @@ ROWS: Final = (
         cause="the drive cannot read its encoder",
         action=f"check the encoder's cable, {RESET}",
         trials=(Trial("drive encoder fault bit"),),
+        guards=(Field.CAUSES,),
     ),
     Row(
         34,
@@ -97,5 +105,6 @@ ROWS: Final = (
         cause="the drive does not obey: its brake is open",
         action=f"cut the drive's power, {RESET}",
         trials=(Trial("drive says it is enabled"),),
+        guards=(Field.STATUS,),
     ),
 )

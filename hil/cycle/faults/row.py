@@ -8,6 +8,7 @@ hil/cycle/fault_monitor.py, and `make docs`.
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
+from drivers.protocols.answer_fields import Field
 from hil.cycle.state_machine import TORQUE_STATES, State
 
 
@@ -64,7 +65,7 @@ class Row(NamedTuple):
     its evidence names a channel of [sensors] in the place of an axis. form, measured, unit:
     what its evidence is, and `words` what stands for {} in `measured`, by a
     value of 0, 1, ...; "m" and "N" stand for rad and N m where the axis is rotary. cause: what usually brings it
-    about. action: what to do next.
+    about. action: what to do next. guards: the fields of an answer whose bound it watches.
     """
 
     number: int
@@ -83,3 +84,4 @@ class Row(NamedTuple):
     of_sensor: bool = False
     words: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
+    guards: tuple[Field, ...] = ()

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.protocols.answer_fields import Field
 from hil.cycle.faults.row import MOVING, RESET, WATCHING, Form, Reaction, Row, Trial
 
 _CABLE: Final = "check the drive's supply and its cable"
@@ -33,6 +34,7 @@ ROWS: Final = (
         cause=_SILENT,
         action=f"{_CABLE}, {RESET}",
         trials=(Trial("encoder silent"),),
+        guards=(Field.IDENTIFIER,),
     ),
     Row(
         3,
@@ -46,6 +48,7 @@ ROWS: Final = (
         cause=_SILENT,
         action=f"{_CABLE}, {RESET}",
         trials=(Trial("encoder silent"),),
+        guards=(Field.IDENTIFIER,),
     ),
     Row(
         4,
@@ -59,6 +62,11 @@ ROWS: Final = (
         cause="a drive of another layout, two nodes of one identifier, or damage in a gateway",
         action=f"hil bus shows the frames; check bus.protocol and identifiers, {RESET}",
         trials=(Trial("duplicates"),),
+        guards=(
+            Field.SEQUENCE,
+            Field.LENGTH,
+            Field.CHECKSUM,
+        ),
     ),
     Row(
         5,
@@ -72,6 +80,7 @@ ROWS: Final = (
         cause="electrical noise at the encoder",
         action="none, if it is rare",
         trials=(Trial("encoder glitch"),),
+        guards=(Field.POSITION,),
     ),
     Row(
         6,
@@ -88,6 +97,7 @@ ROWS: Final = (
             Trial("encoder jump", "encoder_jump", within=4),
             Trial("encoder noise", "encoder_noise", within=4),
         ),
+        guards=(Field.POSITION,),
     ),
     Row(
         7,
@@ -114,6 +124,10 @@ ROWS: Final = (
         cause="two drives have the identifier of this axis",
         action=f"switch the drives on one by one and watch hil bus; change the identifier of one, {RESET}",
         trials=(Trial("two answers that differ"),),
+        guards=(
+            Field.COUNT,
+            Field.SEQUENCE,
+        ),
     ),
     Row(
         40,
@@ -130,6 +144,7 @@ ROWS: Final = (
             Trial("time stamp jumps by 1 ms", "stamp 1000000"),
             Trial("time stamp jumps by 1 s", "stamp -1000000000"),
         ),
+        guards=(Field.STAMP,),
     ),
     Row(
         41,
@@ -143,5 +158,6 @@ ROWS: Final = (
         cause="the drive's clock jitters, or this machine stalled",
         action="none, if it is rare",
         trials=(Trial("time stamp jumps by 0.06 ms"),),
+        guards=(Field.STAMP,),
     ),
 )

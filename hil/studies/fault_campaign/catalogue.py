@@ -15,6 +15,7 @@ from drivers.wire.faults import FaultKind
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
+from hil.studies.fault_campaign.answer_fields import FIELD_TRIALS
 from hil.studies.fault_campaign.canopen import CANOPEN_TRIALS
 from hil.studies.fault_campaign.from_rows import MADE
 from hil.studies.fault_campaign.injections import (
@@ -392,4 +393,4 @@ _LISTED: tuple[Trial, ...] = (
 _OTHER_HOST = "another node sends our command"
 # A drive that is enabled by a message of its own obeys another host's, and ours does not take it back: docs/safety.md.
 _MADE = MADE | {_OTHER_HOST: replace(MADE[_OTHER_HOST], only=Capability.SEQUENCE)}
-TRIALS = (*_LISTED, *(trial for trial in _MADE.values() if trial not in _LISTED))  # a new row's come last
+TRIALS = (*_LISTED, *(trial for trial in _MADE.values() if trial not in _LISTED), *FIELD_TRIALS)  # new ones last

@@ -263,16 +263,22 @@ def overruns(slots: int, last: int = 10_000) -> Step:
     return step
 
 
+def is_answer(run: LockstepRun, axis: int) -> Callable[[Frame], bool]:
+    """Whether a frame is a cyclic answer of the axis' drive."""
+    answers = run.cycle.protocol.messages(run.rig.period_ns)
+    cyclic = next(m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}")
+    layout = getattr(run.cycle.protocol, "layout", run.cycle.protocol)
+    mask = getattr(layout, "answer_mask", -1)  # of identifiers that hold a drive's state
+    return lambda frame: not frame.flags & ECHO and not (frame.can_id ^ cyclic.can_id) & mask
+
+
 def forge(make: Callable[[Frame], Frame], ticks: int = 10_000) -> Step:
     """Put a foreign frame made from the axis' latest answer into the host's receive queue."""
 
     def step(run: LockstepRun, axis: int, k: int) -> None:
-        answers = run.cycle.protocol.messages(run.rig.period_ns)
-        cyclic = [m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}"]
-        layout = getattr(run.cycle.protocol, "layout", run.cycle.protocol)
-        mask = getattr(layout, "answer_mask", -1)  # of identifiers that hold a drive's state
+        ours = is_answer(run, axis)
         for frame in list(run.received):
-            if k < ticks and not frame.flags & ECHO and not (frame.can_id ^ cyclic[0].can_id) & mask:
+            if k < ticks and ours(frame):
                 run.received.append(make(frame))
                 break
 

@@ -67,6 +67,11 @@ TEXTS: dict[Capability, Text] = {
         "a drive's fault is seen as soon as elsewhere, and answered the same; that its watchdog or its encoder was the "
         "cause comes in a message of its own, later or never, so the fault that latches is drive_fault",
     ),
+    Capability.STAMPS: Text(
+        "answers carry the drive's own time",
+        "no time stamp",
+        "an instant is estimated from this host's frames: a drive's clock cannot be wrong, as it is not asked",
+    ),
     Capability.ROOM: Text(
         "beside our own traffic the bus has room for safety.flood_frames frames a tick",
         "no room for a flood",

@@ -296,7 +296,7 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
             cell
             for number, cell in enumerate(cells)
             if (number + offset) % stride == 0
-            and (point in few or not TRIALS[cell[0]].staged)
+            and (point in few or not (TRIALS[cell[0]].staged or TRIALS[cell[0]].few))
             and not (TRIALS[cell[0]].resting_only and point.state in TORQUE_STATES)
         )
         result.append(Chunk(document, files, point, chosen))

@@ -55,7 +55,8 @@ class Trial:
     usual in which the run has to end where it must. unready: whether, as the run stands at the injection, the rig must
     not become READY any more. ends: states one of which the run has to end in where no fault latched; without it they
     follow from the state it began in and the command. staged: it is of a stage that is not ideal, and tried at rest and
-    once in motion only. inputs: it is of a rig with limit switches. sensors: of one with [sensors].
+    once in motion only. few: tried there only, on any stage. inputs: it is of a rig with limit switches. sensors: of
+    one with [sensors].
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -83,6 +84,7 @@ class Trial:
     unready: Callable[[LockstepRun, int], bool] | None = None
     ends: Callable[[CampaignRun], set[State]] | None = None
     staged: bool = False
+    few: bool = False
     inputs: bool = False
     sensors: bool = False
     only: Capability = NONE
