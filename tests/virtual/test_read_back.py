@@ -4,11 +4,15 @@ from typing import Any
 
 import pytest
 
+from drivers.families.cia402 import cia301
+from drivers.families.cia402.cia301 import EDS
 from drivers.protocols.base import DriveStatus
+from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.studies.fault_campaign.checkpoints import CampaignRun
+from sim_plant.drives.object_dictionary import key_of
 from tests.support.paths import RIGS
 
 pytestmark = pytest.mark.long
@@ -98,6 +102,20 @@ def test_a_mode_that_an_odrive_changes_by_itself_stops_the_rig() -> None:
     run.on(320)  # five values, one asked for every 50 ticks
     assert run.cycle.state is State.FAULT
     assert run.cycle.problems == ["axis 1: TxSdo1.Control_Mode = 3; expected 1: it does not keep what it was told"]
+
+
+WATCHED = (*CIA402, f'bus.cia402.eds=["{EDS}"]', "bus.cia402.watch_mode=true", "bus.cia402.write_rated_torque=true")
+
+
+def test_a_cia402_drive_that_leaves_its_mode_is_in_fault_within_two_ticks() -> None:
+    run = run_of("microscope-ideal", (*WATCHED, 'bus.cia402.stop_options="keep"'))
+    assert to_ready(run, 1000)
+    node: Any = run.stage.nodes[2]
+    node.dictionary.getters[key_of(cia301.MODE_DISPLAY)] = lambda: 8
+    run.on(3)
+    assert run.cycle.state is State.FAULT
+    assert run.cycle.fault is Fault.DRIVE_FAULT
+    assert run.cycle.problems == ["node 3: 6061h = 0x8 in its answers; expected 0xa: it left the mode it was told"]
 
 
 def test_a_moteus_in_another_mode_than_it_is_told_is_named() -> None:

@@ -51,6 +51,11 @@ class Cia402Config(Table):
         "release: disabled, in fault, or without its host a drive lets go at once (1029h, 6007h, 605Bh, 605Ch, 605Eh "
         "are written where they exist and `write` states none); keep: as the drive has them",
     )
+    watch_mode: bool = key(
+        False,
+        "map 6061h into every answer, behind position and statusword: a drive that leaves CST counts as in fault",
+        exclude_if=lambda watched: not watched,
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 

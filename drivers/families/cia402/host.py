@@ -158,7 +158,7 @@ class Cia402Host:
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,)) if self.plans[0].counter else b"") for count in counts]
         self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
         self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
-        self._tpdo = Struct("<iH")
+        self._tpdo = Struct("<iHb" if self.plans[0].watched else "<iH")
         self._significant = _SIGNIFICANT if cia402_keys(bus).cia402 else _SIGNIFICANT | _OURS
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
@@ -191,7 +191,7 @@ class Cia402Host:
             return Reject.WRONG_FORMAT
         if len(data) != self._tpdo.size:
             return Reject.WRONG_LENGTH
-        position, word = self._tpdo.unpack(data)
+        position, word, *mode = self._tpdo.unpack(data)
         try:
             known = self._statuses[word & self._significant]
         except KeyError:
@@ -203,6 +203,8 @@ class Cia402Host:
         if state is not node.state:
             self.master.stir()
         node.on_state(state)
+        if mode:
+            node.on_mode(mode[0])
         if self._tick and node.phase is not Phase.RUNNING:  # who only listens configures nobody
             status |= _FAULT
         return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
@@ -301,7 +303,10 @@ def cia402_messages(nodes: Sequence[int], plans: Sequence[DrivePlan], period_ns:
     return [
         *commands,
         cyclic("sync", cia301.SYNC_ID, int(plans[0].counter)),
-        *(cyclic(f"feedback {a}", cia301.TPDO1_ID + node, 6, f"axis {a}", "sync") for a, node in enumerate(nodes)),
+        *(
+            cyclic(f"feedback {a}", cia301.TPDO1_ID + node, plans[a].answer_length, f"axis {a}", "sync")
+            for a, node in enumerate(nodes)
+        ),
         *service_messages(nodes, [plan.emcy_id for plan in plans], period_ns),
     ]
 

@@ -114,6 +114,13 @@ class NodeMaster:
         if self.phase is Phase.START:
             self._enter(Phase.RUNNING)
 
+    def on_mode(self, mode: int) -> None:
+        """The mode in a TPDO (6061h)."""
+        if self.phase is Phase.RUNNING and mode != cia301.TORQUE_MODE:
+            self.refuse(
+                f"6061h = {mode:#x} in its answers; expected {cia301.TORQUE_MODE:#x}: it left the mode it was told"
+            )
+
     def on_emergency(self, data: bytes) -> None:
         """An emergency message of 8 bytes: the reason of a fault that the statusword does not tell."""
         code = data[0] | data[1] << 8

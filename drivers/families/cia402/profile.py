@@ -90,7 +90,8 @@ class DrivePlan:
     """What is to be done with one drive. unit: 6076h in mN m (mN), None where it is read from the drive at the start.
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
-    its emergency messages, 0 where it sends none. proofs: reads of every
+    its emergency messages, 0 where it sends none. watched: its answers
+    show its mode. proofs: reads of every
     place that the plan writes and the file lets be read, and of 6061h where the file has it; by index.
     """
 
@@ -103,9 +104,15 @@ class DrivePlan:
     limit: int = FULL_SCALE
     emcy_id: int = 0
     planned: list[Planned] = field(default_factory=list)
+    watched: bool = False
     proofs: list[Step] = field(default_factory=list)
     reasons: list[Reason] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def answer_length(self) -> int:
+        """Bytes of its answers: position, statusword, and its mode."""
+        return 7 if self.watched else 6
 
     @property
     def usable(self) -> bool:
@@ -251,6 +258,9 @@ class _Planner:
         else:
             self._pdo(0x1400, cia301.RPDO1_ID + axis.node_id, _AT_SYNC, [word, torque])
         feedback = [self._entry(cia301.POSITION, 32), self._entry(cia301.STATUSWORD, 16)]
+        if self._settings.watch_mode:
+            feedback.append(self._entry(cia301.MODE_DISPLAY, 8))
+            self.plan.watched = True
         can_id = cia301.TPDO1_ID + axis.node_id
         self._pdo(0x1800, can_id | (self._eds.value(0x1800, 1) or 0) & _NO_RTR, _AT_SYNC, feedback)
         for other in range(1, _PDOS):
