@@ -224,3 +224,44 @@ def test_a_broken_message_that_nobody_binds_does_not_matter(tmp_path: Path) -> N
     broken = BusConfig.model_validate(odrive(error=[{"message": "Broken", "signal": "A"}] * 2))
     with pytest.raises(LayoutError, match=r"message Broken.*overlap"):
         host_protocol(broken, 2, [5.0, 5.0], tmp_path, MS)
+
+
+def asked(**changes: Any) -> dict[str, Any]:
+    ask = {"message": "RxSdo0", "signal": "Endpoint_ID", "value": 300}
+    return {"axis": 0, "message": "TxSdo0", "signal": "Control_Mode", "ask": ask, "least": 1.0, "most": 1.0} | changes
+
+
+def test_a_value_is_asked_for_behind_the_commands_and_until_it_is_right_the_drive_counts_as_in_fault() -> None:
+    host, _ = ends(read_back=[asked()])
+    frames = host.encode(Command(0, [0.0, 0.0], 0, False))
+    assert frames[-1] == Frame(0x04, bytes((0, 0x2C, 0x01, 0, 0, 0, 0, 0)))
+    feedback = [Frame(0x09, bytes(8), 0, MS), Frame(0x29, bytes(8), 0, MS)]
+    assert [host.decode(frame).status for frame in feedback] == [DriveStatus.FAULT, 0]
+    assert host.decode(Frame(0x05, bytes((0, 0x2C, 0x01, 0, 3, 0, 0, 0)), 0, MS)) is Reject.SERVICE
+    assert host.problems == ["axis 0: TxSdo0.Control_Mode = 3; expected 1: it does not keep what it was told"]
+    host.encode(Command(1, [0.0, 0.0], 0, True))  # a reset asks anew
+    assert host.decode(Frame(0x05, bytes((0, 0x2C, 0x01, 0, 1, 0, 0, 0)), 0, MS)) is Reject.SERVICE
+    assert host.problems == []
+    assert host.decode(feedback[0]).status == 0
+
+
+def test_who_only_listens_asks_nobody_and_calls_nobody_faulty() -> None:
+    host, _ = ends(read_back=[asked()])
+    assert host.decode(Frame(0x09, bytes(8), 0, MS)).status == 0
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        (asked(axis=2), r"bus.dbc.read_back\[0\].axis = 2: 0 to 1 are there"),
+        (asked(least=2.0), r"bus.dbc.read_back\[0\]: least = 2 is above most = 1"),
+        (asked(signal="Control_Mood"), "did you mean TxSdo0.Control_Mode"),
+        (
+            asked(ask={"message": "RxSdo", "signal": "Endpoint_ID"}),
+            r"bus.dbc.read_back.*ask: .* no message 'RxSdo'",
+        ),
+    ],
+)
+def test_a_read_back_that_cannot_be_is_refused(entry: dict[str, Any], says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
+        ends(read_back=[entry])
