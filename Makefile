@@ -8,8 +8,8 @@ ADAPTERS := build/adapters
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-long review test-live test-adapters attacks lint lock proto docs mutants hashes bench bench-compiled wheel client
-.PHONY: help setup run test test-long review test-live test-browser attacks lint lock proto docs mutants hashes bench bench-compiled wheel
+.PHONY: help setup run test test-long review test-live test-adapters test-browser attacks lint lock proto docs mutants hashes bench
+.PHONY: bench-compiled wheel client
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16

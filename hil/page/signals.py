@@ -6,8 +6,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.telemetry.followed import FIELDS as FOLLOWED
-from hil.telemetry.followed import followed
+from hil.events.followed import FIELDS as FOLLOWED
+from hil.events.followed import followed
 
 # name, field of the record, unit of a linear and of a rotary axis
 _QUANTITIES: Final = (

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from hil.cycle.fault_table import Fault
 from hil.cycle.goal import RELATIVE, GoalKind, MotionWord
 from hil.cycle.state_machine import State
+from hil.events.followed import followed
 from hil.live.goal_link import TickReader
 from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
-from hil.telemetry.followed import followed
 
 _RESTS: Final = (MotionWord.NONE, MotionWord.HOLD)
 

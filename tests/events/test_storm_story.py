@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from hil.operate.dashboard import event_list
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -14,7 +15,6 @@ from hil.events.event import Event
 from hil.events.marks import marks_of
 from hil.events.stream import EventStream
 from hil.events.table import Kind
-from hil.operate.dashboard import event_list
 from hil.operate.monitor import EVENTS_KEPT, banner, view
 from hil.telemetry import events_pb2, telemetry_pb2
 from hil.telemetry.event_codec import encode
