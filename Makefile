@@ -62,7 +62,7 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 	@$(ADAPTERS)/bin/python -m sim_plant.native || true
 	@touch $@
 test-browser: setup  ## the page in a real browser, with pictures in build/browser (needs Chromium; not in .ci/run)
-	@$(BIN)/python -m pytest -m browser $(ARGS)
+	@$(BIN)/python -m pytest -m browser tests/page $(ARGS)
 
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json

@@ -14,6 +14,7 @@ def test_a_code_pairs_one_browser_for_its_role_and_a_new_one_takes_its_place(acc
     secret, pairing = access.pair(spelt(code).lower(), "Ana's phone")
     assert (pairing.name, pairing.role) == ("Ana's phone", Role.STOP)
     assert access.pairing_of(secret) == pairing
+    assert len(secret) == 43  # 256 bits in base64
     assert access.codes[Role.STOP] != code
     with pytest.raises(PairingError, match=r"cat .*codes"):
         access.pair(code, "another")
@@ -39,6 +40,23 @@ def test_five_wrong_codes_end_pairing_for_a_while_and_spoil_the_codes(access: Ac
     with pytest.raises(PairingError, match="wait 30 s"):
         access.pair(fresh, "Ana", now_s=100.0)
     assert access.pair(fresh, "Ana", now_s=100.0 + LOCKED_S)[1].role is Role.OPERATE
+
+
+def test_a_right_code_forgives_the_wrong_ones_before_it(access: Access) -> None:
+    for _ in range(3):
+        for _ in range(WRONG - 1):
+            with pytest.raises(PairingError, match="no such code"):
+                access.pair("AAAA-AAAA", "clumsy", now_s=100.0)
+        access.pair(access.codes[Role.WATCH], "clumsy", now_s=100.0)
+    assert len(access.pairings()) == 3
+
+
+def test_there_are_only_so_many_pairings(access: Access, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.page.access.MOST", 2)
+    for name in ("Ana", "Ben"):
+        access.pair(access.codes[Role.WATCH], name)
+    with pytest.raises(PairingError, match=r"2 browsers are paired: .*--revoke NAME"):
+        access.pair(access.codes[Role.WATCH], "Cleo")
 
 
 def test_a_revocation_by_another_process_counts_at_once(access: Access) -> None:

@@ -1,5 +1,7 @@
 """The page follows a control process, says when it hangs, ends or is killed, and follows the next."""
 
+import subprocess
+import sys
 import time
 
 import pytest
@@ -8,6 +10,7 @@ from hil.cycle.state_machine import State
 from hil.page.frames import Fate
 from hil.page.ring_feed import MOST, RingFeed, running_rigs
 from tests.page.conftest import Told
+from tests.support.paths import ROOT
 
 
 def test_only_what_is_new_is_read_at_the_instants_of_the_run(told: Told) -> None:
@@ -80,10 +83,37 @@ def test_without_any_ring_nothing_is_claimed() -> None:
     with RingFeed("paper") as feed:
         assert feed.turn() is None
         pulse = feed.pulse(float("nan"))
-    assert (pulse.fate, pulse.state) == (Fate.NONE, -1)
+        assert feed.run_id == 0
+    assert (pulse.fate, *pulse[:3]) == (Fate.NONE, -1, -1, -1)
     assert pulse.tick_age != pulse.tick_age
     assert running_rigs() == []
 
 
 def test_rigs_that_run_here_are_found(told: Told) -> None:
     assert running_rigs() == ["paper"]
+
+
+def test_a_new_process_that_has_not_ticked_shows_nothing_of_the_one_before(told: Told) -> None:
+    told.tick(1, state=State.ACTIVE, fault=2, motion=1)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        assert feed.pulse(0.0)[:3] == (State.ACTIVE, 2, 1)
+        told.ring.close()
+        first, told.ring = feed.run_id, Told().ring
+        until = time.monotonic() + 5.0
+        while feed.run_id == first and time.monotonic() < until:
+            feed.turn()
+        assert feed.pulse(0.0)[:3] == (-1, -1, -1)
+
+
+@pytest.mark.long
+def test_a_killed_process_is_said_to_have_been_killed(told: Told) -> None:
+    code = (
+        "import os, signal; from tests.page.conftest import Told; told = Told(); told.tick(1)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    told.ring.close()
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        assert feed.pulse(0.0).fate is Fate.KILLED

@@ -6,6 +6,7 @@ import pytest
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
 from hil.page.frames import HEADER, Block, Fate, Message, Pulse, envelope, pulse_message, ticks
+from hil.page.server import STATIC
 from hil.page.signals import OF_THE_LOOP, rows, signals_of
 from tests.page.conftest import RIG
 
@@ -72,3 +73,13 @@ def test_chosen_ticks_come_with_their_instants_and_a_pulse_without_any() -> None
     bare = np.frombuffer(pulse_message(PULSE), "<f8")
     assert len(bare) == HEADER
     assert (bare[0], bare[4]) == (Message.PULSE, 0)
+
+
+def test_the_browser_reads_the_numbers_that_are_sent() -> None:
+    script = (STATIC / "feed.js").read_text()
+    assert f"const HEADER = {HEADER};" in script
+    assert 'const FATES = ["is not running", "", "ended", "was killed"];' in script
+    assert [(fate.name, int(fate)) for fate in Fate] == [("NONE", 0), ("ALIVE", 1), ("ENDED", 2), ("KILLED", 3)]
+    assert (Message.PULSE, Message.ENVELOPE, Message.TICKS) == (0, 1, 2)
+    order = "[kind, signals, first, last, ticks, lost, state, fault, motion, tickAge, fate, wordAge] = numbers"
+    assert order in script
