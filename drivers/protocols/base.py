@@ -90,7 +90,7 @@ class Message(NamedTuple):
     bit-rate switch where `brs` says so. period_ns;
     deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest
     queueing after the tick's start). sender: node name ("host", "x", ...). after: name of the message whose reception
-    triggers this one (feedback after the command), or None.
+    triggers this one (feedback after the command), or None. also: other payloads that it may have, bytes.
     """
 
     name: str
@@ -103,6 +103,7 @@ class Message(NamedTuple):
     sender: str
     after: str | None = None
     brs: bool = True
+    also: tuple[int, ...] = ()
 
 
 class HostProtocol(Protocol):

@@ -288,7 +288,8 @@ class MoteusHost(MoteusLayout):
         """All of them every tick, commands as long as when torque is applied."""
         length = len(padded(self._applying(0.0)))
         position = {Type.INT16: 2, Type.INT32: 4, Type.FLOAT: 4}[self._position_type]
-        answer = len(padded(bytes(3 + 2 + position + 3)))
+        told = 3 + 2 + position + 3
+        answer, at_rest = len(padded(bytes(told))), len(padded(bytes(told + 2 + 4)))  # with a value that is read back
         return [
             *(
                 Message(f"command {axis}", can_id, length, True, period_ns, period_ns, 0, "host")
@@ -296,7 +297,16 @@ class MoteusHost(MoteusLayout):
             ),
             *(
                 Message(
-                    f"answer {axis}", can_id, answer, True, period_ns, period_ns, 0, f"axis {axis}", f"command {axis}"
+                    f"answer {axis}",
+                    can_id,
+                    answer,
+                    True,
+                    period_ns,
+                    period_ns,
+                    0,
+                    f"axis {axis}",
+                    f"command {axis}",
+                    also=(at_rest,),
                 )
                 for axis, can_id in enumerate(self.answer_ids)
             ),

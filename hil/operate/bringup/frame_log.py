@@ -98,7 +98,7 @@ def compare(expected: Message, heard: Heard | None, reject: Reject | None, pace:
         return Comparison(expected, 0, 0.0, None, "never heard")
     period_s, due_s = heard.period_s, expected.period_ns * 1e-9 * (pace if expected.after else 1.0)
     problem = ""
-    if heard.lengths != {expected.length}:
+    if not heard.lengths <= {expected.length, *expected.also}:
         lengths = ", ".join(str(length) for length in sorted(heard.lengths))
         problem = f"{lengths} bytes; expected {expected.length}"
     elif bool(heard.last.flags & FD) != expected.fd:

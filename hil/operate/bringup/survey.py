@@ -16,7 +16,7 @@ from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.node_scan import NodeIdentity, NodeScan
 from drivers.families.cia402.profile import MASTER_ID, DrivePlan
 from drivers.frame import ECHO, Frame
-from drivers.protocols.base import DriveStatus
+from drivers.protocols.base import SERVICE, DriveStatus
 from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.frame_log import Comparison, FrameLog, compare
 
@@ -112,6 +112,7 @@ class Survey:
         emergency_ids = {plan.emcy_id: node for plan, node in zip(plans, nodes, strict=True) if plan.emcy_id}
         self.log = FrameLog(emergency_ids, canopen=master is not None)
         self._occasional = {*emergency_ids, *(cia301.SDO_RESPONSE_ID + node for node in nodes)}
+        self._occasional |= {m.can_id for m in self._messages if (m.after or "").startswith(SERVICE)}
         self._nodes = nodes
         self._scan = NodeScan(MASTER_ID) if master else None
         self._report = SurveyReport(host.rig.name)
