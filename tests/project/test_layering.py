@@ -41,7 +41,10 @@ FILES = {
         "teller run loop journal task_loading stop_line timing_record realtime task_file watched_file systemd "
         "miss_ledger pacing goal_link ring mailbox goal_page mapped_file runtime_paths stop_page file_lock"
     ),
-    "events": "sources marks notes stream accuracy baseline forces windows followed causes motion_causes axis_model storm event table",
+    "events": (
+        "sources marks notes stream accuracy baseline forces windows followed causes motion_causes axis_model storm "
+        "event table"
+    ),
     "cycle": (
         "step supervisor goal_desk decided_motion commissioning axes record_builder limits damped_stop sampling "
         "drive_clock reading_faults fault_monitor rest_watch travel oscillation fault_table inbox readings record gate "
