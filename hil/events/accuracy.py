@@ -30,7 +30,7 @@ from hil.events.windows import SETTLED, Windows
 KNOWN: Final = 4  # windows before what they showed is a reference
 FACTOR: Final = 3.0  # beyond the largest of those
 LOST_IN: Final = 2  # windows in a row
-PLAIN: Final = 2.0  # times its bound: a line that needs no second window
+PLAIN: Final = 2.0  # times its bound: what needs no second window
 LINE: Final = 0.4  # share of the spectrum's power that makes a line
 CALM: Final = 16  # good windows in a row, after which the same is told again
 _SPAN, _SHORTEST = 200.0, 8.0  # counts: least travel, and least period along it, for an error that repeats along it
@@ -262,7 +262,10 @@ class _Judge:
         self._clear = look if look.clear else None
         measured = f"following error's tremble, {worst}{look.words}"
         loss = Loss(0, 0, look.signature, measured, figures[worst], limit, "m", look.cause, look.action)
-        plain = look.clear and look.signature != "noise" and figures[worst] > PLAIN * limit
+        plain = look.clear and figures[worst] > PLAIN * limit
+        if plain and look.signature == "noise":  # which filled the window from its beginning on
+            half = axis["following_error"][: len(axis["following_error"]) // 2]
+            plain = worst == "fast" and tremble(half, 1) > PLAIN * limit
         return True, self._once("tremble", loss, windows=1 if plain else LOST_IN)
 
     def _look(self, axis: dict[str, Floats], worst: str, *, resting: bool) -> "_Look":
