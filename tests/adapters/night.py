@@ -4,8 +4,9 @@ python -m tests.adapters.night --moves 10000
 
 Drives the emulated microscope, realistic stage, in virtual time through a core of pymmcore-plus. Moves of XY (up to
 200 um), of Z (up to 50 um) and of theta by turns, each awaited by `deviceBusy`, with 50 ms between. Counts an early end
-where any axis is further than the window from its target when a device says it is no longer busy, or in the 50 ms
-after, by the encoder. The drift is how far the true Z goes while nothing is asked of it, between two moves.
+where any axis is further than the window from its target, by the encoder, when a device says it is no longer busy; and
+axes that were there and leave the window in the 50 ms after, by name. The drift is how far the true Z goes while
+nothing is asked of it, between two moves.
 """
 
 import argparse
@@ -30,12 +31,14 @@ REACH: Final = {"XY": 200.0, "Z": 50.0, "theta": 1000.0}  # of a move's end from
 
 
 class Night(NamedTuple):
-    """early: moves that were told over while an axis was not in position. drift: the most that Z went between moves, m.
-    fault: of the rig at the end. virtual_s: how long it took, in the rig's time.
+    """early: moves that were told over while an axis was not in position. left: by axis, moves after which it left its
+    window again. drift: the most that Z went between moves, m. fault: of the rig at the end. virtual_s: how long it
+    took, in the rig's time.
     """
 
     moves: int
     early: int
+    left: dict[str, int]
     drift: float
     fault: Fault
     virtual_s: float
@@ -52,15 +55,15 @@ def spend(moves: int, seed: int = 1) -> Night:
     config, draw = rig(), random.Random(seed)
     link = LockstepLink(config, Path(RIGS), lambda _: None)
     windows = [WINDOW, WINDOW, WINDOW, 10 * WINDOW]
-    early, drift = 0, 0.0
+    early, drift, left = 0, 0.0, dict.fromkeys(config.axes, 0)
     with Mover(link) as mover:
         core = UniMMCore()
         load_stages(core, mover)
         target = list(mover.status().setpoint)
 
-        def far() -> bool:
-            found = zip(mover.status().position, target, windows, strict=True)
-            return any(abs(at - wanted) > window for at, wanted, window in found)
+        def far() -> set[str]:
+            found = zip(mover.axes, mover.status().position, target, windows, strict=True)
+            return {name for name, at, wanted, window in found if abs(at - wanted) > window}
 
         for number in range(moves):
             label = ("XY", "Z", "theta")[number % 3]
@@ -74,15 +77,17 @@ def spend(moves: int, seed: int = 1) -> Night:
             while core.deviceBusy(label):
                 pass
             rests_at = link.run.true_position[2]
-            not_there = far()
+            early += bool(far())
+            gone: set[str] = set()
             for _ in range(BETWEEN_TICKS):
                 link.run.tick()
-                not_there = not_there or far()
+                gone |= far()
                 drift = max(drift, abs(float(link.run.true_position[2] - rests_at)))
-            early += not_there
+            for name in gone:
+                left[name] += 1
         look = mover.status()
         core.reset()
-    return Night(moves, early, drift, look.fault, link.now_ns() * 1e-9)
+    return Night(moves, early, left, drift, look.fault, link.now_ns() * 1e-9)
 
 
 def main() -> None:
@@ -95,10 +100,13 @@ def main() -> None:
     night = spend(arguments.moves, arguments.seed)
     print(
         f"{night.moves} moves in {night.virtual_s:.0f} s of virtual time ({time.monotonic() - began:.0f} s here): "
-        f"busy() false early {night.early} times, Z drift between moves {night.drift * 1e6:.3f} um, "
+        f"busy() false early {night.early} times, left the window later {night.left}, "
+        f"Z drift between moves {night.drift * 1e6:.3f} um, "
         f"fault {night.fault.name}"
     )
-    raise SystemExit(night.early > 0 or night.drift >= 1e-6 or night.fault is not Fault.NONE)
+    raise SystemExit(
+        night.early > 0 or any(night.left.values()) or night.drift >= 1e-6 or night.fault is not Fault.NONE
+    )
 
 
 if __name__ == "__main__":

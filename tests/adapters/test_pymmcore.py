@@ -102,4 +102,5 @@ def test_a_move_that_is_cut_short_by_another_program_does_not_end_in_silence(
 def test_an_hour_of_the_night_is_quiet() -> None:
     night = spend(45, seed=7)
     assert (night.early, night.fault) == (0, Fault.NONE)
+    assert not any(night.left.values())
     assert night.drift < 1e-6
