@@ -215,7 +215,7 @@ class _Judge:
             self._good("force")
             return False, None
         loss = Loss(0, 0, found.signature, found.measured, found.value, found.limit, "N", found.cause, found.action)
-        return True, self._once("force", loss)
+        return True, self._once("force", loss, windows=1 if found.plain else LOST_IN)
 
     def _stuck(self, axis: dict[str, Floats], *, resting: bool) -> Loss | None:
         new = np.count_nonzero(np.diff(axis["position"])) / (len(axis["position"]) - 1)

@@ -33,6 +33,7 @@ class Force(NamedTuple):
     limit: float
     cause: str
     action: str
+    plain: bool = False  # far enough beyond to need no second window
 
 
 def drag_of(model: AxisModel, period_s: float, axis: Mapping[str, Floats]) -> tuple[float, float] | None:
@@ -111,6 +112,7 @@ class ForceJudge:
             "friction up", "force along the motion beyond what the model says", drag, most,
             "the guide is dirty or tight or something drags on the axis, or its drive gives less force than asked for",
             "move the axis by hand; clean and grease the guide, look at the cables",
+            plain=drag > most + self._slack,
         )  # fmt: skip
 
     def _went_back(self, axis: Mapping[str, Floats], way: float) -> bool:

@@ -39,9 +39,9 @@ class Motion(NamedTuple):
 def why_it_left(motion: Motion, model: AxisModel | None, period_s: float, axis: int) -> Cause | None:
     """None where nothing more is known than the fault itself. model: None where the axis is not known."""
     known = model if len(motion.position) > _LEAST else None
-    if known is not None and (cause := _jumped(motion, known, period_s, axis)) is not None:
+    if (cause := _frozen(motion, model, axis)) is not None:  # first, as an axis that seems to halt has stepped, too
         return cause
-    if (cause := _frozen(motion, model, axis)) is not None:
+    if known is not None and (cause := _jumped(motion, known, period_s, axis)) is not None:
         return cause
     return _pushed(motion, known, period_s, axis) if known is not None else None
 
