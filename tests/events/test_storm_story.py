@@ -4,7 +4,6 @@ import io
 
 import numpy as np
 import pytest
-from hil.operate.dashboard import event_list
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -16,6 +15,7 @@ from hil.events.marks import marks_of
 from hil.events.stream import EventStream
 from hil.events.table import Kind
 from hil.operate.monitor import EVENTS_KEPT, banner, view
+from hil.page.words import status_words
 from hil.telemetry import events_pb2, telemetry_pb2
 from hil.telemetry.event_codec import encode
 
@@ -86,6 +86,6 @@ def test_monitor_dashboard_and_picture_show_it_whole(told: tuple[EventStream, li
     console.print(view(status, events=kept))
     shown = " ".join(console.export_text().replace("│", " ").split())
     assert stream.latched.line in shown
-    assert "speed on z" in event_list(status, kept)
+    assert "speed on z" in status_words(status)["latched"]["line"]
     marks = marks_of(events, stormy()["index"])
     assert [mark for mark in marks if "speed" in str(mark)]
