@@ -15,6 +15,7 @@ _SINGLE: Final = 4  # steps of a jump
 _BEGUN: Final = 0.05  # of the error at the end, where the deviation began
 _OUTSIDE: Final = 1.5  # times the dry friction, that no model is off by
 _UNKNOWN: Final = 0.1  # of the model's gravity
+_OFF: Final = 0.25  # of the force applied, that mass and force constant may be off by
 _WEAK: Final = 1.1  # times gravity, at most what a weak drive lets go
 
 
@@ -90,7 +91,7 @@ def _pushed(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cau
     outside = model.mass * 2.0 * curve + model.wet * speed - acting
     moved = float(error[-1] - error[first])
     if (
-        abs(outside) <= _OUTSIDE * model.dry + 0.1 * abs(model.gravity)
+        abs(outside) <= _OUTSIDE * model.dry + _UNKNOWN * abs(model.gravity) + _OFF * abs(acting)
         or outside * moved <= 0.0
         or outside * speed <= 0.0
     ):

@@ -63,8 +63,8 @@ SEEN_BEFORE = {  # what the ticks before say is told instead of what may be
     Fault.ENCODER_GAP: ALONE,
     Fault.ENCODER_LOST: ALONE,
     Fault.ENCODER_DEAD: ALONE,
-    Fault.BAD_FRAMES: "answers came and were rejected (1), for a wrong length",
-    Fault.ENCODER_STUCK: "encoder stuck, or the axis blocked: not one new count for 56 ticks",
+    Fault.BAD_FRAMES: "answers came and were rejected (",
+    Fault.ENCODER_STUCK: "encoder stuck: not one new count for 56 ticks",
 }
 
 
