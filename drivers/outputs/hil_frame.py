@@ -14,7 +14,6 @@ from typing import Final
 from drivers.frame import Frame
 
 LENGTH: Final = 3
-WATCHDOG_NS: Final = 10_000_000
 
 
 def output_frame(can_id: int, bits: int, sequence: int) -> Frame:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from hil.control.motion.asked import AskedMotion
 from hil.control.motion.contract import Observation, References
-from hil.control.plans.axis_plan import AxisPlan, MotionLimits
+from hil.control.plans.axis_plan import MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import knot, move
 from hil.control.reading import Reading
@@ -116,14 +116,6 @@ class DecidedMotion:
         made = knot(*state, (place, speed, bend), self._period, li)
         limited = made is None or place != position or speed != velocity
         if made is None:
-            made = self._within(state, place, li)
+            made = move(*state, place, li.around(state[0], 1.0))
         course.add(axis, Stretch(at, made))
         return limited
-
-    @staticmethod
-    def _within(state: tuple[float, float, float], place: float, li: MotionLimits) -> AxisPlan:
-        """There as fast as the limits allow; from outside the fence without going further."""
-        if li.low <= state[0] <= li.high:
-            return move(*state, place, li)
-        wide = MotionLimits(li.speed, li.acceleration, li.jerk, min(li.low, state[0]), max(li.high, state[0]))
-        return move(*state, place, wide)

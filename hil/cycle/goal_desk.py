@@ -280,11 +280,7 @@ class GoalDesk:
 
     def _limits_at(self, axis: int, position: float) -> MotionLimits:
         """Outside the fence: inwards alone, and slowly."""
-        li = self._limits[axis]
-        if li.low <= position <= li.high:
-            return li
-        low, high = min(li.low, position), max(li.high, position)
-        return MotionLimits(li.speed * INWARD, li.acceleration * INWARD, li.jerk, low, high)
+        return self._limits[axis].around(position, INWARD)
 
     def _made(
         self, course: Course, goal: Goal, axes: list[int], begins: list[int], states: list[State],

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+ROTARY: Final = {"m": "rad", "m/s": "rad/s", "N": "N m"}  # units of a rotary axis, by those of a linear one
+
 _BEFORE: Final = 8  # ticks whose forces count
 _MARGIN: Final = 4.0  # a tool on a spring leaves the encoder's side lighter
 _UNSURE: Final = 0.25  # of a period, that a sample's instant may be off by

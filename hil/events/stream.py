@@ -25,7 +25,7 @@ from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.events.accuracy import AccuracyWatch, Loss
-from hil.events.axis_model import AxisModel, axis_models
+from hil.events.axis_model import ROTARY, AxisModel, axis_models
 from hil.events.baseline import known_of
 from hil.events.causes import History
 from hil.events.event import Event
@@ -41,7 +41,6 @@ from hil.events.table import (
 
 _STOP, _RIG_OK, _ESTOP = 1, 8, 32  # bits of a record's flags
 _COMPARED = ("state", "fault", "faults_active", "flags")
-_ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N m"}
 _HELD = 64  # ticks `observe` collects
 _NAN: Final = math.nan
 _OF_ANSWERS: Final = (Fault.ENCODER_GAP, Fault.ENCODER_LOST, Fault.ENCODER_DEAD, Fault.BAD_FRAMES)
@@ -328,7 +327,7 @@ class EventStream:
         latched = kind is Kind.FAULT_LATCHED
         severity = event.severity if kind is Kind.FAULT_CLEARED else severity_of(fault, latched=latched)
         event = event._replace(severity=severity, axis=name, measured=_measured(text, found.value))
-        unit = _ROTARY.get(unit, unit) if rotary else unit
+        unit = ROTARY.get(unit, unit) if rotary else unit
         if kind is Kind.FAULT_CLEARED:
             return event._replace(unit=unit, cause="it is there again")
         why, action = (cause.text, cause.action) if cause else (text.cause, text.action)
@@ -342,7 +341,7 @@ class EventStream:
 
     def _accuracy(self, record: np.void, loss: Loss) -> Event:
         name, kind = self._axes[loss.axis]
-        unit = _ROTARY.get(loss.unit, loss.unit) if kind == "rotary" else loss.unit
+        unit = ROTARY.get(loss.unit, loss.unit) if kind == "rotary" else loss.unit
         event = self._event(Kind.ACCURACY_LOST, loss.signature, record, loss.value, loss.limit)
         return event._replace(axis=name, measured=loss.measured, unit=unit, cause=loss.cause, action=loss.action)
 

@@ -81,12 +81,16 @@ class Known(NamedTuple):
     directory: Path
 
 
+def files_of_rigs(name: str, rig: str = "*") -> list[Path]:
+    """The files of that name in the directories of a rig, or of all; those of demos first."""
+    base = runtime_dir()
+    return [*sorted(base.glob(f"{DEMO_PREFIX}*/{rig}/{name}")), *sorted(base.glob(f"{rig}/{name}"))]
+
+
 def known_sidecars(rig: str | None = None) -> list[Known]:
     """Every sidecar (of one rig, or all) that left word, those of demos in a directory of their own first."""
-    base = runtime_dir()
-    files = [*sorted(base.glob(f"{DEMO_PREFIX}*/*/endpoint")), *sorted(base.glob("*/endpoint"))]
     known = []
-    for path in files:
+    for path in files_of_rigs("endpoint"):
         if rig in (None, path.parent.name):
             with contextlib.suppress(OSError):  # it ended meanwhile
                 endpoint = read_private(path).decode(errors="replace").strip()

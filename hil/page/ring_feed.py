@@ -4,13 +4,11 @@ import contextlib
 import math
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
-from drivers.base.runtime import runtime_dir
 from hil.live.mapped_file import Closing
 from hil.live.ring import RingError, RingReader
-from hil.live.runtime_paths import DEMO_PREFIX
+from hil.live.runtime_paths import files_of_rigs
 from hil.page.frames import Block, Fate, Pulse
 from hil.page.signals import FIELDS, Signal, rows, signals_of
 
@@ -18,16 +16,9 @@ MOST: Final = 4096  # ticks a turn; who fell further behind goes on with the new
 SEARCH_NS: Final = 250_000_000  # between two looks for a ring
 
 
-def ring_files(rig: str) -> list[Path]:
-    """Where rings of that rig may be: those of demos first, then the rig's own."""
-    base = runtime_dir()
-    return [*sorted(base.glob(f"{DEMO_PREFIX}*/{rig}/ring")), base / rig / "ring"]
-
-
 def running_rigs() -> list[str]:
     """Names of the rigs whose control process has left a ring in this user's runtime directory."""
-    base = runtime_dir()
-    return sorted({path.parent.name for path in (*base.glob(f"{DEMO_PREFIX}*/*/ring"), *base.glob("*/ring"))})
+    return sorted({path.parent.name for path in files_of_rigs("ring")})
 
 
 class RingFeed(Closing):
@@ -83,7 +74,7 @@ class RingFeed(Closing):
     def _search(self) -> None:
         if self._reader and not self._reader.replaced and self._reader.writer_alive:
             return
-        for path in ring_files(self.rig):
+        for path in files_of_rigs("ring", self.rig):
             with contextlib.suppress(RingError):
                 reader = RingReader(path)
                 if reader.run_id != self.run_id and (reader.writer_alive or self._reader is None):

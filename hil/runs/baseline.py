@@ -14,7 +14,7 @@ from hil.cli.exit_status import EXIT_FILE
 from hil.cli.options import JsonTarget
 from hil.cli.output import metres, write_json
 from hil.events.accuracy import AccuracyWatch, Loss
-from hil.events.axis_model import axis_models
+from hil.events.axis_model import ROTARY, axis_models
 from hil.events.baseline import baseline_of, known_of
 from hil.events.table import Kind
 from hil.rig.baseline_file import baseline_path, forget_baseline, read_baseline, write_baseline
@@ -90,7 +90,7 @@ def lines(run: Run, found: list[Loss]) -> list[str]:
     said = []
     for loss in found:
         axis, rotary = run.axes[loss.axis], run.rig.axes[run.axes[loss.axis]].kind == "rotary"
-        unit = {"m": "rad", "N": "N m"}.get(loss.unit, loss.unit) if rotary else loss.unit
+        unit = ROTARY.get(loss.unit, loss.unit) if rotary else loss.unit
         figures = f"{loss.value:.3g} {unit}, limit {loss.limit:.3g} {unit}"
         said.append(f"{run.time[loss.at]:.3f} s: {loss.signature} on {axis}: {loss.measured} {figures}")
     return said

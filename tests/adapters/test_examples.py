@@ -6,10 +6,10 @@ import pytest
 
 import hil
 from hil.cycle.goal import MotionWord
+from tests.adapters.windows import WINDOWS
 from tests.support.paths import ROOT
 
 BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "moving.md").read_text(), re.DOTALL)
-WINDOWS = [f"axes.{axis}.motion.window=1e-5" for axis in ("x", "y", "z", "theta")]
 
 
 @pytest.mark.long

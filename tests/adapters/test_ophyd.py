@@ -1,7 +1,6 @@
 """Bluesky's devices move an emulated rig: a scan, a stop on the way, a path flown, and the RunEngine itself."""
 
 import asyncio
-from collections.abc import Iterator
 
 import pytest
 from bluesky import RunEngine
@@ -11,15 +10,6 @@ from ophyd_async.core import init_devices
 import hil
 from hil.adapters.ophyd import PathInfo, RigStage
 from hil.cycle.goal import MotionWord
-
-WINDOWS = [f"axes.{axis}.motion.window=1e-5" for axis in ("x", "y", "z", "theta")]
-
-
-@pytest.fixture
-def mover() -> Iterator[hil.VirtualMover]:
-    with hil.motion(hil.load_rig("microscope-ideal", overrides=WINDOWS)) as mover:
-        assert isinstance(mover, hil.VirtualMover)
-        yield mover
 
 
 async def connected(mover: hil.VirtualMover) -> RigStage:

@@ -11,14 +11,10 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
 from tests.adapters.night import spend
 
-WINDOWS = [f"axes.{axis}.motion.window=1e-5" for axis in ("x", "y", "z", "theta")]
-
 
 @pytest.fixture
-def stage() -> Iterator[hil.VirtualMover]:
-    with hil.motion(hil.load_rig("microscope-ideal", overrides=WINDOWS)) as mover:
-        assert isinstance(mover, hil.VirtualMover)
-        yield mover
+def stage(mover: hil.VirtualMover) -> hil.VirtualMover:
+    return mover
 
 
 @pytest.fixture

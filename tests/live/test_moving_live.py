@@ -17,19 +17,10 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingReader
 from hil.live.runtime_paths import runtime_paths
-from tests.support.live_rig import PATIENCE_S, Control, emulated, every_record, order
+from tests.support.live_rig import HEAVY, PATIENCE_S, Control, emulated, every_record, order
 
 pytestmark = pytest.mark.live
 HIL = [sys.executable, "-m", "hil"]
-# Heavy and damped: a host that stalls for a tenth of a second under force moves them by less than a millimetre.
-HEAVY = (
-    "axes.x.model={mass=2.0, coulomb=0.05, viscous=10.0}",
-    "axes.y.model={mass=2.0, coulomb=0.05, viscous=10.0}",
-    "law.gains.kp=[2000.0, 2000.0]",
-    "law.gains.kd=[60.0, 60.0]",
-    "axes.x.motion.window=1e-4",  # friction holds them 25 um from their set-points
-    "axes.y.motion.window=1e-4",
-)
 
 
 @pytest.fixture

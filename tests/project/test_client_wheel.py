@@ -2,10 +2,7 @@
 
 import os
 import subprocess
-import sys
-import venv
 import zipfile
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -13,6 +10,7 @@ import pytest
 from deploy.client.build import NEEDS, build
 from deploy.debian.runtime_lock import closure
 from tests.support.remote_rig import remote_rig
+from tests.support.wheel_environment import install
 
 MOVE = """
 import sys
@@ -33,17 +31,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a new environment that holds the wheel, what it declares to need, and nothing else."""
-    environment = tmp_path_factory.mktemp("environment")
-    venv.create(environment, symlinks=True, with_pip=False)
-    (packages,) = environment.glob("lib/python*/site-packages")
-    for name in set().union(*(closure(need, frozenset()) for need in NEEDS)):
-        distribution = metadata.distribution(name)
-        for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
-            if not (packages / top).exists():  # some share a namespace package
-                (packages / top).symlink_to(distribution.locate_file(top))
-    pip = [sys.executable, "-m", "pip", "--python", str(environment / "bin" / "python"), "install", "--quiet"]
-    subprocess.run([*pip, "--no-deps", "--no-index", str(wheel)], check=True)
-    return environment / "bin" / "python"
+    needs = set().union(*(closure(need, frozenset()) for need in NEEDS))
+    return install(wheel, tmp_path_factory.mktemp("environment"), needs) / "python"
 
 
 def said(python: Path, code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -3,10 +3,7 @@
 import os
 import subprocess
 import sys
-import sysconfig
-import venv
 import zipfile
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -14,6 +11,7 @@ import pytest
 from deploy.compiled.build import missing
 from deploy.debian.runtime_lock import closure
 from tests.support.paths import ROOT
+from tests.support.wheel_environment import install as install_with
 
 ENVIRONMENTS = {"interpreted": {}, "compiled": {"HIL_COMPILED": "1"}}
 COMMANDS = {  # what is asked -> what is said
@@ -35,16 +33,7 @@ def build(control_path: str, folder: Path) -> Path:
 
 def install(wheel: Path, environment: Path) -> Path:
     """bin/ of a new environment that holds the wheel, what it declares to need, and nothing else."""
-    venv.create(environment, symlinks=True, with_pip=False)
-    packages = Path(sysconfig.get_path("purelib", "venv", {"base": str(environment), "platbase": str(environment)}))
-    for name in closure("hil", frozenset()) - {"hil"}:
-        distribution = metadata.distribution(name)
-        for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
-            if not (packages / top).exists():  # some share a namespace package
-                (packages / top).symlink_to(distribution.locate_file(top))
-    pip = [sys.executable, "-m", "pip", "--python", str(environment / "bin" / "python"), "install", "--quiet"]
-    subprocess.run([*pip, "--no-deps", "--no-index", str(wheel)], check=True)
-    return environment / "bin"
+    return install_with(wheel, environment, closure("hil", frozenset()) - {"hil"})
 
 
 def said(program: Path, *arguments: str, cwd: Path) -> str:

@@ -28,6 +28,15 @@ from tests.support.paths import ROOT
 
 PAPER = ROOT / "deploy" / "rigs" / "paper.toml"
 PATIENCE_S = 60.0  # only a failing test waits this long
+# Heavy and damped: a host that stalls for a tenth of a second under force moves them by less than a millimetre.
+HEAVY = (
+    "axes.x.model={mass=2.0, coulomb=0.05, viscous=10.0}",
+    "axes.y.model={mass=2.0, coulomb=0.05, viscous=10.0}",
+    "law.gains.kp=[2000.0, 2000.0]",
+    "law.gains.kd=[60.0, 60.0]",
+    "axes.x.motion.window=1e-4",  # friction holds them 25 um from their set-points
+    "axes.y.motion.window=1e-4",
+)
 # Soft gains at 250 Hz and patient drives: what is tested here is processes, not punctuality.
 CALM = (
     "rate_hz=250",

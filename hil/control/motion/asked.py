@@ -1,7 +1,7 @@
 """Asking a motion: a call in a limited time, whose answer is checked before anything is done with it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers.base import plugins
@@ -18,8 +18,8 @@ _MOST_CELL = 0xFFFFFFFF
 
 
 class AskedMotion:
-    """The motion that [motion] names. motion: itself. failure: why it no longer counts, with file and
-    line; empty where all is well.
+    """The motion that [motion] names. motion: itself. failure: why it no longer counts, with file and line; empty where
+    all is well.
 
     Raises ValueError naming the key.
     """
@@ -42,20 +42,20 @@ class AskedMotion:
     def begin(self, position: Sequence[float]) -> None:
         """From rest at `position`, m; what it failed of before is forgotten."""
         self.failure = ""
-        self._call("begin", self.motion.begin, list(position))
+        self._call("begin", lambda: self.motion.begin(list(position)))
 
     def step(self, seen: Observation) -> References | None:
         """Its answer; None where there is none that can be used, and `failure` says why."""
         if self.failure:
             return None
-        answer: References | None = self._call("step", self.motion.step, seen)
-        return answer if not self.failure else None
+        answer: References | None = self._call("step", lambda: self._checked(self.motion.step(seen)))
+        return answer
 
-    def _call(self, name: str, method: Any, argument: Any) -> Any:
+    def _call(self, name: str, work: Callable[[], Any]) -> Any:
+        """What `work` returns; None where it failed in the motion's method of that name."""
         watch.begin()
         try:
-            answer = method(argument)
-            return self._checked(answer) if name == "step" else None
+            return work()
         except FAILED as error:
             self.failure = self._guard.blamed(error, name)
         finally:

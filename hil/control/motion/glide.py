@@ -3,9 +3,7 @@
 from hil.control.plans.axis_plan import AxisPlan, MotionLimits
 from hil.control.plans.moves import halt, move
 
-_JERK = (
-    1.0 / 1.8
-)  # of the axis' own: a quintic from tick to tick across a change of jerk takes up to 1.75 times as much
+_JERK = 1.0 / 1.8  # of the axis' own: a quintic across a change of jerk takes up to 1.75 times as much
 _APART = 1e-10  # m (rad): what is in force is not what was asked for
 
 
@@ -16,7 +14,6 @@ class Glide:
     """
 
     def __init__(self, limits: MotionLimits, period_ns: int) -> None:
-        self.limits = limits
         self._own = MotionLimits(limits.speed, limits.acceleration, limits.jerk * _JERK, limits.low, limits.high)
         self._period_ns = period_ns
         self._plan = AxisPlan(0.0, 0.0, 0.0)

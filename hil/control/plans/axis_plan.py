@@ -27,6 +27,15 @@ class MotionLimits:
         """The same fence at a fraction of the speed, above 0."""
         return MotionLimits(self.speed * share, self.acceleration, self.jerk, self.low, self.high)
 
+    def around(self, position: float, share: float) -> "MotionLimits":
+        """The same where `position`, m, is inside the fence; from outside a share of speed and acceleration, and the
+        fence as wide as that, so that no plan leads further out.
+        """
+        if self.low <= position <= self.high:
+            return self
+        low, high = min(self.low, position), max(self.high, position)
+        return MotionLimits(self.speed * share, self.acceleration * share, self.jerk, low, high)
+
 
 Row = tuple[float, float, float, float, float, float]
 

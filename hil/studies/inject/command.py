@@ -49,10 +49,10 @@ def inject(
     sensor, a camera, a valve and a dish of cells, all of them assumed. Exit status 1 where the batch does not end.
     """
     rig = load_rig(rig_file, overrides or ())
-    places = read_positions(cells) if cells is not None else _grid(grid_text, pitch, middle(rig))
+    centre = middle(rig)
+    places = _grid(grid_text, pitch, centre) if cells is None else read_positions(cells)
     if len(places) > MOST_CELLS:
         raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
-    middle(rig)
     fd = rig_layout(rig, rig_file.parent).fd
     changed = load_rig(rig_file, (*(overrides or ()), *words(rig, places, seed, anomalies, fd=fd)))
     refuse_unschedulable(changed, rig_file.parent)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from math import isnan, sqrt
 from typing import NamedTuple
 
+import numpy as np
+
 from hil.control.motion.injection.verdict import Verdict
 from hil.studies.inject.batch import Batch, Injected
 
@@ -28,9 +30,8 @@ def wilson(hits: int, total: int) -> tuple[float, float]:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """The least value that so many are not above. values: one or more."""
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+    """As `hil evidence` has them. values: one or more."""
+    return float(np.quantile(values, share, method="higher"))
 
 
 def share_text(hits: int, total: int) -> str:

@@ -29,13 +29,13 @@ class CellInjection(Motion):
         self.total = len(self._s.cells)
         self.results: list[CellResult] = []
         self._run: CellRun | None = None
-        self._lifting = self._ending = False
+        self._ending = False
 
     def begin(self, position: Sequence[float]) -> None:
         """See Motion. Cells that are over stay so."""
         for glide, place in zip(self._glides, position, strict=True):
             glide.hold(place)
-        self._run, self._lifting, self._ending = None, True, False
+        self._run, self._ending = None, False
 
     def step(self, seen: Observation) -> References:
         """See Motion."""
