@@ -54,7 +54,8 @@ class Inbox:
         self.lost = 0
         self.foreign_id = -1  # identifier of ours in which another node spoke in this tick
         self.differ_axis = -1  # whose two valid answers to one command differ, in this tick
-        self.useless_now = 0  # frames of this tick that carried no sample of ours, not even a late one
+        self.useless_now = 0  # frames of this tick that no sample, echo or first service of its identifier explains
+        self._served: set[tuple[int, int]] = set()  # segment and identifier of the services told in this tick
 
     def forget(self) -> None:
         """After a reset: whatever was heard before counts no more."""
@@ -69,6 +70,7 @@ class Inbox:
     def collect(self, frames: Sequence[Frame], sent_sequence: int) -> None:
         """Sort one tick's frames; `sent_sequence` is that of the newest command sent, -1 before the first."""
         self.useless_now = 0
+        self._served.clear()
         self.foreign_id = self.differ_axis = -1
         fresh, samples, last = self.fresh, self.samples, self._last_sequence
         fresh[:] = self._none_fresh
@@ -97,6 +99,7 @@ class Inbox:
                 if not frame.flags & ECHO and frame.can_id in self._own[segment_of(frame)]:
                     self.foreign_id = frame.can_id
                 self._reject(outcome)
+                self._excuse(outcome, frame)
         if sent_sequence >= 0:
             self._grow_older()
 
@@ -156,6 +159,19 @@ class Inbox:
             self.suspect_axis = axis if not self.bad_frames or self.suspect_axis == axis else -1
             self.bad_frames += 1
             self._unforgiven += self._checked and reason is Reject.INVALID_VALUE
+
+    def _excuse(self, reason: Reject, frame: Frame) -> None:
+        """What we sent ourselves is no flood, and each identifier may serve once a tick: drives that are reset together
+        send their answer, heartbeat and boot-up in one, whatever their number.
+        """
+        if reason is Reject.SERVICE:
+            sender = (segment_of(frame), frame.can_id)
+            if sender in self._served:
+                return
+            self._served.add(sender)
+        elif reason is not Reject.OWN_ECHO:
+            return
+        self.useless_now -= 1
 
     def _grow_older(self) -> None:
         age, heard = self.age, self.heard

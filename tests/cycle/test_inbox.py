@@ -6,10 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.config import BusConfig
-from drivers.frame import Frame
+from drivers.frame import ECHO, Frame
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Reject, Sample
 from hil.cycle.inbox import Inbox
+from hil.rig.file import load_rig
+from hil.rig.layout import host_layout
+from tests.support.paths import RIGS
 
 BUS = BusConfig()
 HERE = Path()
@@ -76,6 +79,17 @@ def test_suspicious_answers_name_their_axis_where_all_of_them_were_one_axis() ->
     damaged = answer(0, 0)._replace(data=bytes(16))
     inbox.collect([damaged, answer(1, 7), answer(1, 7)], 7)
     assert inbox.suspect_axis == -1, "whose the damaged one was, nobody knows"
+
+
+def test_four_drives_that_boot_together_beside_our_own_sync_are_no_flood_and_one_that_goes_on_booting_is() -> None:
+    rig = load_rig(RIGS / "microscope-ideal.toml", ("bus.protocol=cia402",))
+    inbox = Inbox(host_layout(rig, RIGS), leak_ticks=100)
+    sync = Frame(0x80, b"\x02", ECHO)
+    booting = [Frame(base + node, data) for node in (1, 2, 3, 4) for base, data in ((0x580, bytes(8)), (0x700, b"\0"))]
+    inbox.collect([sync, sync, *booting], sent_sequence=-1)
+    assert inbox.useless_now == 0
+    inbox.collect([*booting, *[Frame(0x701, b"\0")] * 12], sent_sequence=-1)
+    assert inbox.useless_now == 12
 
 
 def test_a_reordered_older_answer_never_replaces_a_newer_one() -> None:

@@ -12,6 +12,7 @@ from hil.cycle.inbox import SUSPICIOUS, Inbox
 
 AXES = 2
 LEAK_TICKS = 7
+SENDERS = 2  # identifiers that speak in turn
 
 
 class AnyLayout:
@@ -27,11 +28,11 @@ class AnyLayout:
         return []
 
     def decode(self, frame: Frame) -> Sample | Reject:
-        return self.outcomes[frame.can_id]
+        return self.outcomes[frame.data[0]]
 
     def frames(self, outcomes: Sequence[Sample | Reject]) -> list[Frame]:
         self.outcomes = list(outcomes)
-        return [Frame(number, b"") for number in range(len(outcomes))]
+        return [Frame(number % SENDERS, bytes([number])) for number in range(len(outcomes))]
 
 
 class PlainInbox:
@@ -52,14 +53,18 @@ class PlainInbox:
         self.kept = 0
 
     def collect(self, outcomes: Sequence[Sample | Reject], sent: int) -> None:
-        self.fresh, self.useless = [False] * AXES, 0
-        for outcome in outcomes:
+        self.fresh = [False] * AXES
+        useless, served = 0, set()
+        for number, outcome in enumerate(outcomes):
             reason = self.verdict(outcome, sent) if isinstance(outcome, Sample) else outcome
             if reason is not None:
                 self.rejects[reason] += 1
-                self.useless += 1
+                if reason is Reject.SERVICE:
+                    served.add(number % SENDERS)
+                useless += reason is not Reject.OWN_ECHO
                 self.bad += reason in SUSPICIOUS
                 self.kept += isinstance(outcome, Sample) and reason is Reject.STALE and self.heard[outcome.axis]
+        self.useless = useless - len(served)
         if sent < 0:
             return
         for axis, fresh in enumerate(self.fresh):
@@ -97,7 +102,9 @@ class PlainInbox:
 # What one tick may bring: answers by how far behind the latest command they are, and what is no sample.
 distances = st.one_of(st.sampled_from([0, 0, 0, 1, 2, -1]), st.integers(-300, 300))
 answers = st.tuples(st.integers(0, AXES - 1), distances)
-others = st.sampled_from([Reject.BAD_CHECKSUM, Reject.UNKNOWN_ID, Reject.SERVICE, Reject.WRONG_LENGTH])
+others = st.sampled_from(
+    [Reject.BAD_CHECKSUM, Reject.UNKNOWN_ID, Reject.SERVICE, Reject.SERVICE, Reject.OWN_ECHO, Reject.WRONG_LENGTH]
+)
 one_tick = st.tuples(
     st.lists(answers | others, max_size=5),
     st.sampled_from([1, 1, 1, 1, 0, 2, 3]),  # commands sent since: 0 where nothing was, as in silence
