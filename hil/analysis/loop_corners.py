@@ -153,9 +153,8 @@ def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:
 
     Raises ValueError where the law cannot be made from its gains.
     """
-    found = _findings(rig, _distinct(rig, sliding_corners()), CRUISE, ticks)
-    stuck = _distinct(rig, stuck_corners())
-    return [*found, *(_findings(rig, stuck, 0.0, ticks) if stuck else [])]
+    corners = [*_distinct(rig, sliding_corners()), *_distinct(rig, stuck_corners())]
+    return _findings(rig, corners, ticks)
 
 
 def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
@@ -169,8 +168,9 @@ def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
     return list(kept.values())
 
 
-def _findings(rig: RigConfig, corners: list[Corner], speed: float, ticks: int) -> list[CornerFinding]:
+def _findings(rig: RigConfig, corners: list[Corner], ticks: int) -> list[CornerFinding]:
     models = {name: axis.model for name, axis in rig.axes.items()}
+    speed = np.array([CRUISE if corner.stuck is None else 0.0 for corner in corners])
     loop = PulseLoop(rig, rig_model(rig), len(corners), speed)
     copies = loop.shape[0] // len(corners)
     rows = [

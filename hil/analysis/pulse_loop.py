@@ -22,7 +22,7 @@ CRUISE = 2.0**-5  # m/s: friction's sign is known, as in motion; a power of two 
 GROWN = 1e3  # an answer beyond this many pulses has left the linear range
 DECAYED = 0.5  # of its peak: the last quarter of a stable loop's answer
 FADED = 1e-7  # of a pulse: an answer below it for LOOKED ticks is rounding, and nothing follows
-LOOKED = 256
+LOOKED = 128
 
 
 class Plant(Protocol):
@@ -65,10 +65,11 @@ class PulseLoop:
     """Filter and law as in the cycle, around m a = force - (what the reference needs).
 
     Rows: `copies` plants, each of which has one row in which all axes are pulsed, or one for each axis where the law
-    looks at all of them, and a last one that is left alone. speed: of the reference, m/s; 0: it rests.
+    looks at all of them, and a last one that is left alone. speed: of the reference, m/s, (copies,) or one;
+    0: it rests.
     """
 
-    def __init__(self, rig: RigConfig, model: Model, copies: int = 1, speed: float = CRUISE) -> None:
+    def __init__(self, rig: RigConfig, model: Model, copies: int = 1, speed: float | Array = CRUISE) -> None:
         n = model.mass.size
         self._period = rig.period_ns * 1e-9
         gains, _ = design_gains(rig)
@@ -82,7 +83,8 @@ class PulseLoop:
         self._inputs: LawInputs = blank_inputs(shape)
         self._inputs.fresh = np.ones(n)
         self._inputs.sample_interval = self._inputs.ahead = np.full(n, self._period)
-        self._speed = np.full(n, speed)
+        of_rows = np.repeat(np.broadcast_to(speed, copies), self._folded[1])
+        self._speed = np.broadcast_to(of_rows[:, None], shape)
         self._inputs.mean_velocity = self._speed
         self._inputs.mean_sign = sign = np.sign(self._speed)
         self._needed = (

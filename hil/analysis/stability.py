@@ -284,13 +284,17 @@ def _report(rig: RigConfig, ticks: int) -> StabilityReport:
 
 def _stable_axes(rig: RigConfig) -> Array:
     _, motion = pulse_response(rig, REALISED)
+    return _stable_columns(motion)
+
+
+def _stable_columns(motion: Array) -> Array:
     return np.array([is_stable(column, realise_poles(column)) for column in motion.T])
 
 
-def _lowest_rates(rig: RigConfig) -> list[float]:
-    """Per axis; every rate tried serves all axes."""
+def _lowest_rates(rig: RigConfig, motion: Array) -> list[float]:
+    """Per axis; every rate tried serves all axes. motion: at the rig's own rate, (ticks, n_axes)."""
     importlib.import_module("hil.control.estimator.filterpy_design")  # once: every rate needs a filter of its own
-    tried: dict[float, Array] = {}
+    tried = {rig.rate_hz: _stable_columns(motion[:REALISED])}
 
     def stable(axis: int, rate: float) -> bool:
         if rate not in tried:
@@ -327,7 +331,7 @@ def check_stability(
     else:
         answer, motion = pulse_response(rig, ticks)
         offset = np.zeros(motion.shape)
-    rates: list[float | None] = [*_lowest_rates(rig)] if lowest_rate else [None] * len(rig.axes)
+    rates: list[float | None] = [*_lowest_rates(rig, motion)] if lowest_rate else [None] * len(rig.axes)
     differences = _finite_difference_rates(rig) if lowest_rate else rates
     axes = {}
     for index, name in enumerate(rig.axes):

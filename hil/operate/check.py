@@ -47,9 +47,9 @@ def check_rig(
     measured: Sequence[str] = (),
     frd: Path | None = None,
 ) -> None:
-    """Print what was found of a rig, draw its tick, write JSON. Exit status 78 where the rig cannot run as it is.
+    """Print what was found of a rig, write JSON. Exit status 78 where the rig cannot run as it is.
 
-    json_path: "-" is standard output. picture: default runs/RIG-tick.png. measured: AXIS=FILE, CSV with the axis'
+    json_path: "-" is standard output. picture: of one tick, PNG; None: none. measured: AXIS=FILE, CSV with the axis'
     measured frequency response. frd: where the loop's frequency response goes, JSON.
     """
     rig = load_rig(rig_file, overrides)
@@ -72,9 +72,9 @@ def check_rig(
     tolerated = min(faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate) for messages in parts)
     if tolerated >= 0:
         console.print(f"Bus errors that may hit one response without a deadline missed: {tolerated}")
-    target = picture or Path("runs") / f"{rig.name}-tick.png"
-    draw_tick(rig, analysis, target)
-    console.print(f"One worst-case tick: {target}")
+    if picture:
+        draw_tick(rig, analysis, picture)
+        console.print(f"One worst-case tick: {picture}")
     found = problems(rig, rig_file.parent, analysis)
     try:
         infeasible = [*encoder_range_problems(rig, layout), *task_problems(rig), *excursion_problems(rig)]

@@ -23,6 +23,7 @@ class PositionTable:
         self._limit = limit
         self._floats = isinstance(limit, float)
         self._values: Any = [0.0] * NODES if self._floats else np.zeros((NODES, *np.shape(limit)))
+        self._axes: Any = () if self._floats else tuple(np.indices(np.shape(limit), sparse=True))  # beside the node
         zero = zeros_like(limit)
         self._to_near, self._to_far = zero, zero  # learnt since the axis came between the nodes beside it
         _, self._near, self._far = self._place(zero)
@@ -77,12 +78,8 @@ class PositionTable:
         self._write(node, bounded(self._read(node) + force, self._limit))
 
     def _read(self, node: Any) -> Number:
-        value: Number = self._values[node] if self._floats else np.take_along_axis(self._values, node[None], 0)[0]
+        value: Number = self._values[node] if self._floats else self._values[(node, *self._axes)]
         return value
 
     def _write(self, node: Any, value: Number) -> None:
-        if self._floats:
-            self._values[node] = value
-        else:
-            array: Any = value
-            np.put_along_axis(self._values, node[None], array[None], 0)
+        self._values[node if self._floats else (node, *self._axes)] = value

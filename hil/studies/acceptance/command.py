@@ -23,9 +23,7 @@ def check(
     *,
     overrides: Overrides = None,
     json_path: JsonTarget = "",
-    picture: Annotated[
-        Path | None, typer.Option(callback=drawable, help="the tick's timeline [default: runs/RIG-tick.png]")
-    ] = None,
+    picture: Annotated[Path | None, typer.Option(callback=drawable, help="draw one tick's timeline there")] = None,
     measured: Annotated[
         list[str] | None, typer.Option(metavar="AXIS=FILE", help="CSV with the axis' measured frequency response")
     ] = None,
