@@ -3,21 +3,15 @@
 import os
 import sys
 from importlib.metadata import version
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
-from drivers.base.runtime import RuntimeDirectoryError
-from drivers.base.text_file import printable
-from drivers.protocols.base import LayoutError
 from hil.cli.commands import Entry, add_commands, first_word, load
-from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
+from hil.cli.failures import failure
 from hil.cli.help_text import in_words, present_spelling
+from hil.rig.control_path import control_path
 from hil.rig.former_keys import show_former_keys
-from hil.rig.provenance import control_path
-from hil.rig.schema import RigError
-from hil.rig.shipped import IncompleteError
-from sim_plant.config import PlantError
 
 UNPARSED = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
@@ -151,19 +145,8 @@ def run(app: typer.Typer) -> None:
         print(f"hil: {line}", file=sys.stderr)
     try:
         in_words(typer.main.get_command(app))()
-    except RigError as error:
-        _fail(EXIT_CONFIG, *error.problems)
-    except (PlantError, LayoutError) as error:
-        _fail(EXIT_CONFIG, error)
-    except (RuntimeDirectoryError, IncompleteError) as error:
-        _fail(EXIT_UNAVAILABLE, error)
-    except OSError as error:
-        if error.filename is None:
-            raise
-        _fail(EXIT_FILE, f"{error.filename}: {error.strerror}")
-
-
-def _fail(status: int, *problems: object) -> NoReturn:
-    for problem in problems:
-        print(printable(f"hil: {problem}"), file=sys.stderr)
-    sys.exit(status)
+    except Exception as error:
+        status, lines = failure(error)
+        for line in lines:
+            print(line, file=sys.stderr)
+        sys.exit(status)

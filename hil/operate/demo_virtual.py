@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from hil.rig.provenance import control_path
+from hil.rig.control_path import control_path
 from hil.rig.schema import RigConfig
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.sim import simulate

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.rig.provenance import control_path
+from hil.rig.control_path import control_path
 from sim_plant.native import library
 
 

@@ -8,13 +8,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drivers.config import LAYOUT_KIND
+from hil.rig.control_path import control_path
 from hil.rig.file import build_rig, rig_hash
 from hil.rig.schema import RigConfig, RigError
 
@@ -103,10 +103,3 @@ def unpacked_rig(document: str, files: dict[str, str]) -> Iterator[tuple[RigConf
     """A rig (JSON) that came from elsewhere, and a directory with the files it refers to. Raises RigError."""
     with rig_of_run({"rig": json.loads(document), "files": files}) as found:
         yield found
-
-
-def control_path() -> str:
-    """ "interpreted" or "compiled", by what Python would load as the control cycle itself."""
-    found = find_spec("hil.cycle.step")
-    origin = found.origin if found else None
-    return "interpreted" if origin is None or origin.endswith(".py") else "compiled"

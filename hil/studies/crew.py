@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from drivers.base.runtime import RuntimeDirectoryError, make_private
 from hil.cli.processes import worker_pool
-from hil.rig.provenance import control_path
+from hil.rig.control_path import control_path
 from hil.rig.schema import RigError
 
 CONNECT_TIMEOUT_S = 10

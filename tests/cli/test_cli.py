@@ -42,3 +42,13 @@ def test_the_packages_script_does_nothing_when_a_worker_process_reads_it(
     with pytest.raises(SystemExit):
         runpy.run_path(str(script), run_name="__main__")
     assert capsys.readouterr().out.startswith("hil ")
+
+
+@pytest.mark.parametrize("asked", ["--version", "--help"])
+def test_who_asks_for_help_does_not_wait_for_the_rig_schema(asked: str) -> None:
+    count = f"import sys; sys.argv = ['hil', '{asked}']\nfrom hil.__main__ import main\n"
+    end = "try: main()\nexcept SystemExit: print(*{m.partition('.')[0] for m in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", count + end], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "typer" in loaded
+    assert not {"pydantic", "numpy", "scipy", "zenoh"} & loaded

@@ -1,0 +1,30 @@
+"""What is printed, and with which exit status, where a command fails by what its user gave it."""
+
+from drivers.base.text_file import printable
+from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
+
+
+def failure(error: Exception) -> tuple[int, list[str]]:
+    """(exit status, lines for people); raises `error` itself where it is a mistake of ours.
+
+    The classes are imported once something has failed: they stand beside half a second of rig schema.
+    """
+    from drivers.base.runtime import RuntimeDirectoryError
+    from drivers.protocols.base import LayoutError
+    from hil.rig.schema import RigError
+    from hil.rig.shipped import IncompleteError
+    from sim_plant.config import PlantError
+
+    if isinstance(error, RigError):
+        return EXIT_CONFIG, _lines(*error.problems)
+    if isinstance(error, PlantError | LayoutError):
+        return EXIT_CONFIG, _lines(error)
+    if isinstance(error, RuntimeDirectoryError | IncompleteError):
+        return EXIT_UNAVAILABLE, _lines(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        return EXIT_FILE, _lines(f"{error.filename}: {error.strerror}")
+    raise error
+
+
+def _lines(*problems: object) -> list[str]:
+    return [printable(f"hil: {problem}") for problem in problems]
