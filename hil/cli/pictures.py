@@ -17,8 +17,8 @@ from hil.rig.schema import RigConfig
 
 _BUCKETS = 1500  # per drawn line; each keeps its lowest and highest value, so that no peak is lost
 _LATCHED_SHOWN = 6
-_UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
-_STYLE: dict[Any, Any] = {
+UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
+STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -61,7 +61,7 @@ def tracking_picture(
     """
     n_axes = len(rig.axes)
     rows = 3 + (lateness is not None)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.4 * max(n_axes, 2), 2.0 * rows), layout="constrained")
         grid = figure.add_gridspec(rows, n_axes)
         for axis in range(n_axes):
@@ -82,7 +82,7 @@ def tracking_picture(
 
 def axis_svg(rig: RigConfig, run: Tracked, axis: int) -> str:
     """Position, error and force of one axis over time, one below the other: SVG, the same text every time."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.0, 6.0), layout="constrained")
         _axis_panels(figure.subplots(3, 1), rig, run, axis)
         text = io.StringIO()
@@ -92,7 +92,7 @@ def axis_svg(rig: RigConfig, run: Tracked, axis: int) -> str:
 
 def _axis_panels(panels: Sequence[Axes], rig: RigConfig, run: Tracked, axis: int) -> None:
     name, config = list(rig.axes.items())[axis]
-    long, to_long, short, to_short, force_unit = _UNITS[config.kind]
+    long, to_long, short, to_short, force_unit = UNITS[config.kind]
     panels[0].set_title(name, fontweight="bold")
     _line(panels[0], rig, run.time, run.setpoint[:, axis] * to_long, f"setpoint, {long}", "C0")
     _line(panels[1], rig, run.time, run.error[:, axis] * to_short, f"following error, {short}", "C3")

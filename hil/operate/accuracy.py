@@ -2,11 +2,12 @@
 
 The cycle of ISO 230-2: through the targets in one direction and back in the other, with a way beyond each end, so that
 every target is approached as the one before it; several runs. On an emulated stage in virtual time, with the true
-positions beside the encoder's; or (--live) on a running rig, by its encoders.
+positions beside the encoder's; or (--live) on a running rig, by its encoders. With --reference nothing moves: the
+figures are those of an instrument that stood beside it.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -17,17 +18,20 @@ from rich.table import Table
 
 from hil.analysis.positioning import LEAST_RUNS, LEAST_TARGETS, Positioning, positioning, targets
 from hil.cli.options import JsonTarget, Overrides, named_axes
-from hil.cli.output import metres, print_plant_notes, write_json
+from hil.cli.output import drawable, metres, print_plant_notes, writable, write_json
 from hil.cli.progress import Steps
 from hil.control.laws.base import Array
 from hil.cycle.goal import MotionWord
 from hil.live.goal_link import IN_POSITION_S
+from hil.operate.approach_file import Deviations, read_reference, write_approaches
 from hil.operate.command import config_of
 from hil.operate.move import told
 from hil.operate.moving import motion
 from hil.runs.mover import LOOK_S, Mover
 from hil.runs.rigs import load_rig
 from hil.runs.virtual_mover import VirtualMover
+
+Rows = dict[str, tuple["Approaches", Positioning]]
 
 SHARE: Final = 0.8  # of the way that goals have, between the first and the last target
 BEYOND: Final = 0.05  # of it, beyond either end
@@ -106,25 +110,76 @@ def accuracy(
     targets: Annotated[int, typer.Option(min=LEAST_TARGETS, max=100, help="places along each axis")] = LEAST_TARGETS,
     runs: Annotated[int, typer.Option(min=2, max=100, help="in either direction")] = LEAST_RUNS,
     live: Annotated[bool, typer.Option("--live", help="move the running rig; it must be under torque")] = False,
+    out: Annotated[
+        str, typer.Option(callback=writable, help="write every approach there as CSV, to add a column `reference` to")
+    ] = "",
+    reference: Annotated[
+        Path | None, typer.Option(help="such a file with that column: move nothing, print what the instrument read")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(callback=drawable, help="draw deviations over targets, as data sheets do")
+    ] = None,
     overrides: Overrides = None,
     json_target: JsonTarget = "",
 ) -> None:
     """Positioning accuracy, repeatability and reversal of each axis by ISO 230-2, with settling times and hold.
+
+    What an encoder cannot see of its own scale, a laser interferometer or a second scale does. `--out FILE` writes the
+    approaches. Note the instrument's reading at each stop in a column `reference`, and give the file to `--reference`.
 
     Exit status 0: measured; 69: the rig does not run here, or left ACTIVE on the way; each with the reason.
     """
     console = Console(stderr=json_target == "-")
     if live and overrides:
         raise typer.BadParameter("a running rig is as it is", param_hint="--set")
+    if reference and (live or out):
+        raise typer.BadParameter("nothing moves with --reference: leave --live and --out out", param_hint="--reference")
+    if reference:
+        config = load_rig(rig, overrides or ()).config
+        found = read_reference(reference, named_axes(axes, config.axis_names))
+        kinds = {name: axis.kind for name, axis in config.axes.items()}
+        said = f"{reference.name}, read by the reference instrument"
+        rows = {name: (_unmoved(axis), positioning(axis.up, axis.down)) for name, axis in found.items()}
+        _tell(console, kinds, rows, said, picture, json_target, "reference")
+        return
     of = config_of(rig).name if live else load_rig(rig, overrides or ())
     with told("accuracy"), motion(of, activate=False) as mover:
-        found = _all(mover, named_axes(axes, mover.axes), targets, runs)
+        made = _all(mover, named_axes(axes, mover.axes), targets, runs)
     if isinstance(mover, VirtualMover):
         print_plant_notes(console, mover.config)
-    rows = {name: (of, positioning(of.up, of.down)) for name, of in found.items()}
-    console.print(_table(mover, rows, f"{targets} targets, {runs} runs from either side"))
+    if out:
+        write_approaches(Path(out), {name: _by_encoder(axis) for name, axis in made.items()})
+    rows = {name: (axis, positioning(axis.up, axis.down)) for name, axis in made.items()}
+    _tell(console, mover.kinds, rows, f"{targets} targets, {runs} runs from either side", picture, json_target)
+
+
+def _tell(
+    console: Console,
+    kinds: Mapping[str, str],
+    rows: Rows,
+    title: str,
+    picture: Path | None,
+    json_target: str,
+    read: str = "encoder",
+) -> None:
+    """The table; picture and JSON where they are asked for. read: who did."""
+    console.print(_table(kinds, rows, title))
+    if picture:
+        from hil.operate.accuracy_picture import accuracy_picture  # matplotlib: half a second, for this alone
+
+        accuracy_picture(picture, {name: _by_encoder(axis) for name, (axis, _) in rows.items()}, kinds, title)
+        console.print(f"Deviations: {picture}", soft_wrap=True, markup=False)
     if json_target:
-        write_json(_document(mover, rows), json_target)
+        write_json(_document(kinds, rows, read), json_target)
+
+
+def _by_encoder(axis: Approaches) -> Deviations:
+    return Deviations(axis.targets, axis.up, axis.down)
+
+
+def _unmoved(axis: Deviations) -> Approaches:
+    """What an instrument read, with nothing of what only a run knows."""
+    return Approaches(*axis, np.empty((2, 0)), np.empty((2, 0)), np.empty(0), math.nan)
 
 
 def _all(mover: Mover, names: Sequence[str], count: int, runs: int) -> dict[str, Approaches]:
@@ -145,7 +200,7 @@ _FIGURES: Final = (
 )  # fmt: skip
 
 
-def _table(mover: Mover, rows: dict[str, tuple[Approaches, Positioning]], title: str) -> Table:
+def _table(kinds: Mapping[str, str], rows: Rows, title: str) -> Table:
     """Figures down, axes across; of an emulated stage by encoder and as it is."""
     columns: list[tuple[str, str, Approaches, Positioning | None]] = []
     for name, (of, by_encoder) in rows.items():
@@ -154,18 +209,20 @@ def _table(mover: Mover, rows: dict[str, tuple[Approaches, Positioning]], title:
             columns.append((name, f"{name}, true", of, positioning(of.true_up, of.true_down)))
     table = Table("", *(head for _, head, _, _ in columns), title=f"positioning by ISO 230-2: {title}")
     for words, figure in _FIGURES:
-        cells = [metres(getattr(figures, figure), mover.kinds[name]) for name, _, _, figures in columns]
+        cells = [metres(getattr(figures, figure), kinds[name]) for name, _, _, figures in columns]
         table.add_row(words, *cells)
     own = [head == name for name, head, _, _ in columns]
     settled = [_settled(of.settled_s) for _, _, of, _ in columns]
     table.add_row("settled, median / most", *(cell if mine else "" for cell, mine in zip(settled, own, strict=True)))
-    held = [metres(of.hold, mover.kinds[name]) for name, _, of, _ in columns]
+    held = ["" if math.isnan(of.hold) else metres(of.hold, kinds[name]) for name, _, of, _ in columns]
     table.add_row(f"hold, RMS of {HOLD_S:g} s", *(cell if mine else "" for cell, mine in zip(held, own, strict=True)))
     return table
 
 
 def _settled(seconds: Array) -> str:
     """Of those approaches that came into position, and how many did not."""
+    if not len(seconds):
+        return ""
     never = int(np.isnan(seconds).sum())
     words = f", {never} never" if never else ""
     if never == len(seconds):
@@ -173,14 +230,14 @@ def _settled(seconds: Array) -> str:
     return f"{np.nanmedian(seconds) * 1e3:.0f} / {np.nanmax(seconds) * 1e3:.0f} ms{words}"
 
 
-def _document(mover: Mover, rows: dict[str, tuple[Approaches, Positioning]]) -> dict[str, Any]:
-    """Keys: axes.NAME.{targets, encoder, true, settled_s, hold}; encoder, true: up and down (targets, runs) and the
-    figures of Positioning, m (rad).
+def _document(kinds: Mapping[str, str], rows: Rows, read: str) -> dict[str, Any]:
+    """Keys: axes.NAME.{targets, encoder or reference, true, settled_s, hold}; the first two by who `read`, and true: up
+    and down (targets, runs) and the figures of Positioning, m (rad).
     """
     axes = {}
     for name, (of, by_encoder) in rows.items():
-        said: dict[str, Any] = {"unit": "m" if mover.kinds[name] == "linear" else "rad", "targets": of.targets}
-        said["encoder"] = _figures(of.up, of.down, by_encoder)
+        said: dict[str, Any] = {"unit": "m" if kinds[name] == "linear" else "rad", "targets": of.targets}
+        said[read] = _figures(of.up, of.down, by_encoder)
         if of.true_up.size:
             said["true"] = _figures(of.true_up, of.true_down, positioning(of.true_up, of.true_down))
         axes[name] = {**said, "settled_s": of.settled_s.tolist(), "hold": of.hold}

@@ -1,5 +1,6 @@
 """`hil accuracy`: the cycle of ISO 230-2 on emulated stages, whose true positions are known."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import build_app
 from hil.operate.accuracy import _settled, approaches
+from hil.operate.approach_file import read_reference
+from hil.rig.schema import RigError
 
 
 def run(*words: str) -> tuple[int, str]:
@@ -71,3 +74,74 @@ def test_what_it_cannot_do_is_refused() -> None:
     code, output = run("paper", "--live")
     assert code == 69
     assert "does not run here" in output
+
+
+@pytest.mark.long
+def test_what_an_instrument_read_at_the_stops_gives_figures_of_its_own(tmp_path: Path) -> None:
+    made, picture, read = tmp_path / "made.csv", tmp_path / "made.png", tmp_path / "read.csv"
+    code, output = run("microscope-ideal", "--axes", "y", "--runs", "2", "--out", str(made), "--picture", str(picture))
+    assert code == 0, output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    rows = list(csv.DictReader(made.open()))
+    assert [row["direction"] for row in rows] == (["up"] * 5 + ["down"] * 5) * 2
+    targets = [float(row["target"]) for row in rows]
+    assert targets[:5] == sorted(targets[:5]) == targets[9:4:-1]
+    stretched = [{**row, "reference": str(3.0 + 1.001 * float(row["target"]))} for row in rows]
+    assert figures_of(read, stretched)["accuracy"] == pytest.approx(0.001 * (targets[4] - targets[0]))
+    assert figures_of(read, stretched[::-1]) == figures_of(read, stretched), "rows may stand in any order"
+
+
+def figures_of(path: Path, rows: list[dict[str, str]]) -> dict[str, float]:
+    with path.open("w") as file:
+        table = csv.DictWriter(file, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+    code, output = run("microscope-ideal", "--reference", str(path), "--json", "-")
+    assert code == 0, output
+    return json.loads(output[output.index("{") :])["axes"]["y"]["reference"]
+
+
+def read_rows(**changed: str) -> list[dict[str, str]]:
+    """Two targets, two runs, both directions; the last row is changed."""
+    rows = [
+        {"axis": "x", "run": run, "direction": side, "target": place, "reference": place}
+        for run in "12" for side in ("up", "down") for place in ("0.0", "0.001")
+    ]  # fmt: skip
+    return [*rows[:-1], {**rows[-1], **changed}]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"axis": "w"}, "line 9: axis = 'w': one of x, y"),
+        ({"direction": "left"}, "line 9: direction = 'left': one of up, down"),
+        ({"reference": "nan"}, "line 9: reference = 'nan' is not a finite number"),
+        ({"run": ""}, "line 9: run = '' is not a finite number"),
+        ({"target": "0.0"}, "line 9: axis x, target 0, down, run 2 stands there twice"),
+        ({"run": "3"}, "axis x: target 0, up, run 3 is missing"),
+    ],
+)
+def test_a_file_that_is_not_whole_is_refused_by_line_and_value(
+    tmp_path: Path, changed: dict[str, str], said: str
+) -> None:
+    path = tmp_path / "read.csv"
+    with path.open("w") as file:
+        table = csv.DictWriter(file, list(read_rows()[0]))
+        table.writeheader()
+        table.writerows(read_rows(**changed))
+    with pytest.raises(RigError) as refused:
+        read_reference(path, ["x", "y"])
+    assert said in refused.value.problems[0]
+
+
+def test_a_file_without_readings_is_told_what_it_lacks(tmp_path: Path) -> None:
+    path = tmp_path / "read.csv"
+    path.write_text("axis,run,direction,target,encoder\nx,1,up,0.0,0.0\n")
+    with pytest.raises(RigError, match="there is no column reference"):
+        read_reference(path, ["x"])
+    path.write_text("axis,run,direction,target,reference\n")
+    with pytest.raises(RigError, match="it has no rows"):
+        read_reference(path, ["x"])
+    with pytest.raises(RigError, match="No such file"):
+        read_reference(tmp_path / "none.csv", ["x"])
+    assert "nothing moves with --reference" in run("paper", "--live", "--reference", str(path))[1]
