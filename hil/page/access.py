@@ -59,7 +59,7 @@ class Access:
         self.folder, self._port = folder, port
         folder.mkdir(mode=0o750, parents=True, exist_ok=True)
         self._pairings: list[Pairing] = []
-        self._stamp = (-1, -1)
+        self._stamp: tuple[int, int] | None = None  # of the file that they were read from
         self._wrong, self._locked_s = 0, float("-inf")
         self.codes: dict[Role, str] = {}
 
@@ -90,14 +90,15 @@ class Access:
                 self.renew()
             raise PairingError(f"no such code: read the codes on the rig's machine, cat {self.codes_file}")
         self._wrong = 0
+        role, *_ = found
         secret = secrets.token_urlsafe(32)
         with self._locked():
             known = self.pairings()
             if len(known) >= MOST:
                 raise PairingError(f"{MOST} browsers are paired: revoke one, hil page --revoke NAME")
-            pairing = Pairing(_free_name(name, known), found[0], _digest(secret), time.time())
+            pairing = Pairing(_free_name(name, known), role, _digest(secret), time.time())
             self._write([*known, pairing])
-        self.renew(found[0])
+        self.renew(role)
         return secret, pairing
 
     def pairing_of(self, secret: str | None) -> Pairing | None:
@@ -112,7 +113,7 @@ class Access:
         try:
             found = self._file.stat()
         except OSError:
-            self._pairings, self._stamp = [], (-1, -1)
+            self._pairings, self._stamp = [], None
             return []
         stamp = found.st_mtime_ns, found.st_ino
         if stamp != self._stamp:

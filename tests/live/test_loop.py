@@ -33,6 +33,10 @@ PAPER = ROOT / "deploy" / "rigs" / "paper.toml"
 PERIOD = 1_000_000
 NO_ACK = to_bytes(Frame(ERROR | 0x020, bytes(8)))
 BUS_OFF = to_bytes(Frame(ERROR | 0x040, bytes(8)))
+BESIDE = (
+    "timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local",
+    "telemetry.blackbox_s=4",  # the ring of a minute, 320 MB, took half a second of every test to clear
+)  # fmt: skip
 
 
 class UnpoweredDrives:
@@ -74,7 +78,7 @@ def loop_beside(
     monkeypatch.setattr(
         daemon, "open_port", lambda *_, fd, **__: Port(drives.open, fd=fd, receive_limit=32), raising=True
     )
-    rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local", *overrides])
+    rig = load_rig(PAPER, [*BESIDE, *overrides])
     return daemon.control_loop(rig, PAPER.parent, WatchedFile(PAPER), stage_clock)
 
 

@@ -104,6 +104,11 @@ ROOMS = {
         ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py", "hil/telemetry/motion_watch.py"),
         ("tests/telemetry", "tests/operate/test_events_told.py"),
     ),
+    "page": Room(
+        ("hil/page/access.py", "hil/page/guard.py", "hil/page/frames.py", "hil/page/signals.py",
+         "hil/page/ring_feed.py"),
+        ("tests/page/test_access.py", "tests/page/test_signals.py", "tests/page/test_ring_feed.py", "tests/page"),
+    ),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,

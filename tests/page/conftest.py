@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.types import Message
 
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
@@ -22,6 +23,7 @@ from tests.support.paths import RIGS
 RIG = load_rig(RIGS / "paper.toml")
 HOST = "testserver"  # as the test client calls itself, and its cookies with it
 ORIGIN = {"Origin": f"http://{HOST}"}
+LIMIT_S = 10.0  # of waiting for one message of a feed
 
 
 class Told:
@@ -39,6 +41,20 @@ class Told:
         for name, value in fields.items():
             record[name] = value
         self.ring.append(record)
+
+
+@pytest.fixture(autouse=True)
+def no_feed_is_waited_for_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that sends no more fails a test with TimeoutError; the client itself would wait for ever."""
+
+    def receive(session: WebSocketTestSession) -> Message:
+        waiting = session.portal.start_task_soon(session._send_rx.receive)
+        try:
+            return waiting.result(LIMIT_S)
+        finally:
+            waiting.cancel()
+
+    monkeypatch.setattr(WebSocketTestSession, "receive", receive)
 
 
 @pytest.fixture

@@ -39,6 +39,9 @@ def test_five_wrong_codes_end_pairing_for_a_while_and_spoil_the_codes(access: Ac
     assert fresh != code
     with pytest.raises(PairingError, match="wait 30 s"):
         access.pair(fresh, "Ana", now_s=100.0)
+    for _ in range(WRONG - 1):  # the count begins anew
+        with pytest.raises(PairingError, match="no such code"):
+            access.pair("AAAA-AAAA", "guesser", now_s=100.0 + LOCKED_S)
     assert access.pair(fresh, "Ana", now_s=100.0 + LOCKED_S)[1].role is Role.OPERATE
 
 
@@ -49,6 +52,11 @@ def test_a_right_code_forgives_the_wrong_ones_before_it(access: Access) -> None:
                 access.pair("AAAA-AAAA", "clumsy", now_s=100.0)
         access.pair(access.codes[Role.WATCH], "clumsy", now_s=100.0)
     assert len(access.pairings()) == 3
+    for _ in range(WRONG):
+        with pytest.raises(PairingError, match="no such code"):
+            access.pair("AAAA-AAAA", "guesser", now_s=100.0)
+    with pytest.raises(PairingError, match="too many wrong codes"):
+        access.pair(access.codes[Role.WATCH], "Ana", now_s=100.0)
 
 
 def test_there_are_only_so_many_pairings(access: Access, monkeypatch: pytest.MonkeyPatch) -> None:

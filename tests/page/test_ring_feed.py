@@ -1,5 +1,6 @@
 """The page follows a control process, says when it hangs, ends or is killed, and follows the next."""
 
+import math
 import subprocess
 import sys
 import time
@@ -28,6 +29,16 @@ def test_only_what_is_new_is_read_at_the_instants_of_the_run(told: Told) -> None
 
 def feed_row(feed: RingFeed, quantity: str) -> int:
     return next(number for number, signal in enumerate(feed.signals) if signal.quantity == quantity)
+
+
+def test_who_opens_the_page_begins_with_the_newest_tick(told: Told) -> None:
+    for index in range(20):
+        told.tick(index)
+    with RingFeed("paper") as feed:
+        block = feed.turn()
+    assert block is not None
+    assert block.instants.tolist() == pytest.approx([0.019])
+    assert block.lost == 0
 
 
 def test_what_came_while_nobody_watched_is_left_out(told: Told) -> None:
@@ -103,7 +114,9 @@ def test_a_new_process_that_has_not_ticked_shows_nothing_of_the_one_before(told:
         until = time.monotonic() + 5.0
         while feed.run_id == first and time.monotonic() < until:
             feed.turn()
-        assert feed.pulse(0.0)[:3] == (-1, -1, -1)
+        pulse = feed.pulse(0.0)
+        assert pulse[:3] == (-1, -1, -1)
+        assert math.isnan(pulse.tick_age)
 
 
 @pytest.mark.long
