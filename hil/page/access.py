@@ -58,8 +58,7 @@ class Access:
     def __init__(self, folder: Path, port: int = 0) -> None:
         self.folder, self._port = folder, port
         folder.mkdir(mode=0o750, parents=True, exist_ok=True)
-        self._pairings: list[Pairing] = []
-        self._stamp: tuple[int, int] | None = None  # of the file that they were read from
+        self._pairings: dict[tuple[int, int], list[Pairing]] = {}  # by the stamp of the file that they are from
         self._wrong, self._locked_s = 0, float("-inf")
         self.codes: dict[Role, str] = {}
 
@@ -113,12 +112,11 @@ class Access:
         try:
             found = self._file.stat()
         except OSError:
-            self._pairings, self._stamp = [], None
             return []
         stamp = found.st_mtime_ns, found.st_ino
-        if stamp != self._stamp:
-            self._pairings, self._stamp = self._read(), stamp
-        return self._pairings
+        if stamp not in self._pairings:
+            self._pairings = {stamp: self._read()}
+        return self._pairings[stamp]
 
     def revoke(self, name: str) -> bool:
         """Take a browser's rights away; False where none has that name. Raises OSError."""
@@ -148,12 +146,9 @@ class Access:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
         """One at a time: a revocation must not be lost beside a pairing."""
-        fd = open_private(self.folder / "pairings.lock", os.O_RDWR | os.O_CREAT)
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX)
+        with open(open_private(self.folder / "pairings.lock", os.O_RDWR | os.O_CREAT), "rb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
             yield
-        finally:
-            os.close(fd)
 
 
 def spelt(code: str) -> str:

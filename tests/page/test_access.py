@@ -1,7 +1,10 @@
 """Who may: codes are good once, guesses are few, and what is revoked counts at once."""
 
+import fcntl
 import json
+import re
 import stat
+import threading
 from pathlib import Path
 
 import pytest
@@ -23,7 +26,9 @@ def test_a_code_pairs_one_browser_for_its_role_and_a_new_one_takes_its_place(acc
 def test_the_codes_can_be_read_by_the_group_and_the_secrets_by_nobody(access: Access) -> None:
     secret, _ = access.pair(access.codes[Role.WATCH], "Ana")
     codes, pairings = access.codes_file, access.folder / "pairings.json"
+    assert stat.S_IMODE(access.folder.stat().st_mode) == 0o750
     assert stat.S_IMODE(codes.stat().st_mode) == 0o640
+    assert all(re.fullmatch(r"[A-Z2-9]{4}-[A-Z2-9]{4}", spelt(code)) for code in access.codes.values())
     assert stat.S_IMODE(pairings.stat().st_mode) == 0o600
     assert secret not in pairings.read_text()
     words = dict(line.split() for line in codes.read_text().splitlines())
@@ -75,6 +80,24 @@ def test_a_revocation_by_another_process_counts_at_once(access: Access) -> None:
     assert elsewhere.revoke("Ana")
     assert access.pairing_of(secret) is None
     assert access.pairing_of(other) is not None
+
+
+def test_a_revocation_waits_for_whoever_is_writing(access: Access) -> None:
+    access.pair(access.codes[Role.OPERATE], "Ana")
+    revoking = threading.Thread(target=Access(access.folder).revoke, args=("Ana",))
+    with (access.folder / "pairings.lock").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        revoking.start()
+        revoking.join(0.1)
+        assert [pairing.name for pairing in access.pairings()] == ["Ana"]
+    revoking.join(5.0)
+    assert access.pairings() == []
+
+
+def test_where_the_file_is_gone_nobody_is_paired(access: Access) -> None:
+    secret, _ = access.pair(access.codes[Role.OPERATE], "Ana")
+    (access.folder / "pairings.json").unlink()
+    assert access.pairing_of(secret) is None
 
 
 def test_names_are_fit_to_be_shown_and_never_the_same(access: Access) -> None:

@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -64,6 +65,42 @@ def test_ticks_that_were_overwritten_are_counted_as_lost(told: Told) -> None:
         assert 0 < block.lost < MOST
 
 
+def test_who_fell_far_behind_goes_on_with_the_newest_ticks(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.page.ring_feed.MOST", 10)
+    told.tick(0)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        for index in range(1, 31):
+            told.tick(index)
+        block = feed.turn()
+    assert block is not None
+    assert block.instants.tolist() == pytest.approx([index * 1e-3 for index in range(21, 31)])
+    assert block.lost == 20
+
+
+def test_a_ring_is_let_go_of_when_it_is_not_wanted_any_more(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.page.ring_feed.SEARCH_NS", 0)
+    with RingFeed("paper") as feed:
+        feed.turn()
+        held = open_files()
+        told.ring.close()
+        told.ring = Told().ring
+        feed.turn()  # the successor's
+        assert open_files() == held
+        told.ring.close()
+        held = open_files()
+        for _ in range(3):
+            feed.turn()
+        assert open_files() == held
+        feed.close()
+        assert open_files() < held
+        assert feed.pulse(0.0).fate is Fate.NONE
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
 def test_state_and_age_are_of_the_newest_tick(told: Told) -> None:
     told.tick(1, now_ns=time.monotonic_ns() - 700_000_000, state=State.FAULT, fault=3)
     with RingFeed("paper") as feed:
@@ -94,7 +131,7 @@ def test_without_any_ring_nothing_is_claimed() -> None:
     with RingFeed("paper") as feed:
         assert feed.turn() is None
         pulse = feed.pulse(float("nan"))
-        assert feed.run_id == 0
+        assert (feed.run_id, feed.metadata, feed.signals) == (0, {}, [])
     assert (pulse.fate, *pulse[:3]) == (Fate.NONE, -1, -1, -1)
     assert pulse.tick_age != pulse.tick_age
     assert running_rigs() == []
