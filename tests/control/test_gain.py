@@ -36,6 +36,7 @@ def test_an_impossible_declaration_is_refused_with_the_gain_and_what_is_allowed(
     assert text in str(caught.value)
 
 
+@pytest.mark.long
 @given(
     st.floats(allow_nan=True) | st.integers(), st.floats() | st.text(max_size=3), st.sampled_from([*SCALES, "N", ""])
 )

@@ -125,6 +125,7 @@ def stories(draw: st.DrawFn) -> tuple[str, list[dict[str, Any]], list[tuple[int,
     return name, draw(st.lists(faults(RIG[name]), min_size=1, max_size=4)), draw(orders)
 
 
+@pytest.mark.long
 @rare
 @given(stories())
 def test_any_accepted_scenario_runs_without_an_exception_and_within_the_invariants(
@@ -189,6 +190,7 @@ class Watched(StateMachine):
         return taken
 
 
+@pytest.mark.long
 @rare
 @given(mail)
 @example({30: [OperatorCommand(CommandKind.ESTOP, 2**64 - 1, -1)]})

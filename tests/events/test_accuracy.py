@@ -146,7 +146,7 @@ def test_nothing_is_told_of_sound_axes_with_and_without_noise(counts: float, see
     assert not told(sound(counts, seed))
 
 
-@pytest.mark.parametrize("chunk", [1, 50, 64, 1000])
+@pytest.mark.parametrize("chunk", [pytest.param(1, marks=pytest.mark.long), 7, 50, 64, 1000])
 def test_how_the_ticks_come_makes_no_difference(chunk: int) -> None:
     records, seconds = sound(), np.arange(TICKS) * 1e-3
     noise(records, 1, seconds >= 5.31, seconds)

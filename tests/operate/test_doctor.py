@@ -160,6 +160,7 @@ def test_devices_that_interrupt_the_loops_core_are_named(tmp_path: Path):
     assert doctor.interrupts_finding(5, tmp_path).level == "ok"  # no such core: nothing to say
 
 
+@pytest.mark.long
 def test_real_time_is_tried_without_leaving_a_trace_in_this_process():
     before = (os.sched_getscheduler(0), os.sched_getaffinity(0), Path("/proc/self/status").read_text().count("VmLck"))
     findings = doctor.realtime_findings()

@@ -164,7 +164,7 @@ def test_a_slice_of_the_fault_campaign_passes_with_a_users_task(rig_file: Path) 
 @pytest.mark.parametrize("words", [
     ["check", "--json", "-"],
     ["sim", "--seconds", "0.6"],
-    ["compare", "--laws", "pd-feedforward", "--seconds", "1"],
+    pytest.param(["compare", "--laws", "pd-feedforward", "--seconds", "1"], marks=pytest.mark.long),
     pytest.param(["tune", "--law", "pd-feedforward", "--trials", "task", "--dry-run", "--population", "5",
                   "--generations", "1", "--repeats", "1"], marks=pytest.mark.slow),
 ])  # fmt: skip

@@ -109,6 +109,7 @@ def assert_same_bits(native: Stage, python: Stage) -> None:
 pieces = st.lists(st.tuples(st.integers(1, 3 * MS), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), min_size=1, max_size=8)
 
 
+@pytest.mark.long
 @needs_compiler
 @settings(max_examples=400, deadline=None)
 @given(plants(), drawn(-1e-5, 1e-5), drawn(-2e-2, 2e-2), pieces)

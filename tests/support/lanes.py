@@ -10,7 +10,9 @@ them all.
 import hashlib
 import subprocess
 from collections import Counter
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -45,7 +47,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def _runs_lockstep(item: pytest.Function) -> bool:
     if "lockstep" in item.fixturenames:
         return True
-    origins = (getattr(thing, "__module__", None) or "" for thing in vars(item.module).values())
+    return _brings_virtual_time(item.module)
+
+
+@cache
+def _brings_virtual_time(module: ModuleType) -> bool:
+    origins = (getattr(thing, "__module__", None) or "" for thing in vars(module).values())
     return any(origin.startswith(_WHOLE_LOOPS) for origin in origins)
 
 

@@ -51,7 +51,15 @@ def damaged(content: bytes, draw: random.Random) -> tuple[bytes, list[tuple[int,
     return bytes(data), places
 
 
-@pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, TRIES), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        range(10),
+        pytest.param(range(10, 40), marks=pytest.mark.long),
+        pytest.param(range(40, TRIES), marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
 def test_only_the_chunks_that_were_touched_are_lost(seeds: range, whole: Path, tmp_path: Path) -> None:
     content, spans = whole.read_bytes(), [(start, start + length) for start, length in chunks(whole)]
     first = content.find(b"run.json")

@@ -25,6 +25,7 @@ def rms(report: SimReport) -> dict[str, float]:
     return {name: figures["rms_error"] for name, figures in report.axes.items()}
 
 
+@pytest.mark.long
 def test_every_axis_tracks_the_injection_plan_within_twenty_nanometres_rms() -> None:
     report = track()
     assert max(rms(report).values()) < BAR, rms(report)

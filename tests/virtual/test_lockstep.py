@@ -67,6 +67,7 @@ def test_the_circle_is_followed_to_a_micrometre_where_nominal_model_and_plant_ag
         assert axis["max_error"] < 1.0e-6
 
 
+@pytest.mark.long
 def test_a_modelling_error_leaves_a_plateau_of_delta_over_kp() -> None:
     rig = paper_rig("plant.modelling_error=0.3")
     report, _ = simulate(rig, RIGS, 10.0, observer=Invariants(rig, RIGS).observe)

@@ -23,6 +23,7 @@ def holds(report: SimReport) -> None:
     assert max(axis["max_error"] for axis in report.axes.values()) < PEAK
 
 
+@pytest.mark.long
 def test_the_injection_plan_begins_within_half_a_micrometre_on_guides_as_they_are() -> None:
     holds(track(seconds=5.0))
 

@@ -180,6 +180,7 @@ def test_traffic_that_makes_no_sense_is_refused_by_name(change: dict[str, object
         at_1_mbit(wrong)
 
 
+@pytest.mark.long
 def test_no_response_on_the_wire_exceeds_its_bound_in_1200_random_sets() -> None:
     draw = random.Random(2007)
     bounded = 0

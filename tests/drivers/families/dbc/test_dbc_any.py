@@ -48,6 +48,7 @@ def as_list(outcome: Any) -> list[Sample]:
     return list(outcome) if isinstance(outcome, tuple) else [outcome] if isinstance(outcome, Sample) else []
 
 
+@pytest.mark.long
 @given(drawn=dbc_files(), data=st.binary(min_size=64, max_size=64))
 def test_positions_are_what_cantools_reads(drawn: Drawn, data: bytes) -> None:
     host, _ = ends(drawn.text, drawn.binding, drawn.n_axes)
@@ -107,6 +108,7 @@ def test_what_nobody_binds_is_a_warning(drawn: Drawn) -> None:
         assert "read as far as it is used" in host.warnings[-1]
 
 
+@pytest.mark.long
 @given(drawn=dbc_files(), damage=st.text(max_size=60))
 def test_nor_does_any_rubbish_between_statements_matter(drawn: Drawn, damage: str) -> None:
     rubbish = "".join(letter for letter in damage if letter not in '"' and letter.isprintable())
