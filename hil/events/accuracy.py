@@ -195,7 +195,7 @@ class _Judge:
             self._step = found.worst if beyond <= _SINGLE else None
             if beyond > _SINGLE:
                 return None
-        else:
+        elif found.good:
             self._most["step"] = max(self._most["step"], float(found.size.max()))
             self._seen["step"] += 1
         if before is None:

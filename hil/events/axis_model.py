@@ -17,6 +17,7 @@ _UNSURE: Final = 0.25  # of a period, that a sample's instant may be off by
 _JUMP: Final = 100.0  # counts
 _SURE: Final = 1000.0  # counts: less is no jump because it is new
 _SEEN: Final = 5.0  # times the largest that was seen
+_BACK: Final = 0.5  # of a step, that the tick beside it takes back
 
 
 class AxisModel(NamedTuple):
@@ -40,20 +41,28 @@ def axis_models(axes: Mapping[str, Mapping[str, Any]]) -> list[AxisModel]:
 
 
 class Steps(NamedTuple):
-    """size, most: of the position at each tick from the third on, (n - 2,), m."""
+    """size, most: of the position at each tick from the third on, (n - 2,), m. sudden: whether it is the position that
+    stepped, and not the speed.
+    """
 
     size: Floats
     most: Floats
+    sudden: NDArray[np.bool_]
 
     @property
     def beyond(self) -> int:
         """How many are too large: of a jump a few, of noise many."""
-        return int(np.count_nonzero(self.size > self.most))
+        return int(np.count_nonzero((self.size > self.most) & self.sudden))
+
+    @property
+    def good(self) -> bool:
+        """Whether none is too large, sudden or not: a push makes an axis gain more speed than its own force can."""
+        return not np.any(self.size > self.most)
 
     @property
     def worst(self) -> tuple[float, float]:
-        """(size, most) of the one that is furthest beyond."""
-        at = int(np.argmax(self.size - self.most))
+        """(size, most) of the sudden one that is furthest beyond."""
+        at = int(np.argmax(np.where(self.sudden, self.size - self.most, -np.inf)))
         return float(self.size[at]), float(self.most[at])
 
 
@@ -64,11 +73,23 @@ def steps(
     gravity, and what the instant of a sample may be off by. position, force, set-point's velocity: (n,), n > 2. seen:
     the largest step of good ticks, which tells that instant's error and the tool's mass better than the model.
     """
-    size = np.abs(force)
+    change, size = np.diff(position, 2), np.abs(force)
     acting = sliding_window_view(np.concatenate((np.full(_BEFORE, size[0]), size)), _BEFORE).max(axis=1)[2:-1]
     known = (acting + model.dry + abs(model.gravity)) * period_s**2 / model.mass
     least = _JUMP * model.resolution
     most = _MARGIN * known + _UNSURE * period_s * np.abs(velocity)[2:] + least
-    return Steps(
-        np.abs(np.diff(position, 2)), np.minimum(most, np.maximum(known + _SURE * model.resolution, _SEEN * seen))
-    )
+    bound = np.minimum(most, np.maximum(known + _SURE * model.resolution, _SEEN * seen))
+    return Steps(np.abs(change), bound, _sudden(change))
+
+
+def _sudden(change: Floats) -> NDArray[np.bool_]:
+    """Where a tick beside takes half of it back, or is not known. change: second difference of the position, (n,), m.
+
+    A position that steps changes by the step, then by its opposite. An axis that is pushed goes on gaining speed.
+    """
+    size, sign = np.abs(change), np.sign(change)
+    edge = np.array([np.inf])
+    before = np.concatenate((edge, -change[:-1] * sign[1:]))
+    after = np.concatenate((-change[1:] * sign[:-1], edge))
+    found: NDArray[np.bool_] = np.maximum(before, after) >= _BACK * size
+    return found

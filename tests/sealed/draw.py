@@ -6,10 +6,13 @@ from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.control.trajectories import make_trajectory
+from hil.cycle.tick import CycleResult, Tick
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from hil.virtual.sim import simulate
 from sim_plant.scenario.language import FaultConfig, Scenario
 from tests.support.paths import RIGS
 
@@ -142,9 +145,21 @@ def _planned(rig: str) -> tuple[RigConfig, Any]:
     """The rig, and the speeds of its task at each ms from the task's start, (n_axes, n)."""
     config = load_rig(RIGS / f"{rig}.toml")
     names = config.axis_names
-    task = make_trajectory(config.task, names, np.zeros(len(names)), config.period_ns, config.counts)
+    task = make_trajectory(config.task, names, _stands(config), config.period_ns, config.counts)
     times = np.arange(0, round((BEGINS_S[1] + AFTER_S) * 1e9), 1_000_000)
     return config, np.abs([task.sample_axis(axis, times)[1] for axis in range(len(names))])
+
+
+def _stands(config: RigConfig) -> NDArray[np.float64]:
+    """Where the axes stand when the task begins, (n_axes,), m (rad): a few counts from zero, and an approach is due."""
+    found: list[NDArray[np.float64]] = []
+
+    def observe(_tick: Tick, _frames: object, result: CycleResult) -> None:
+        if result.record["task_ns"] >= 0:
+            found.append(result.record["position"][: len(config.axes)].copy())
+
+    simulate(config, RIGS, 2.0 * ACTIVE_S, observer=observe)
+    return found[0]
 
 
 def _shows_s(speed: Any, at_s: float) -> float:

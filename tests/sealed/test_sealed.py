@@ -3,13 +3,16 @@
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hil.virtual.sim import simulate
 from tests.sealed import seal
 from tests.sealed.__main__ import answers, faults
 from tests.sealed.draw import KINDS, SOUND_RIGS, SOUND_S, Case, draw_fault, draw_sound
 from tests.sealed.reader import Answer
 from tests.sealed.score import RIGHT, score
+from tests.support.paths import RIGS
 
 
 def test_the_same_seed_draws_the_same_faults_and_another_one_others() -> None:
@@ -43,8 +46,21 @@ def test_silence_a_wrong_axis_a_wrong_cause_and_an_early_alarm_are_no_right_answ
     assert not silent.in_time
 
 
-LATER = ("axis_jam", "plant_encoder_periodic_error")  # at rest neither shows: told with the next motion
-OTHER_NAME = ("push",)  # a short one, told as a jump of the encoder: found on the right axis all the same
+@pytest.mark.long
+def test_a_fault_that_shows_in_motion_is_drawn_where_the_axis_moves() -> None:
+    """The microscope's stage never stands exactly at zero, so that two seconds of approach come before its cells."""
+    case = draw_fault(random.Random(1), "axis_jam")
+    assert (case.rig, case.axis) == ("microscope", "x")
+    speeds = []
+    simulate(
+        case.config,
+        RIGS,
+        case.shows_s + 0.01,
+        observer=lambda _t, _f, told: speeds.append(told.record["setpoint_velocity"][0]),
+    )
+    moving = np.abs(speeds) > 0.0
+    assert moving[round(case.shows_s * 1e3)]
+    assert not moving[round(case.at_s * 1e3) : round((case.shows_s - 0.05) * 1e3)].any()
 
 
 @pytest.mark.long
@@ -54,8 +70,8 @@ def test_of_each_kind_one_is_told_with_cause_and_axis_and_a_quiet_one_soon(kind:
     (said,) = answers([case], tmp_path)
     got = score(case, said)
     assert got.axis, said.line
-    assert got.cause or kind in OTHER_NAME, said.line
-    assert got.in_time or kind in LATER, got.late_s
+    assert got.cause, said.line
+    assert got.in_time, got.late_s
 
 
 @pytest.mark.long
