@@ -1,7 +1,10 @@
 """A step of the position is told from a push: the second difference takes a step back at once, and a push goes on."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hil.events.axis_model import AxisModel, Floats, Steps, steps
 
@@ -14,7 +17,7 @@ STEP = 2e-4  # m
 PUSHED = 1e3  # m/s^2: a thousandth of a millimetre more in every tick than in the one before, 900 N
 
 
-def seen(position: Floats) -> Steps:
+def seen(position: NDArray[Any]) -> Steps:
     """Of an axis that no force acts on."""
     return steps(AXIS, PERIOD_S, position, np.zeros(TICKS), np.zeros(TICKS))
 

@@ -8,10 +8,12 @@ import pytest
 
 from hil.virtual.sim import simulate
 from tests.sealed import seal
-from tests.sealed.__main__ import answers, faults
+from tests.sealed.__main__ import faults
 from tests.sealed.draw import KINDS, SOUND_RIGS, SOUND_S, Case, draw_fault, draw_sound
 from tests.sealed.reader import Answer
+from tests.sealed.run import answers
 from tests.sealed.score import RIGHT, score
+from tests.sealed.sound import sound
 from tests.support.paths import RIGS
 
 
@@ -79,6 +81,26 @@ def test_of_each_kind_one_is_told_with_cause_and_axis_and_a_quiet_one_soon(kind:
 def test_of_a_sound_run_nothing_is_told(rig: str, tmp_path: Path) -> None:
     case = draw_sound(random.Random(rig))._replace(rig=rig, seconds=SOUND_S / 2)
     assert answers([case], tmp_path) == [Answer()]
+
+
+def test_sound_runs_are_resumed_where_they_were_left_and_one_false_alarm_fails_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran, kept = [], tmp_path / "kept.jsonl"
+
+    def answered(cases: list[Case], _folder: Path) -> list[Answer]:
+        ran.extend(cases)
+        return [Answer("fault latched: it was none") if len(ran) == 3 else Answer()]
+
+    monkeypatch.setattr("tests.sealed.sound.answers", answered)
+    assert sound(7, 2, tmp_path, kept)
+    assert not sound(7, 4, tmp_path, kept)
+    assert f"FALSE: {ran[2].rig}, plant.seed={ran[2].seed}: fault latched" in capsys.readouterr().out
+    assert len(ran) == len(set(ran)) == 4
+    assert not sound(7, 4, tmp_path, kept), "a false alarm stays one"
+    assert sound(8, 5, tmp_path, kept, minutes=0.0)
+    assert "0 false alarms in 0 of 5 sound runs" in capsys.readouterr().out
+    assert len(ran) == 4
 
 
 @pytest.mark.slow
