@@ -10,7 +10,8 @@ from rich.table import Table
 
 from drivers.eds.reader import Eds, EdsError, object_name, read_eds
 from drivers.families.cia402.config import Cia402Config
-from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
+from drivers.families.cia402.drive_plan import Axis, DrivePlan
+from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.protocols.common import MAX_AXES
 from hil.cli.exit_status import EXIT_FILE
 from hil.cli.options import JsonTarget, Overrides, shipped_rig

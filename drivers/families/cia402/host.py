@@ -27,9 +27,10 @@ from drivers.eds.reader import Eds, EdsError, read_eds
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState
 from drivers.families.cia402.config import Cia402Config, cia402_keys
+from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
 from drivers.families.cia402.node import NodeMaster, Phase
-from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, Axis, DrivePlan, plan_drives
+from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.frame import ECHO, FD, Frame
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from drivers.eds.reader import object_name
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import NmtState
+from drivers.families.cia402.drive_plan import DrivePlan
 from drivers.families.cia402.master import SERVICE_TICKS
 from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.node_scan import NodeIdentity, NodeScan
-from drivers.families.cia402.profile import MASTER_ID, DrivePlan
+from drivers.families.cia402.profile import MASTER_ID
 from drivers.frame import ECHO, Frame
 from drivers.protocols.base import SERVICE, DriveStatus
 from hil.operate.bringup.drive_host import DriveHost

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from drivers.eds.reader import Eds
 from drivers.families.cia402.config import Cia402Config, ObjectValue
-from drivers.families.cia402.profile import Axis, DrivePlan, plan_drives
+from drivers.families.cia402.drive_plan import Axis, DrivePlan
+from drivers.families.cia402.profile import plan_drives
 from tests.support.foreign_drive import CST_DRIVE, FULL_DRIVE, I16, U8, U16, U32, Fact, eds_text
 from tests.support.real_drives import REAL_DRIVES, Facts
 

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from drivers.config import BusConfig, Wiring
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState, Emergency, NmtCommand
+from drivers.families.cia402.drive_plan import FULL_SCALE
 from drivers.families.cia402.host import Cia402Host
 from drivers.families.cia402.master import HEARTBEAT_TICKS, REPEAT_TICKS, SERVICE_TICKS
 from drivers.families.cia402.node import LOST_TICKS, RETRY_TICKS, SDO_TIMEOUT_TICKS, Phase
-from drivers.families.cia402.profile import EMCY_ID, FULL_SCALE, MASTER_ID, rated_torque
+from drivers.families.cia402.profile import EMCY_ID, MASTER_ID, rated_torque
 from drivers.frame import FD, Frame
 from drivers.protocols import device_protocol
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample

@@ -5,7 +5,8 @@
 import pytest
 
 from drivers.eds.reader import Entry
-from drivers.families.cia402.profile import FULL_SCALE, rated_torque
+from drivers.families.cia402.drive_plan import FULL_SCALE
+from drivers.families.cia402.profile import rated_torque
 from tests.golden.golden import hold
 from tests.golden.plans.tell import stories
 

@@ -15,9 +15,10 @@ from drivers.config import BusConfig, Wiring
 from drivers.eds.reader import Eds, EdsError, read_eds
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.config import Cia402Config, ObjectValue
+from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.host import Cia402Host
 from drivers.families.cia402.node import Phase
-from drivers.families.cia402.profile import Axis, DrivePlan, plan_drives
+from drivers.families.cia402.profile import plan_drives
 from drivers.families.cia402.sdo import Progress, Step, Transfer
 from drivers.frame import Frame
 from drivers.protocols import LayoutError
