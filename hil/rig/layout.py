@@ -4,6 +4,7 @@ from pathlib import Path
 
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError
+from hil.rig.count_size import size_problems
 from hil.rig.outputs import check_outputs
 from hil.rig.schema import RigConfig
 from hil.rig.sensors import check_sensors
@@ -21,6 +22,8 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
                 f"bus.protocol = {rig.bus.protocol!r}: its answers have no bit for {DriveStatus(missing).name}, which "
                 f"{key} needs. Change the layout (stage_fd has these bits) or leave the key out"
             )
+    if problems := size_problems(rig, layout):
+        raise LayoutError("; ".join(problems))
     check_sensors(rig, layout)
     check_outputs(rig, layout)
     return layout

@@ -1,8 +1,12 @@
 """A travel that the position on the bus cannot carry is refused with the numbers; once y read +828 mm at -889 mm."""
 
+from pathlib import Path
+
 import pytest
 
 from hil.live.run import validated
+from hil.rig.bus_load import rig_layout
+from hil.rig.encoder_range import encoder_range_problems
 from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from tests.support.judged import range_problems
@@ -36,6 +40,10 @@ def test_so_is_one_that_an_offset_moves_to_its_end() -> None:
     assert "carries -0.647484 to 3.64748 m" in problem
 
 
-def test_a_signal_of_a_dbc_file_has_a_range_of_its_own() -> None:
-    (problem,) = range_problems(load_rig(RIGS / "paper-dbc.toml", [FINE]))
-    assert "axes.y.limits.position" in problem
+def test_a_signal_of_a_dbc_file_has_a_range_of_its_own(tmp_path: Path) -> None:
+    text = (RIGS / "example_drive.dbc").read_text()
+    (tmp_path / "example_drive.dbc").write_text(text.replace("7|32@0- (0.1,0)", "7|24@0- (0.1,0)", 1))
+    rig = load_rig(RIGS / "paper-dbc.toml")
+    (problem,) = encoder_range_problems(rig, rig_layout(rig, tmp_path))
+    assert "axes.x.limits.position" in problem
+    assert "carries -0.838861 to 0.838861 m" in problem

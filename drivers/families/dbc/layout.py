@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
+from drivers.families.dbc.agreement import check_owners, check_torques, count_size
 from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding
 from drivers.families.dbc.config import DbcBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.file import load_used
@@ -64,6 +65,7 @@ class DbcLayout:
         self.positions: Sequence[tuple[float, float]] = [
             _reach(at.place, wrap) for at, wrap in zip(self._position, self._wrap, strict=True)
         ]
+        self.count_sizes = [count_size(*pair) for pair in zip(self._position, binding.position, strict=True)]
         self.feedback_ns = round(binding.feedback_period_s * 1e9)
         self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
         if not self._state_only and binding.state_period_s != DbcBinding.model_fields["state_period_s"].default:
@@ -76,6 +78,7 @@ class DbcLayout:
         self.fd = any(message.fd for message in self._pages)
         self._check_identifiers(path.name)
         self._check_places(binding, path.name)
+        self._check_agreement(binding)
         self._check_resets()
 
     def _bind(self, binding: DbcBinding) -> None:
@@ -233,6 +236,15 @@ class DbcLayout:
         for start, stop in zip(self._start, self._stop, strict=True):
             if start.message.frame(start.values) == stop.message.frame(stop.values):
                 raise LayoutError(f"bus.dbc: start and stop are the same frame of {start.message.name}")
+
+    def _check_agreement(self, binding: DbcBinding) -> None:
+        """What the file says of units and nodes goes with what is bound."""
+        check_torques(self._torque, binding.torque)
+        for key, bounds in (("status", self._status), ("error", self._error)):
+            check_owners(key, bounds, self._position, "position")
+        for key, bounds in (("enable", self._enable), ("reset", self._reset)):
+            check_owners(key, bounds, self._torque, "torque")
+        check_owners("torque", self._torque, self._position, "position")
 
     def _check_resets(self) -> None:
         """A reset that is asked for by nothing but the message has to be alone in it."""

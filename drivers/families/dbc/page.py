@@ -17,6 +17,7 @@ from drivers.protocols.base import LayoutError, Reject
 from drivers.protocols.checksum import ALGORITHMS
 from drivers.protocols.dbc_codec import LONGEST_CLASSIC, Codec, compile_signals, is_fd, switches_rate
 
+_NOBODY = "Vector__XXX"  # a file's word for no node in particular
 Selection = Mapping[str, frozenset[int]]  # multiplexer -> the values with which a signal is there
 
 
@@ -58,7 +59,8 @@ class BoundMessage:
     """One page of a message that the rig uses.
 
     selection: of the page. checksum_at: byte of its checksum, or -1. fixed: raw values by place that are the same in
-    every frame: the multiplexers'. Signals that are not bound are sent as zero and not looked at.
+    every frame: the multiplexers'. owners: nodes at the drives' end, by the file. Signals that are not bound are sent
+    as zero and not looked at.
     """
 
     def __init__(self, message: DbcMessage, algorithm: str, selection: Selection | None = None) -> None:
@@ -69,6 +71,7 @@ class BoundMessage:
         self.brs = self.fd and switches_rate(message)
         self._flags = (FD | BRS if self.brs else FD) if self.fd else 0
         self.length = message.length
+        self.owners = _owners(message)
         if self.length not in FD_LENGTHS or (self.length > LONGEST_CLASSIC and not self.fd):
             raise LayoutError(
                 f"message {self.name} has {self.length} bytes, which no {'FD' if self.fd else 'classic'} frame has"
@@ -96,6 +99,10 @@ class BoundMessage:
     def carries(self, signal: str) -> bool:
         """Whether the signal is on this page."""
         return signal in self._signals
+
+    def unit(self, signal: str) -> str:
+        """The unit of a signal, as the file writes it; empty where it has none."""
+        return str(self._signals[signal].unit or "")
 
     def place(self, binding: SignalBinding) -> Place:
         """Where a signal is and how it scales."""
@@ -161,6 +168,12 @@ class BoundMessage:
             head, tail = data[:at], data[at + 1 :]
             data = head + bytes((self._checksum(head + tail),)) + tail
         return Frame(self.can_id, data, self._flags)
+
+
+def _owners(message: DbcMessage) -> frozenset[str]:
+    """The nodes that send a message, or else those that receive it; of one that all nodes have, none is told."""
+    receivers = {str(node) for signal in message.signals for node in signal.receivers or ()}
+    return frozenset({str(node) for node in message.senders} | receivers) - {_NOBODY}
 
 
 def _end(signal: Signal) -> int:

@@ -20,6 +20,7 @@ from drivers.families.mit.packing import POSITION_BITS, CubeMars, Damiao, Packin
 from drivers.frame import ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, REMOTE, Frame
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import check_force
+from drivers.protocols.count_size import CountSize
 from drivers.protocols.sampling_clock import SamplingClock, leads_ns
 from drivers.protocols.segments import of_axes
 
@@ -92,6 +93,10 @@ class MitLayout:
                 raise LayoutError(f"bus.mit.torque = {most:g} N m: the drive of axis {axis} is to give {rated:g}")
         nodes = self._drives.nodes
         self.command_ids = [self._packing.apply(node, self._torque_codes // 2).can_id for node in nodes]
+        self.count_sizes = [
+            CountSize(2.0 * most / CODES, True, True, f"2/65535 of bus.mit.position = {most:g}")
+            for most in self._drives.position
+        ]
         pairs = zip(nodes, self._drives.answers, strict=True)
         self.answer_ids = [self._packing.answer_id(node, answers) for node, answers in pairs]
 

@@ -40,6 +40,7 @@ from drivers.families.moteus.registers import (
 from drivers.frame import BRS, ECHO, ERROR, EXTENDED, EXTENDED_MASK, FD, REMOTE, Frame
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import check_force
+from drivers.protocols.count_size import CountSize
 from drivers.protocols.read_back import Question, ReadBack
 from drivers.protocols.sampling_clock import SamplingClock, leads_ns
 from drivers.protocols.segments import of_axes
@@ -81,6 +82,8 @@ class MoteusLayout:
         nodes = moteus_nodes(bus, n_axes)
         self.n_axes = n_axes
         self._rated = list(rated_force)
+        turn = CountSize(2.0 * math.pi / COUNTS_PER_TURN, True, True, "1/100000 of a turn")
+        self.count_sizes = [turn] * n_axes
         self.command_ids = [EXTENDED | _REPLY_WANTED | HOST << 8 | node for node in nodes]
         self.answer_ids = [_answer_id(node) for node in nodes]
         self._torque_type, self._position_type = _TYPES[config.torque], _TYPES[config.position]

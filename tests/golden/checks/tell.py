@@ -34,11 +34,14 @@ from hil.rig.schema import RigConfig
 from tests.golden.golden import outline
 from tests.support.paths import RIGS
 
+GEARS = [f"axes.{name}.gear=12566.37" for name in ("x", "y", "z", "theta")]  # 1e5 counts of 5 nm a turn
 BUSES: dict[str, tuple[str, list[str]]] = {
     **{name: (name, []) for name in ("paper", "paper-dbc", "microscope", "moteus", "odrive", "vesc")},
     **{name: (name, []) for name in ("damiao", "cubemars", "robstride")},
     **{
-        f"microscope, {layout} at {rate} Hz": ("microscope", [f"bus.protocol={layout}", f"rate_hz={rate}"])
+        f"microscope, {layout} at {rate} Hz": (
+            "microscope", [f"bus.protocol={layout}", f"rate_hz={rate}", *(GEARS if layout == "moteus" else ())]
+        )
         for layout in LAYOUTS if ":" not in layout and layout != "mit"  # whose torques end below this stage's
         for rate in (500, 1000, 2000)
     },

@@ -168,6 +168,8 @@ def test_a_reset_is_any_number_where_it_is_a_flag_and_one_value_where_the_maker_
 def test_a_rig_of_odrives_does_its_task() -> None:
     document = tomllib.loads((RIGS / "paper-dbc.toml").read_text())
     document["bus"] |= odrive()
+    for axis in document["axes"].values():
+        axis["gear"] = 628.3185  # 10 mm a turn
     run = LockstepRun(RigConfig.model_validate(document), RIGS)
     for _ in range(3000):
         run.tick()
