@@ -166,6 +166,17 @@ class Layout(Protocol):
         """A new drives' side."""
 
 
+def tells_of(layout: HostProtocol, axis: int) -> int:
+    """DriveStatus bits that the answers of one axis can carry: those of every axis, and its own inputs, which a layout
+    has as `axis_tells` where not all axes have them.
+    """
+    unmounted = getattr(layout, "layout", layout)
+    own: list[int] = []
+    for part in getattr(unmounted, "segments", (unmounted,)):
+        own += getattr(part, "axis_tells", None) or [0] * part.n_axes
+    return layout.tells | own[axis]
+
+
 SERVICE: Final = "service"  # how the name of a message begins with which other tools may ask a drive, too
 
 

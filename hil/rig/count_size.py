@@ -36,8 +36,8 @@ def _problem(name: str, axis: AxisConfig, count: CountSize) -> str:
     else:
         expected = f"gear has to be {ideal:.6g}, or less by friction (at least {least * ideal:.4g})"
     return (
-        f"axes.{name}: encoder_resolution = {axis.encoder_resolution:g} {of_axis}, gear = {axis.gear:g}: a count of the "
-        f"drive is {count.size:.6g} {unit} ({count.source}), so {expected}"
+        f"axes.{name}: encoder_resolution = {axis.encoder_resolution:g} {of_axis}, gear = {axis.gear:g}: a count of "
+        f"the drive is {count.size:.6g} {unit} ({count.source}), so {expected}"
     )
 
 

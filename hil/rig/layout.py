@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from drivers.protocols import host_protocol
-from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError
+from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError, tells_of
 from hil.rig.count_size import size_problems
 from hil.rig.outputs import check_outputs
 from hil.rig.schema import RigConfig
@@ -16,11 +16,11 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     """Raises LayoutError (a ValueError) or OSError for a layout that the rig cannot have, naming the key."""
     rated = [axis.rated_force for axis in rig.axes.values()]
     layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
-    for key, demanded in demands(rig):
-        if missing := demanded & ~layout.tells:
+    for key, axis, demanded in demands(rig):
+        if missing := demanded & ~tells_of(layout, axis):
             raise LayoutError(
                 f"bus.protocol = {rig.bus.protocol!r}: its answers have no bit for {DriveStatus(missing).name}, which "
-                f"{key} needs. Change the layout (stage_fd has these bits) or leave the key out"
+                f"{key} needs. Bind the axis' digital inputs (docs/bindings.md) or leave the key out"
             )
     if problems := size_problems(rig, layout):
         raise LayoutError("; ".join(problems))
@@ -29,12 +29,12 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     return layout
 
 
-def demands(rig: RigConfig) -> list[tuple[str, int]]:
-    """What the rig asks drives to tell beyond themselves: the key that asks, and DriveStatus bits."""
+def demands(rig: RigConfig) -> list[tuple[str, int, int]]:
+    """What the rig asks drives to tell beyond themselves: the key that asks, the axis, and DriveStatus bits."""
     found = []
-    for name, axis in rig.axes.items():
+    for number, (name, axis) in enumerate(rig.axes.items()):
         if axis.limits.switches:
-            found.append((f"axes.{name}.limits.switches = true", int(LIMITS)))
+            found.append((f"axes.{name}.limits.switches = true", number, int(LIMITS)))
         if axis.home is not None and axis.home.by == "switch":
-            found.append((f'axes.{name}.home.by = "switch"', int(DriveStatus.HOME)))
+            found.append((f'axes.{name}.home.by = "switch"', number, int(DriveStatus.HOME)))
     return found

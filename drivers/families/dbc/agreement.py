@@ -4,8 +4,8 @@ A unit that is none of those below, or none at all, says nothing. Nor does a nod
 """
 
 import math
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 from drivers.families.dbc.config import SignalBinding
 from drivers.families.dbc.page import Bound
@@ -42,21 +42,32 @@ def check_torques(torques: Sequence[Bound], items: Sequence[SignalBinding]) -> N
             )
 
 
-def check_owners(key: str, bounds: Sequence[Bound], of: Sequence[Bound], what: str) -> None:
+class Owned(NamedTuple):
+    """A bound value of one axis. key: where it is bound."""
+
+    key: str
+    axis: int
+    bound: Bound
+
+
+def per_axis(key: str, bounds: Sequence[Bound], n_axes: int) -> list[Owned]:
+    """Those of a list with one entry an axis; of a list with one for all none is anybody's."""
+    return [Owned(f"{key}[{at}]", at, bound) for at, bound in enumerate(bounds) if len(bounds) == n_axes]
+
+
+def check_owners(owned: Iterable[Owned], of: Sequence[Bound], what: str) -> None:
     """Raise LayoutError where a value of one axis is bound in a message of another one's drive.
 
     of: positions (torques) by axis, which say whose a message is: by itself, and by the node that sends it. what: their
     name.
     """
-    if len(bounds) != len(of):
-        return  # one for all
-    for axis, bound in enumerate(bounds):
+    for key, axis, bound in owned:
         if bound.message is of[axis].message:
             continue
         for other, theirs in enumerate(of):
             theirs_alone = theirs.message.owners - of[axis].message.owners
             if other != axis and (bound.message is theirs.message or bound.message.owners & theirs_alone):
                 raise LayoutError(
-                    f"bus.dbc.{key}[{axis}]: {bound.message.name} belongs to the drive of {what}[{other}] in "
+                    f"bus.dbc.{key}: {bound.message.name} belongs to the drive of {what}[{other}] in "
                     f"{theirs.message.name}, not to that of {what}[{axis}] in {of[axis].message.name}"
                 )

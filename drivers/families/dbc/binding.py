@@ -23,6 +23,7 @@ _FEEDBACK = (
     "bus.dbc.error",
     "bus.dbc.feedback_counter",
     "bus.dbc.read_back",
+    "bus.dbc.inputs",
 )
 _ONE_PER_AXIS = ("enable", "start", "stop")  # or one for all, or none
 
@@ -47,7 +48,19 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
             raise LayoutError(f"bus.dbc.read_back[{at}].axis = {item.axis}: 0 to {n_axes - 1} are there")
         if not item.least <= item.most:
             raise LayoutError(f"bus.dbc.read_back[{at}]: least = {item.least:g} is above most = {item.most:g}")
+    _check_inputs(binding, n_axes)
     _check_pairs(binding)
+
+
+def _check_inputs(binding: DbcBinding, n_axes: int) -> None:
+    """Each of an axis that is there, and once."""
+    seen: set[tuple[int, str]] = set()
+    for at, item in enumerate(binding.inputs):
+        if item.axis >= n_axes:
+            raise LayoutError(f"bus.dbc.inputs[{at}].axis = {item.axis}: 0 to {n_axes - 1} are there")
+        if (item.axis, item.input) in seen:
+            raise LayoutError(f"bus.dbc.inputs[{at}]: {item.input} of axis {item.axis} is bound twice")
+        seen.add((item.axis, item.input))
 
 
 def _check_pairs(binding: DbcBinding) -> None:
@@ -69,7 +82,7 @@ def _check_pairs(binding: DbcBinding) -> None:
 
 def bound_items(binding: DbcBinding) -> Iterator[tuple[str, SignalBinding]]:
     """Every bound signal, with its key in the rig file."""
-    keys = ("position", "torque", "status", "error", "enable", "reset", "constant", "read_back", *_COUNTERS)
+    keys = ("position", "torque", "status", "error", "enable", "reset", "constant", "read_back", "inputs", *_COUNTERS)
     for key in keys:
         yield from ((f"bus.dbc.{key}[{at}]", item) for at, item in enumerate(getattr(binding, key)))
 

@@ -38,6 +38,16 @@ class StatusBinding(SignalBinding):
     fault: list[int] = key([], "raw values with which it is in fault", "1")
 
 
+class InputBinding(SignalBinding):
+    """A digital input of an axis: a switch that is wired to its drive, or to another node."""
+
+    axis: int = key(REQUIRED, "whose switch, from 0, in the order of [axes]", "1", ge=0, le=63)
+    input: Literal["limit_low", "limit_high", "home"] = key(
+        REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch"
+    )
+    closed: list[int] = key([1], "raw values with which the switch is closed", "1", min_length=1)
+
+
 class ConstantBinding(SignalBinding):
     """A signal of a command message that always has the same raw value."""
 
@@ -79,6 +89,11 @@ class DbcBinding(Table):
     position: list[PositionBinding] = key(REQUIRED, "encoder position of each axis")
     status: list[StatusBinding] = key([], "state of each axis' drive; may be in another message than its position")
     error: Signals = key([], "error code of each axis' drive, beside its status: anything but 0 is a fault")
+    inputs: list[InputBinding] = key(
+        [],
+        "limit switches and home switches; an axis whose inputs are not told for 0.5 s counts as in fault",
+        exclude_if=lambda entries: not entries,
+    )
     torque: Signals = key(REQUIRED, "force (torque) demanded of each axis")
     enable: list[SwitchBinding] = key(
         [], "permits torque: one signal (one bit for all axes, or a bit per axis), or one per axis"
@@ -95,7 +110,7 @@ class DbcBinding(Table):
     )
     state_period_s: float = key(
         0.01,
-        "period of the messages with `status` or `error` alone; what drives say of themselves is seen so much later",
+        "period of the messages with `status`, `error` or `inputs` alone; what they say is seen so much later",
         "s",
         ge=1e-3,
         le=0.25,

@@ -1,6 +1,6 @@
 """The drives' side of a dbc: layout, for the emulated stage and for what reads commands off the bus."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from drivers.config import Wiring
@@ -145,15 +145,18 @@ class DbcDevice(DbcLayout):
     def _put_state(self, message: BoundMessage, axis: int, status: int, values: list[Any]) -> None:
         if self._status and self._status[axis].message is message:
             meanings = self._maps[axis]
-            raw = status & EVERY_STATUS
+            raw = status & EVERY_STATUS & (1 << self._status[axis].place.bits) - 1
             if meanings is not None:
                 meant = FAULT if status & UNHEALTHY else ENABLED if status & ENABLED else 0
                 raw = next((raw for raw, bits in meanings.items() if bits == meant), _unused(meanings))
             values[self._status[axis].place.at] = raw
         if self._error and self._error[axis].message is message:
             values[self._error[axis].place.at] = int(bool(status & UNHEALTHY))
+        for each in self._inputs:
+            if each.axis == axis and each.bound.message is message:
+                values[each.bound.place.at] = min(each.closed) if status & each.bit else _unused(each.closed)
 
 
-def _unused(meanings: dict[int, int]) -> int:
-    """The least raw value that means neither enabled nor fault."""
+def _unused(meanings: Collection[int]) -> int:
+    """The least raw value that means none of these."""
     return next(raw for raw in range(len(meanings) + 1) if raw not in meanings)

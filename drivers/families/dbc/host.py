@@ -85,6 +85,9 @@ class DbcHost(DbcLayout):
         self.acts_ns: Sequence[int] = self._find_acts(bus) if self._free_running else []
         self._enabled = 0
         self._state, self._fault = [0] * n_axes, [0] * n_axes
+        self._switches = [0] * n_axes  # DriveStatus bits of the digital inputs
+        self._inputs_of = [[each for each in self._inputs if each.axis == axis] for axis in range(n_axes)]
+        self._input_tick = [[-STATE_TIMEOUT_NS] * len(theirs) for theirs in self._inputs_of]  # when each was told
         self._told_tick = [-STATE_TIMEOUT_NS] * n_axes  # when a message with a state alone came
         self._tick = 0
         self._state_ticks = STATE_TIMEOUT_NS // period_ns
@@ -185,17 +188,30 @@ class DbcHost(DbcLayout):
                 if self._fault[axis] and not fault:
                     self._proofs[axis].begin()
                 self._fault[axis] = fault
+        self._note_inputs(message, values)
         return True
+
+    def _note_inputs(self, message: BoundMessage, values: Sequence[Any]) -> None:
+        for axis, theirs in enumerate(self._inputs_of):
+            for number, (_, bit, bound, closed) in enumerate(theirs):
+                if bound.message is message:
+                    is_closed = int(values[bound.place.at]) in closed
+                    self._switches[axis] = self._switches[axis] & ~bit | (bit if is_closed else 0)
+                    self._input_tick[axis][number] = self._tick
+
+    def _untold(self, axis: int) -> bool:
+        """Whether an input was not told for too long; who only listens asks nobody."""
+        return bool(self._tick) and any(self._tick - told > self._state_ticks for told in self._input_tick[axis])
 
     def _status_of(self, axis: int) -> int:
         """What is known of a drive: nothing where it has been silent about its state for too long."""
         unproved = self._tick and not self._proofs[axis].proved  # who only listens asks nobody
-        fault = FAULT if unproved else self._fault[axis]
+        told = (FAULT if unproved or self._untold(axis) else self._fault[axis]) | self._switches[axis]
         if not self._status:
-            return self._enabled >> axis & ENABLED | fault
+            return self._enabled >> axis & ENABLED | told
         if self._tick - self._told_tick[axis] > self._state_ticks:
-            return fault
-        return self._state[axis] | fault
+            return told
+        return self._state[axis] | told
 
     @property
     def problems(self) -> list[str]:

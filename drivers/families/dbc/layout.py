@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
-from drivers.families.dbc.agreement import check_owners, check_torques, count_size
+from drivers.families.dbc.agreement import Owned, check_owners, check_torques, count_size, per_axis
 from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding
 from drivers.families.dbc.config import DbcBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.file import load_used
@@ -16,6 +16,7 @@ from drivers.protocols.read_back import ANSWER_TICKS, Question
 
 _NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
+_INPUT_BITS = {"limit_low": DriveStatus.LIMIT_LOW, "limit_high": DriveStatus.LIMIT_HIGH, "home": DriveStatus.HOME}
 COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
 _UNASKED = (
     "bus.dbc.read_back has no entry: whether the drives keep the mode and the limits that they were told is not asked"
@@ -37,6 +38,15 @@ class Asked(NamedTuple):
     answer: Bound
     ask: Lone
     question: Question
+
+
+class Input(NamedTuple):
+    """A digital input of an axis: its DriveStatus bit, and the raw values with which it is closed."""
+
+    axis: int
+    bit: int
+    bound: Bound
+    closed: frozenset[int]
 
 
 class DbcLayout:
@@ -69,11 +79,14 @@ class DbcLayout:
         self.feedback_ns = round(binding.feedback_period_s * 1e9)
         self.state_ns = round(binding.state_period_s * 1e9) if self._state_only else 0
         if not self._state_only and binding.state_period_s != DbcBinding.model_fields["state_period_s"].default:
-            raise LayoutError("bus.dbc.state_period_s: no status or error is bound in a message without positions")
+            raise LayoutError(
+                "bus.dbc.state_period_s: no status, error or input is bound in a message without positions"
+            )
         self.states = bool(self._status)
         self.stamp_wraps_ns: Sequence[int] = ()
         self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
         self.tells = self._carried()
+        self.axis_tells = [sum(each.bit for each in self._inputs if each.axis == axis) for axis in range(n_axes)]
         self.checksum = all(message.checksum_at >= 0 for message in self._pages)
         self.fd = any(message.fd for message in self._pages)
         self._check_identifiers(path.name)
@@ -92,6 +105,10 @@ class DbcLayout:
         self._enable = self._all("enable", binding.enable)
         self._reset = self._all("reset", binding.reset)
         self._error = self._all("error", binding.error)
+        self._inputs = [
+            Input(item.axis, int(_INPUT_BITS[item.input]), bound, frozenset(item.closed))
+            for item, bound in zip(binding.inputs, self._all("inputs", binding.inputs), strict=True)
+        ]
         self._feedback = [bound.message for bound in self._position]
         constants = self._all("constant", binding.constant)
         self._constant = [(bound, item.value) for bound, item in zip(constants, binding.constant, strict=True)]
@@ -142,6 +159,8 @@ class DbcLayout:
         for group in (self._status, self._error):
             for axis, bound in enumerate(group):
                 carrying.setdefault(bound.message, axis)
+        for each in self._inputs:
+            carrying.setdefault(each.bound.message, each.axis)
         self._state_only = {message: axis for message, axis in carrying.items() if message not in self._feedback}
         bound_commands = [*self._torque, *self._enable, *self._reset, *self._counters]
         commands = [bound.message for bound in [*bound_commands, *(bound for bound, _ in self._constant)]]
@@ -240,11 +259,12 @@ class DbcLayout:
     def _check_agreement(self, binding: DbcBinding) -> None:
         """What the file says of units and nodes goes with what is bound."""
         check_torques(self._torque, binding.torque)
-        for key, bounds in (("status", self._status), ("error", self._error)):
-            check_owners(key, bounds, self._position, "position")
-        for key, bounds in (("enable", self._enable), ("reset", self._reset)):
-            check_owners(key, bounds, self._torque, "torque")
-        check_owners("torque", self._torque, self._position, "position")
+        told = [Owned(f"inputs[{at}]", each.axis, each.bound) for at, each in enumerate(self._inputs)]
+        told += [*per_axis("status", self._status, self.n_axes), *per_axis("error", self._error, self.n_axes)]
+        check_owners(told, self._position, "position")
+        said = [*per_axis("enable", self._enable, self.n_axes), *per_axis("reset", self._reset, self.n_axes)]
+        check_owners(said, self._torque, "torque")
+        check_owners(per_axis("torque", self._torque, self.n_axes), self._position, "position")
 
     def _check_resets(self) -> None:
         """A reset that is asked for by nothing but the message has to be alone in it."""

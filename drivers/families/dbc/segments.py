@@ -36,6 +36,8 @@ def cut(bus: BusConfig, n_axes: int) -> Callable[[range], dict[str, Any]]:
             lists[name] = [item for item in getattr(binding, name) if _message(item) not in theirs]
         asked = [item for item in binding.read_back if item.axis in axes]
         lists["read_back"] = [item.model_copy(update={"axis": item.axis - axes.start}) for item in asked]
+        inputs = [item for item in binding.inputs if item.axis in axes]
+        lists["inputs"] = [item.model_copy(update={"axis": item.axis - axes.start}) for item in inputs]
         return {"dbc": binding.model_copy(update=lists)}
 
     return of_segment

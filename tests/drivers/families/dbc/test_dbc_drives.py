@@ -193,7 +193,7 @@ def test_an_emulated_drive_without_states_of_their_own_sends_no_more_frames() ->
         ({"feedback": "triggered", "feedback_period_s": 0.001}, "feedback_period_s"),
         ({"checksum_algorithm": "sum8"}, "checksum_algorithm"),
         ({"status": both("Set_Axis_State", "Axis_Requested_State")}, "both as command and as feedback"),
-        ({"status": [], "error": [], "state_period_s": 0.02}, "state_period_s: no status or error"),
+        ({"status": [], "error": [], "state_period_s": 0.02}, "state_period_s: no status, error or input"),
         ({"error": both("Heartbeat", "Axis_Error")[:1]}, "error has 1 signals for 2 axes"),
     ],
 )
