@@ -26,6 +26,11 @@ from sim_plant.drives.stopping import Ramp, Stop, TorqueRamp
 # As plain integers: arithmetic on an enumeration costs a microsecond.
 _WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
 _DEFECTS = int(DriveStatus.FAULT) | _WATCHDOG | _ENCODER_FAULT
+_INPUT_BITS = (
+    (int(DriveStatus.LIMIT_LOW), 1),
+    (int(DriveStatus.LIMIT_HIGH), 2),
+    (int(DriveStatus.HOME), 4),
+)  # of 60FDh
 _LIMITED, _HOMED, _BRAKE = int(DriveStatus.TORQUE_LIMITED), int(DriveStatus.HOMED), int(DriveStatus.BRAKE)
 
 _TORQUE = key_of(cia301.TORQUE)
@@ -170,6 +175,8 @@ class Cia402Drive(CanopenNode):
             key_of(cia301.MODE_DISPLAY): lambda: dictionary.number(_MODE),
             key_of(cia301.TORQUE_ACTUAL): self._torque_actual,
         }
+        if key_of(0x60FD) in dictionary.entries:
+            dictionary.getters[key_of(0x60FD)] = self._digital_inputs
         dictionary.setters |= {
             key_of(cia301.CONTROLWORD): self._take_controlword,
             _MODE: self._take_mode,
@@ -183,6 +190,11 @@ class Cia402Drive(CanopenNode):
         if self.dictionary.number(_POLARITY) & _POSITION_TURNED:
             count = -count
         return (count + (1 << 31)) % (1 << 32) - (1 << 31)
+
+    def _digital_inputs(self) -> int:
+        """Limit switches and home switch in bits 0 to 2."""
+        status = self.servo.sample(self._position(), self.now_ns).status
+        return sum(bit for closed, bit in _INPUT_BITS if status & closed)
 
     def _statusword(self) -> int:
         status = self.servo.status | self.servo.extra_status

@@ -56,6 +56,12 @@ class Cia402Config(Table):
         "map 6061h into every answer, behind position and statusword: a drive that leaves CST counts as in fault",
         exclude_if=lambda watched: not watched,
     )
+    inputs: bool = key(
+        False,
+        "map 60FDh into TPDO 2, sent at every SYNC: limit switches and home switch; without it for 5 ticks a drive "
+        "counts as in fault",
+        exclude_if=lambda told: not told,
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 

@@ -48,8 +48,7 @@ class DrivePlan:
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
     its emergency messages, 0 where it sends none. watched: its answers
-    show its mode. proofs: reads of every
-    place that the plan writes and the file lets be read, and of 6061h where the file has it; by index.
+    show its mode. inputs: its TPDO 2 tells its digital inputs. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the file has it; by index.
     """
 
     name: str
@@ -62,6 +61,7 @@ class DrivePlan:
     emcy_id: int = 0
     planned: list[Planned] = field(default_factory=list)
     watched: bool = False
+    inputs: bool = False
     proofs: list[Step] = field(default_factory=list)
     reasons: list[Reason] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

@@ -28,11 +28,13 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState
 from drivers.families.cia402.config import Cia402Config, cia402_keys
 from drivers.families.cia402.drive_plan import Axis, DrivePlan
+from drivers.families.cia402.inputs import LENGTH as INPUTS_LENGTH
+from drivers.families.cia402.inputs import TPDO2_ID, InputWatch
 from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
 from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.frame import ECHO, FD, Frame
-from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
+from drivers.protocols.base import INPUTS, OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.segments import of_axes
@@ -119,7 +121,6 @@ class Cia402Host:
     checksum = False
     states = True
     causes = False  # a statusword says FAULT; why, an emergency message does
-    tells = OF_DRIVES
     fd = False
     echo_id: int | None = cia301.SYNC_ID
     acts_ns: Sequence[int] = ()
@@ -160,6 +161,10 @@ class Cia402Host:
         self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
         self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
         self._tpdo = Struct("<iHb" if self.plans[0].watched else "<iH")
+        inputs = self.plans[0].inputs
+        self.tells: int = OF_DRIVES | INPUTS if inputs else OF_DRIVES
+        self._inputs = [InputWatch() for _ in nodes] if inputs else []
+        self._input_axis = {TPDO2_ID + node: axis for axis, node in enumerate(nodes)} if inputs else {}
         self._significant = _SIGNIFICANT if cia402_keys(bus).cia402 else _SIGNIFICANT | _OURS
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
@@ -208,9 +213,21 @@ class Cia402Host:
             node.on_mode(mode[0])
         if self._tick and node.phase is not Phase.RUNNING:  # who only listens configures nobody
             status |= _FAULT
+        if self._inputs and self._tick:
+            status |= self._inputs[axis].status(self._tick)
         return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
 
+    def _decode_inputs(self, axis: int, data: bytes, flags: int) -> Reject:
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != INPUTS_LENGTH:
+            return Reject.WRONG_LENGTH
+        self._inputs[axis].hear(data, self._tick)
+        return Reject.SERVICE
+
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
+        if can_id in self._input_axis:
+            return self._decode_inputs(self._input_axis[can_id], data, flags)
         service = self._services.get(can_id)
         if service is None:
             return Reject.OWN_ECHO if can_id in self._own else reject_id(can_id, self._axis, -1)
@@ -307,6 +324,11 @@ def cia402_messages(nodes: Sequence[int], plans: Sequence[DrivePlan], period_ns:
         *(
             cyclic(f"feedback {a}", cia301.TPDO1_ID + node, plans[a].answer_length, f"axis {a}", "sync")
             for a, node in enumerate(nodes)
+        ),
+        *(
+            cyclic(f"inputs {a}", TPDO2_ID + node, INPUTS_LENGTH, f"axis {a}", "sync")
+            for a, node in enumerate(nodes)
+            if plans[a].inputs
         ),
         *service_messages(nodes, [plan.emcy_id for plan in plans], period_ns),
     ]

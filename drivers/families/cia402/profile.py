@@ -23,6 +23,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import PDO_INVALID, mapping_entry
 from drivers.families.cia402.config import Cia402Config
 from drivers.families.cia402.drive_plan import FULL_SCALE, Axis, DrivePlan, Planned, Reason
+from drivers.families.cia402.inputs import DIGITAL_INPUTS, TPDO2_ID
 from drivers.families.cia402.sdo import Step
 
 MASTER_ID = 127
@@ -182,7 +183,11 @@ class _Planner:
             self.plan.watched = True
         can_id = cia301.TPDO1_ID + axis.node_id
         self._pdo(0x1800, can_id | (self._eds.value(0x1800, 1) or 0) & _NO_RTR, _AT_SYNC, feedback)
-        for other in range(1, _PDOS):
+        if self._settings.inputs:
+            can_id = TPDO2_ID + axis.node_id | (self._eds.value(0x1801, 1) or 0) & _NO_RTR
+            self._pdo(0x1801, can_id, _AT_SYNC, [self._entry(DIGITAL_INPUTS, 32)])
+            self.plan.inputs = True
+        for other in range(2 if self.plan.inputs else 1, _PDOS):
             can_id = self._eds.value(0x1800 + other, 1) or PDO_INVALID
             if not can_id & PDO_INVALID:
                 self._write(
