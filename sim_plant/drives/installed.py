@@ -84,6 +84,11 @@ def _turns(servo: ServoDrive, position: Position, turn: float) -> float:
     return servo.sample(position(), servo.last_command_ns).position * servo.resolution / turn
 
 
+def _status(servo: ServoDrive, position: Position) -> int:
+    """DriveStatus of a servo, with the switches at its axis."""
+    return servo.sample(position(), servo.last_command_ns).status
+
+
 def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: Position, start_ns: int) -> DriveNode:
     feedback_ns, state_ns = round(config.feedback_s * 1e9), round(config.heartbeat_s * 1e9)
     if config.kind == "odrive":
@@ -115,12 +120,13 @@ def _moteus(
         nodes = config.nodes or list(range(1, len(servos) + 1))
         turn = [abs(travel) for travel in config.turn]
     delay_ns, instead = (round(config.enable_delay_s * 1e9), config.instead) if config else (0, {})
-    return [
-        Moteus(
-            node, servo, partial(_turns, servo, position, travel), start_ns, enable_delay_ns=delay_ns, instead=instead
+    made = []
+    for node, servo, position, travel in zip(nodes, servos, positions, turn, strict=True):
+        turns, inputs = partial(_turns, servo, position, travel), partial(_status, servo, position)
+        made.append(
+            Moteus(node, servo, turns, start_ns, enable_delay_ns=delay_ns, instead=instead, inputs=inputs),
         )
-        for node, servo, position, travel in zip(nodes, servos, positions, turn, strict=True)
-    ]
+    return made
 
 
 def _mit(

@@ -29,6 +29,7 @@ WITHOUT_LOOP = (5, 6, 7, 8, 9, 12, 13, 15)  # modes with power that are not emul
 MOTOR_DRIVER_FAULT, ENCODER_FAULT, LIMITED_BY_CURRENT, LIMITED_BY_COMMAND = 33, 35, 99, 102
 _DEFAULTS = {0x20: 0.0, 0x21: 0.0, 0x22: 0.0, 0x23: 1.0, 0x24: 1.0, 0x25: math.nan, 0x27: 0.0}
 _WRITABLE = {0x00, *_DEFAULTS, 0x26, 0x28, 0x29, 0x2A, 0x2B, 0x2C, 0x2D}
+_PINS = ((int(DriveStatus.LIMIT_LOW), 1), (int(DriveStatus.LIMIT_HIGH), 2), (int(DriveStatus.HOME), 4))  # of aux 1
 _FORMATS, _SIZES = "bhif", (1, 2, 4, 4)
 _UNIT = {  # steps of int8, int16, int32
     "position": (0.01, 0.0001, 0.00001),
@@ -69,7 +70,8 @@ class Moteus(CyclicNode):
     """One controller. node_id: its id, 1 to 127. turns: of its output shaft now.
 
     enable_delay_ns: from the command to mode 10, by way of 2. instead: values that it acknowledges and has otherwise,
-    by register; a mode: the one it enters in place of 10. Raises ValueError for a register that is not among them.
+    by register; a mode: the one it enters in place of 10. inputs: DriveStatus with those of its switches. Raises
+    ValueError for a register that is not among them.
     """
 
     fd = True
@@ -83,13 +85,14 @@ class Moteus(CyclicNode):
         *,
         enable_delay_ns: int = 0,
         instead: Mapping[str, float] | None = None,
+        inputs: Callable[[], int] = lambda: 0,
     ) -> None:
         super().__init__(node_id, servo, start_ns)
         unknown = sorted((instead or {}).keys() - _NAMES.keys())
         if unknown:
             raise ValueError(f"plant.drive.instead: {', '.join(unknown)}: none of {', '.join(_NAMES)}")
         self._instead = {_NAMES[name]: value for name, value in (instead or {}).items()}
-        self._turns = turns
+        self._turns, self._inputs = turns, inputs
         self._enable_delay_ns = enable_delay_ns
         self._default_ns = servo.watchdog_ns
         self._mode = STOPPED
@@ -107,6 +110,8 @@ class Moteus(CyclicNode):
             0x0D: lambda: 24.0,
             0x0E: lambda: 25.0,
             0x0F: lambda: self._told[1],
+            0x5E: self._aux1,
+            0x5F: lambda: 0.0,
         }
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -244,6 +249,11 @@ class Moteus(CyclicNode):
         return self.servo.rated_force if math.isnan(most) else min(abs(most), self.servo.rated_force)
 
     # what it tells ----------------------------------------------------------------------------------------------------
+
+    def _aux1(self) -> float:
+        """GPIO status: limit switches at pins 1 and 2, the home switch at pin 3, high when closed."""
+        status = self._inputs()
+        return float(sum(bit for closed, bit in _PINS if status & closed))
 
     def _position(self) -> float:
         return self._last[1]

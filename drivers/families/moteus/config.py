@@ -4,9 +4,21 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from drivers.base.keys import Table, key
+from drivers.base.keys import REQUIRED, Table, key
 
 MoteusNumber = Annotated[int, Field(ge=1, le=127)]
+
+
+class MoteusInput(Table):
+    """A switch at a pin of a controller, which `auxN.pins` of the controller calls a digital input."""
+
+    axis: int = key(REQUIRED, "whose switch, from 0, in the order of [axes]", "1", ge=0, le=63)
+    input: Literal["limit_low", "limit_high", "home"] = key(
+        REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch"
+    )
+    aux: Literal[1, 2] = key(1, "connector that it is wired to", "1")
+    pin: int = key(REQUIRED, "pin of that connector, from 1", "1", ge=1, le=5)
+    closed: Literal[0, 1] = key(1, "level with which the switch is closed", "1")
 
 
 class MoteusConfig(Table):
@@ -29,6 +41,9 @@ class MoteusConfig(Table):
         "s",
         gt=0,
         le=1,
+    )
+    inputs: list[MoteusInput] = key(
+        [], "limit switches and home switches at the controllers' pins", exclude_if=lambda entries: not entries
     )
 
 

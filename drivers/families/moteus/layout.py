@@ -21,6 +21,7 @@ from typing import Any
 
 from drivers.config import BusConfig, Wiring
 from drivers.families.moteus.config import MoteusConfig, moteus_keys
+from drivers.families.moteus.inputs import pins_of
 from drivers.families.moteus.registers import (
     BITS,
     READ_ERROR,
@@ -95,6 +96,8 @@ class MoteusLayout:
                     raise LayoutError(
                         f"bus.moteus.torque = {config.torque!r} reaches {reach:g} N m; axis {axis} has {rated:g}"
                     )
+        self._pins = pins_of(config.inputs, n_axes)
+        self.axis_tells = [pins.tells for pins in self._pins]
         self._query = (
             read(Register.MODE, Type.INT8)
             + read(Register.POSITION, self._position_type)
@@ -107,10 +110,14 @@ class MoteusLayout:
         raw = force if self._torque_type is Type.FLOAT else round(force / self._torque_step)
         return write(Register.FEEDFORWARD_TORQUE, self._torque_type, raw)
 
-    def _applying(self, force: float) -> bytes:
+    def _asking(self, axis: int) -> bytes:
+        """What every frame to a drive asks for."""
+        return self._query + self._pins[axis].query
+
+    def _applying(self, axis: int, force: float) -> bytes:
         """What makes a drive apply a torque, N m; the mode has to come first."""
         mode = write(Register.MODE, Type.INT8, Mode.POSITION)
-        return mode + _AT_REST + self._torque(force) + _NO_LOOP + self._watchdog + self._query
+        return mode + _AT_REST + self._torque(force) + _NO_LOOP + self._watchdog + self._asking(axis)
 
 
 def moteus_nodes(bus: BusConfig, n_axes: int) -> list[int]:
@@ -127,7 +134,13 @@ def moteus_nodes(bus: BusConfig, n_axes: int) -> list[int]:
 def cut(bus: BusConfig, n_axes: int) -> Callable[[range], dict[str, Any]]:
     """What another segment has otherwise: the controllers on it."""
     moteus, numbers = moteus_keys(bus).moteus or MoteusConfig(), moteus_nodes(bus, n_axes)
-    return lambda axes: {"moteus": moteus.model_copy(update={"nodes": of_axes(axes, numbers)})}
+
+    def of_segment(axes: range) -> dict[str, Any]:
+        theirs = [item for item in moteus.inputs if item.axis in axes]
+        inputs = [item.model_copy(update={"axis": item.axis - axes.start}) for item in theirs]
+        return {"moteus": moteus.model_copy(update={"nodes": of_axes(axes, numbers), "inputs": inputs})}
+
+    return of_segment
 
 
 def _answer_id(node: int) -> int:
@@ -194,11 +207,14 @@ class MoteusHost(MoteusLayout):
         least, most = self.positions[axis]
         if not least <= counts <= most or not 0 <= mode < 256 or not 0 <= fault < 256:  # also where it is not a number
             return Reject.INVALID_VALUE
+        inputs = self._pins[axis].status(told)
+        if inputs < 0:
+            return Reject.SERVICE  # of another tool's query
         self._hear(axis, int(mode))
         stamp_ns = self._clock.instant(axis, frame)
         if stamp_ns >= 0:
             stamp_ns -= self._lead_ns[axis]
-        return Sample(axis, round(counts), self._status(axis, int(mode), int(fault)), -1, stamp_ns)
+        return Sample(axis, round(counts), self._status(axis, int(mode), int(fault)) | inputs, -1, stamp_ns)
 
     def _note_kept(self, axis: int, told: dict[int, Value]) -> None:
         for number, register in enumerate(_ASKED):
@@ -266,13 +282,13 @@ class MoteusHost(MoteusLayout):
             if begins:
                 self._proofs[axis].begin()
             if bit:
-                data = self._applying(command.force[axis])
+                data = self._applying(axis, command.force[axis])
                 self._stopping[axis], self._stops[axis] = True, 0
             elif command.reset or self._stopping[axis] or self._mode[axis] not in (*_UNPOWERED, -1):
-                data = _STOP + self._query
+                data = _STOP + self._asking(axis)
                 self._stops[axis] += 1
             else:
-                data = self._query + self._proving(axis)
+                data = self._asking(axis) + self._proving(axis)
             frames.append(Frame(can_id, padded(data), FD | BRS))
         self._enabled = command.enable
         self._lead_ns = leads_ns(frames, *self._bitrates)
@@ -289,27 +305,29 @@ class MoteusHost(MoteusLayout):
 
     def messages(self, period_ns: int) -> list[Message]:
         """All of them every tick, commands as long as when torque is applied."""
-        length = len(padded(self._applying(0.0)))
+        lengths = [len(padded(self._applying(axis, 0.0))) for axis in range(self.n_axes)]
         position = {Type.INT16: 2, Type.INT32: 4, Type.FLOAT: 4}[self._position_type]
-        told = 3 + 2 + position + 3
-        answer, at_rest = len(padded(bytes(told))), len(padded(bytes(told + 2 + 4)))  # with a value that is read back
+        told = [3 + 2 + position + 3 + pins.answer_length for pins in self._pins]
+        answers = [
+            (len(padded(bytes(each))), len(padded(bytes(each + 2 + 4)))) for each in told
+        ]  # the second: read back
         return [
             *(
-                Message(f"command {axis}", can_id, length, True, period_ns, period_ns, 0, "host")
+                Message(f"command {axis}", can_id, lengths[axis], True, period_ns, period_ns, 0, "host")
                 for axis, can_id in enumerate(self.command_ids)
             ),
             *(
                 Message(
                     f"answer {axis}",
                     can_id,
-                    answer,
+                    answers[axis][0],
                     True,
                     period_ns,
                     period_ns,
                     0,
                     f"axis {axis}",
                     f"command {axis}",
-                    also=(at_rest,),
+                    also=(answers[axis][1],),
                 )
                 for axis, can_id in enumerate(self.answer_ids)
             ),
@@ -366,10 +384,11 @@ class MoteusListener(MoteusLayout):
         if self._position_type is not Type.FLOAT:
             most = (1 << (BITS[self._position_type] - 1)) - 1
             raw = max(-most, min(most, round(raw)))
-        parts = (
+        parts: tuple[tuple[int, Type, float], ...] = (
             (Register.MODE, Type.INT8, int(mode)),
             (Register.POSITION, self._position_type, raw),
             (Register.FAULT, Type.INT8, fault),
         )
+        parts += self._pins[sample.axis].parts(status)
         data = b"".join(bytes((REPLY | write(*part)[0],)) + write(*part)[1:] for part in parts)
         return Frame(self.answer_ids[sample.axis], padded(data), FD | BRS)

@@ -29,6 +29,8 @@ class Register(IntEnum):
     KD_SCALE = 0x024
     WATCHDOG_TIMEOUT = 0x027
     ILIMIT_SCALE = 0x02B
+    AUX1_GPIO_STATUS = 0x05E
+    AUX2_GPIO_STATUS = 0x05F
 
 
 class Mode(IntEnum):
