@@ -45,9 +45,10 @@ def describe_run(
 
 
 def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
-    """Texts of the files that [bus] names, by the name it uses: the frame layout's, and EDS files."""
-    bought = getattr(rig.bus, "cia402", None)
+    """Texts of the files that [bus] names, by the name it uses: the frame layout's, EDS files, numbers of endpoints."""
+    bought, signals = getattr(rig.bus, "cia402", None), getattr(rig.bus, "dbc", None)
     names = ([rig.bus.file] if rig.bus.file else []) + (bought.eds if bought else [])
+    names += [signals.endpoints] if signals and signals.endpoints else []
     return {name: (base_dir / name).read_text(encoding="utf-8", errors="surrogateescape") for name in names}
 
 
@@ -96,6 +97,8 @@ def _point_to(bus: dict[str, Any], places: dict[str, str]) -> None:
         bus["protocol"] = f"{layout}:{places.get(name, _ABSENT)}"
     if bus.get("cia402"):
         bus["cia402"]["eds"] = [places.get(name, _ABSENT) for name in bus["cia402"].get("eds", [])]
+    if bus.get("dbc") and bus["dbc"].get("endpoints"):
+        bus["dbc"]["endpoints"] = places.get(bus["dbc"]["endpoints"], _ABSENT)
 
 
 @contextmanager

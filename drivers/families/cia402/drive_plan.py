@@ -47,8 +47,9 @@ class DrivePlan:
     """What is to be done with one drive. unit: 6076h in mN m (mN), None where it is read from the drive at the start.
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
-    its emergency messages, 0 where it sends none. watched: its answers
-    show its mode. inputs: its TPDO 2 tells its digital inputs. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the file has it; by index.
+    its emergency messages, 0 where it sends none. watched: its answers show its mode. inputs: its TPDO 2 tells its
+    digital inputs. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the
+    file has it; by index.
     """
 
     name: str

@@ -62,11 +62,31 @@ class FrameBinding(Table):
     value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
 
 
+class AskBinding(Table):
+    """The frame that asks for a value."""
+
+    message: str = key(REQUIRED, "name of the message in the DBC file")
+    signal: str = key("", "name of a signal in it; without: the message alone asks")
+    value: int | None = key(
+        None,
+        "raw value of that signal",
+        "1",
+        derived="the value of the multiplexer of the same name with which the answer is there",
+        ge=-(2**63),
+        lt=2**64,
+    )
+
+
 class ReadBackBinding(SignalBinding):
     """A value that a drive tells when it is asked: before READY, after every reset, and now and then."""
 
     axis: int = key(REQUIRED, "whose drive, from 0, in the order of [axes]", "1", ge=0, le=63)
-    ask: FrameBinding = key(REQUIRED, "the frame that asks for it")
+    ask: AskBinding = key(REQUIRED, "the frame that asks for it")
+    endpoint: str = key(
+        "",
+        "ODrive: path of the value in the file of bus.dbc.endpoints, which has its number",
+        exclude_if=lambda path: not path,
+    )
     least: float = key(REQUIRED, "physical value that it has to have at least", "1")
     most: float = key(REQUIRED, "and at most", "1")
 
@@ -131,6 +151,11 @@ class DbcBinding(Table):
         "mode and limits that drives are asked for; with another value, or without an answer, a drive counts as in "
         "fault and no rig gets READY",
         exclude_if=lambda entries: not entries,
+    )
+    endpoints: str = key(
+        "",
+        "ODrive: flat_endpoints.json of its firmware, beside the rig file: numbers of the pages of `read_back`",
+        exclude_if=lambda name: not name,
     )
     feedback_counter: Signals = key([], "sequence number in the answers")
     command_counter: Signals = key([], "sequence number in the commands")

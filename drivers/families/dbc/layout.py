@@ -7,7 +7,8 @@ from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
 from drivers.families.dbc.agreement import Owned, check_owners, check_torques, count_size, per_axis
 from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding
-from drivers.families.dbc.config import DbcBinding, SignalBinding, StatusBinding, dbc_keys
+from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding, StatusBinding, dbc_keys
+from drivers.families.dbc.endpoints import number_pages
 from drivers.families.dbc.file import load_used
 from drivers.families.dbc.page import Bound, BoundMessage, Place
 from drivers.frame import EXTENDED_MASK, REMOTE
@@ -67,6 +68,7 @@ class DbcLayout:
         self.n_axes = n_axes
         self._rated = list(rated_force)
         database, self.warnings = load_used(path, bound_names(binding))
+        number_pages(database, binding, base_dir)
         self.unasked = () if binding.read_back else (_UNASKED,)
         self._pages = Pages(database, binding, path.name)
         self._free_running = binding.feedback == "cyclic"
@@ -137,7 +139,9 @@ class DbcLayout:
         for at, item in enumerate(binding.read_back):
             key = f"bus.dbc.read_back[{at}]"
             question = Question(f"{item.message}.{item.signal}", item.least, item.most)
-            found.append(Asked(item.axis, self._bound(key, item), Lone(*self._pages.alone(key, item.ask)), question))
+            answer = self._bound(key, item)
+            ask = Lone(*self._pages.alone(key, _asking(key, item.ask, answer.message)))
+            found.append(Asked(item.axis, answer, ask, question))
         return found
 
     def _carried(self) -> int:
@@ -313,6 +317,20 @@ class DbcLayout:
 
 def _message(name: str, page: BoundMessage, period_ns: int, sender: str, trigger: str | None = None) -> Message:
     return Message(name, page.can_id, page.length, page.fd, period_ns, period_ns, 0, sender, trigger, page.brs)
+
+
+def _asking(key: str, ask: AskBinding, answer: BoundMessage) -> FrameBinding:
+    """The frame that asks, with the number of the answer's page where it states none."""
+    value = ask.value
+    if value is None and ask.signal:
+        numbers = answer.selection.get(ask.signal, frozenset())
+        if len(numbers) != 1:
+            raise LayoutError(
+                f"{key}.ask: say which value {ask.message}.{ask.signal} has with `value`; no multiplexer {ask.signal} "
+                f"in {answer.name} says it"
+            )
+        value = min(numbers)
+    return FrameBinding(message=ask.message, signal=ask.signal, value=value or 0)
 
 
 def _status_map(binding: StatusBinding) -> dict[int, int] | None:
