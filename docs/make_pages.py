@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import hil
 from docs.answers_page import answers_page
+from docs.safety_case_page import safety_case_page
 from drivers.config import LAYOUTS, BusConfig
 from drivers.protocols import host_protocol
 from hil.control.gain import Gain, Knob, declared
@@ -315,6 +316,7 @@ def main() -> None:
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
     (folder / "answers.md").write_text(answers_page(), encoding="utf-8")
+    (folder / "safety-case.md").write_text(safety_case_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
     for path, text in viewer_files().items():

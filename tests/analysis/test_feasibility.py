@@ -183,6 +183,7 @@ def judged(sets: Mapping[str, Any]) -> bool:
     return True
 
 
+@pytest.mark.requirement(id="SR-4.4")
 @pytest.mark.long
 @pytest.mark.usefixtures("filterpy_loaded")
 @given(tasks())

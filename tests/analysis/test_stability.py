@@ -129,6 +129,7 @@ def test_every_tuned_law_of_the_rig_has_the_textbooks_margins(law: str) -> None:
         assert margins.phase_deg >= 30.0
 
 
+@pytest.mark.requirement(id="SR-5.5")
 def test_an_unstable_loop_is_refused_by_axis_and_pole() -> None:
     with pytest.raises(RigError, match="unstable on axis 'y' at 1000 Hz"):
         refuse_unstable(load_rig(RIG, PAPERS_GAINS))

@@ -48,6 +48,7 @@ def test_a_move_that_is_too_far_for_its_time_may_begin_near_its_target_only() ->
     assert high == pytest.approx(0.02 + peak, abs=2e-5)
 
 
+@pytest.mark.requirement(id="SR-4.4")
 @pytest.mark.usefixtures("filterpy_loaded")
 @given(tasks(), st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2))
 @settings(max_examples=25, suppress_health_check=list(HealthCheck))

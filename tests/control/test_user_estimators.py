@@ -274,6 +274,7 @@ def test_another_name_takes_no_parameters_of_the_files(rig_file: Path) -> None:
     assert [values.tolist() for values in bench.run(point)] == [values.tolist() for values in expected]
 
 
+@pytest.mark.requirement(id="SR-1.4")
 @pytest.mark.parametrize("how", [way for way in WAYS if way != "never returns"])
 @pytest.mark.parametrize("law", ["pd-feedforward", "structured-kalman"])
 def test_one_that_goes_wrong_ends_in_zero_torque_and_is_named(how: str, law: str, rig_file: Path) -> None:

@@ -190,6 +190,7 @@ def fault_of(rig: RigConfig, folder: Path, ticks: int = 400) -> LockstepRun:
     return run
 
 
+@pytest.mark.requirement(id="SR-1.4")
 @pytest.mark.parametrize("how", [way for way in WAYS if way != "never returns"])
 def test_a_law_that_goes_wrong_ends_in_zero_torque_and_is_named(how: str, rig_file: Path) -> None:
     run = fault_of(load_rig(rig_file, [beside("misbehaves"), f"law.gains.how={how}"]), rig_file.parent)
@@ -214,6 +215,7 @@ def test_the_same_text_under_two_names_is_told_by_each(rig_file: Path) -> None:
     assert all("ZeroDivisionError" in failure for failure in failures)
 
 
+@pytest.mark.requirement(id="SR-1.4")
 def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)
     run = fault_of(load_rig(rig_file, [beside("misbehaves"), "law.gains.how='never returns'"]), rig_file.parent)

@@ -50,6 +50,7 @@ def test_the_axes_are_pushed_one_after_the_other_and_no_further_than_they_must_b
     assert max(abs(run.true_velocity)) < 0.05
 
 
+@pytest.mark.requirement(id="SR-4.5")
 @pytest.mark.parametrize(
     ("torque", "stated", "says"),
     [

@@ -49,6 +49,7 @@ def activate_once(*, expires_ns: int = LATER_NS) -> Mail:
     return mail
 
 
+@pytest.mark.requirement(id="SR-5.4")
 @pytest.mark.parametrize(
     ("grant", "strict", "lenient"),
     [
@@ -67,6 +68,7 @@ def test_what_was_not_granted_refuses_activate_unless_the_rig_says_otherwise(
         assert run.cycle.commands.refused == (expected is State.READY)
 
 
+@pytest.mark.requirement(id="SR-5.4")
 def test_a_rig_file_changed_on_disk_refuses_activate_and_leaves_a_running_task_alone() -> None:
     changed = Posted(paper(), activate_once())
     changed.grants["rig_ok"] = False
@@ -98,6 +100,7 @@ def heartbeats(until: int) -> Mail:
     return mail
 
 
+@pytest.mark.requirement(id="SR-2.3")
 def test_without_the_operators_heartbeat_activate_is_refused() -> None:
     rig = paper(f"safety.heartbeat_s={HEARTBEAT_TICKS * 1e-3}")
     assert Posted(rig, heartbeats(until=0)).go(READY_BY + 5).cycle.state is State.READY
@@ -105,6 +108,7 @@ def test_without_the_operators_heartbeat_activate_is_refused() -> None:
     assert Posted(rig, heartbeats(until=READY_BY)).go(READY_BY + 5).cycle.state is State.ACTIVE
 
 
+@pytest.mark.requirement(id="SR-2.3")
 def test_a_heartbeat_that_ends_brings_a_damped_stop_in_time_and_latches() -> None:
     rig = paper(f"safety.heartbeat_s={HEARTBEAT_TICKS * 1e-3}")
     last = 205
@@ -125,12 +129,14 @@ def test_before_its_first_tick_a_cycle_is_in_boot_without_a_fault() -> None:
     assert (cycle.state, cycle.fault, cycle.silent) == (State.BOOT, Fault.NONE, False)
 
 
+@pytest.mark.requirement(id="SR-5.3")
 def test_a_stale_command_is_refused_and_the_same_one_in_time_is_not() -> None:
     now_ns = READY_BY * 1_000_000
     assert Posted(paper(), activate_once(expires_ns=now_ns - 1)).go(READY_BY + 5).cycle.state is State.READY
     assert Posted(paper(), activate_once(expires_ns=now_ns)).go(READY_BY + 5).cycle.state is State.ACTIVE
 
 
+@pytest.mark.requirement(id="SR-5.3")
 def test_a_replayed_activate_does_not_start_the_stage_a_second_time() -> None:
     activate = OperatorCommand(CommandKind.ACTIVATE, 1, LATER_NS)
     story = {READY_BY: activate, 100: OperatorCommand(CommandKind.STOP, 2, LATER_NS), 200: activate}
@@ -139,6 +145,7 @@ def test_a_replayed_activate_does_not_start_the_stage_a_second_time() -> None:
     assert run.cycle.commands.refused == 1
 
 
+@pytest.mark.requirement(id="SR-3.4")
 @pytest.mark.parametrize("jump_s", [0.5, 0.002, -0.002, -0.5])
 def test_a_drives_clock_that_jumps_keeps_the_stage_on_its_task_or_stops_it(jump_s: float) -> None:
     jump = {"kind": "clock_jump", "axis": "x", "at_tick": 400, "value": jump_s}
@@ -153,6 +160,7 @@ def test_a_drives_clock_that_jumps_keeps_the_stage_on_its_task_or_stops_it(jump_
     assert run.cycle.state in (State.ACTIVE, State.FAULT)
 
 
+@pytest.mark.requirement(id="SR-4.3")
 def test_a_push_stronger_than_the_drive_is_a_following_error_and_ends_at_zero() -> None:
     push = {"kind": "push", "axis": "x", "at_tick": 300, "value": 8.0}
     run = Posted(paper(), activate_once(), Scenario.model_validate({"fault": [push]})).go(400)
@@ -161,6 +169,7 @@ def test_a_push_stronger_than_the_drive_is_a_following_error_and_ends_at_zero() 
     assert run.stage.applied_force == [0.0, 0.0]
 
 
+@pytest.mark.requirement(id="SR-1.4")
 @pytest.mark.parametrize("error", [ZeroDivisionError, OverflowError])
 def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(error: type[ArithmeticError]) -> None:
     run = Posted(paper(), activate_once()).go(200)
@@ -181,6 +190,7 @@ def test_a_law_whose_arithmetic_fails_is_answered_as_one_that_asks_for_nan(error
     assert run.cycle.gate.force == [0.0, 0.0]
 
 
+@pytest.mark.requirement(id="SR-6.3")
 def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> None:
     """Its torque is zero as it is told, but enabled it holds its brake open; only silence makes it close."""
 
@@ -201,6 +211,7 @@ def test_a_drive_that_ignores_its_enable_bit_is_left_to_its_own_watchdog() -> No
     assert run.go(150).cycle.state is State.READY  # a reset clears it once the drive obeys again
 
 
+@pytest.mark.requirement(id="SR-6.1")
 def test_a_drive_that_never_enables_ends_the_activation_in_time_and_latches() -> None:
     rig = paper("safety.enable_timeout_ticks=40")
     run = Posted(rig, activate_once())
@@ -225,6 +236,7 @@ def test_an_operator_who_resets_again_and_again_does_not_hold_up_the_reset() -> 
     assert not run.stage.drives[0].status & DriveStatus.WATCHDOG
 
 
+@pytest.mark.requirement(id="SR-6.2")
 @pytest.mark.long
 @pytest.mark.parametrize("protocol", ["stage_fd", "stage_classic", "cia402"])
 @pytest.mark.parametrize("first_slot", [0, 7])
@@ -243,6 +255,7 @@ def test_a_restarted_process_leaves_to_the_operator_what_the_drives_latched(prot
     assert run.go(1500).cycle.state is State.READY
 
 
+@pytest.mark.requirement(id="SR-6.1")
 @pytest.mark.parametrize("axis", [0, 1])
 def test_one_drive_that_is_not_well_keeps_the_whole_rig_from_ready(axis: int) -> None:
     run = Posted(paper(), lambda run, now: [])

@@ -41,6 +41,7 @@ def test_a_slow_loop_brakes_over_four_of_its_periods(period: float, constant: fl
     assert force == pytest.approx([-1.5 - 0.5 / constant, -0.25 / constant], rel=1e-12)
 
 
+@pytest.mark.requirement(id="SR-2.2")
 @pytest.mark.parametrize(
     ("velocity", "elapsed", "over"),
     [

@@ -122,6 +122,7 @@ def _hostile(seed: int) -> Iterator[Any]:
             yield hil.References(place, [0.0] * 4)
 
 
+@pytest.mark.requirement(id="SR-4.2")
 @pytest.mark.parametrize("seed", range(3))
 def test_hostile_references_break_no_limit_and_are_counted(seed: int) -> None:
     """Jumps, absurd speeds and accelerations, targets beyond the travel: the axes stay within what they have."""
@@ -133,6 +134,7 @@ def test_hostile_references_break_no_limit_and_are_counted(seed: int) -> None:
     assert told.rows[-1]["limited"] > 100
 
 
+@pytest.mark.requirement(id="SR-1.4")
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
@@ -213,6 +215,7 @@ def outputs(told: Decided) -> list[int]:
     return [int(row["outputs"]) for row in told.rows]
 
 
+@pytest.mark.requirement(id="SR-8.2")
 def test_an_output_is_set_as_asked_and_no_longer_than_it_may_be() -> None:
     told = (
         Decided(
@@ -229,6 +232,7 @@ def test_an_output_is_set_as_asked_and_no_longer_than_it_may_be() -> None:
     assert found[begun:] == expected
 
 
+@pytest.mark.requirement(id="SR-8.2")
 def test_no_output_outlives_the_motion_the_state_or_a_fault() -> None:
     told = Decided(lambda seen: hil.References([0.0] * 4, [0.0] * 4, outputs=1), OUTPUT.replace("0.02", "9")).begin()
     told.ticks(5)

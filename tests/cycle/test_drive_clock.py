@@ -25,6 +25,7 @@ def play(
     return seen
 
 
+@pytest.mark.requirement(id="SR-3.4")
 @settings(max_examples=30, deadline=None)
 @given(
     st.sampled_from(WRAPS), st.integers(0, 1 << 62), st.sampled_from([-500, -100, 0, 100, 500]), st.integers(0, 50_000)
@@ -42,6 +43,7 @@ def test_on_a_shared_clock_instants_are_the_stamps_themselves(wrap: int) -> None
     assert {error for error, _ in play(DriveClock(wrap), wrap, range(1, 2000), 0, jitter=40_000)} == {0}
 
 
+@pytest.mark.requirement(id="SR-3.4")
 @pytest.mark.parametrize("wrap", WRAPS)
 @pytest.mark.parametrize("jump", [60_000, -60_000, 100_000, -100_000, 1_000_000, -1_000_000])
 def test_a_jump_is_seen_in_its_tick_and_what_comes_after_is_believed_again(wrap: int, jump: int) -> None:

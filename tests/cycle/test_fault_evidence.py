@@ -94,6 +94,7 @@ def said(bench: Bench, fault: Fault) -> list[tuple[int, float, float]]:
     return [(found.axis, found.value, found.limit) for found in bench.monitor.evidence if found.fault == fault]
 
 
+@pytest.mark.requirement(id="SR-9.1")
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.fault.name)
 def test_a_fault_says_what_was_measured_against_which_limit_and_of_which_axis(case: Case) -> None:
     bench = Bench()

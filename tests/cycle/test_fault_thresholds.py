@@ -269,6 +269,7 @@ def flagged(bench: Bench, case: Case, seen: Seen, ticks: int) -> list[set[Fault]
     return [bench.show(seen, resting=case.resting) - set(case.others) for _ in range(ticks)]
 
 
+@pytest.mark.requirement(id="SR-4.2")
 @every_case
 def test_just_below_its_threshold_it_is_never_flagged_however_long(case: Case) -> None:
     bench = Bench()
@@ -279,6 +280,9 @@ def test_just_below_its_threshold_it_is_never_flagged_however_long(case: Case) -
             assert faults <= allowed, tick
 
 
+@pytest.mark.requirement(id="SR-6.1")
+@pytest.mark.requirement(id="SR-4.2")
+@pytest.mark.requirement(id="SR-3.1")
 @every_case
 def test_at_its_threshold_it_is_flagged_in_that_tick_and_alone(case: Case) -> None:
     bench = Bench()
@@ -319,6 +323,7 @@ def test_it_is_the_worst_where_it_is_armed_and_nothing_elsewhere(case: Case) -> 
             assert not monitor.active >> case.fault & 1
 
 
+@pytest.mark.requirement(id="SR-3.3")
 def test_the_second_glitch_in_a_row_is_a_jump_and_the_third_still_is() -> None:
     bench, off = Bench(), Seen(step=beyond(LIMIT.jump_step))
     assert [bench.show(off) for _ in range(3)] == [{Fault.ENCODER_GLITCH}, {Fault.ENCODER_JUMP}, {Fault.ENCODER_JUMP}]
@@ -327,6 +332,7 @@ def test_the_second_glitch_in_a_row_is_a_jump_and_the_third_still_is() -> None:
     assert bench.show(off) == {Fault.ENCODER_GLITCH}, "a believed sample in between ends the row"
 
 
+@pytest.mark.requirement(id="SR-4.1")
 def test_each_axis_has_a_streak_and_limits_of_its_own() -> None:
     """A sight that is a fault of this axis is none of the other, whose limits differ, and counts for this one alone."""
     monitor = FaultMonitor(SAFETY, LIMITS, PERIOD_NS, INNOVATION)

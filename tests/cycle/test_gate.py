@@ -39,6 +39,7 @@ any_float = st.floats(allow_nan=True, allow_infinity=True, width=64)
 near = st.floats(-1.5, 1.5)
 
 
+@pytest.mark.requirement(id="SR-1.1")
 @given(st.lists(any_float, min_size=2, max_size=2), st.lists(any_float, min_size=2, max_size=2), st.booleans())
 def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(
     request: list[float], position: list[float], permitted: bool
@@ -52,6 +53,7 @@ def test_whatever_is_asked_the_force_is_finite_and_within_the_limit(
         assert command.enable == 0
 
 
+@pytest.mark.requirement(id="SR-1.1")
 @given(st.lists(st.tuples(st.floats(-20, 20), near), min_size=1, max_size=40))
 def test_force_never_changes_faster_than_the_rate_limit_and_never_pushes_out_of_the_travel(
     steps: list[tuple[float, float]],
@@ -112,6 +114,7 @@ def test_a_force_that_needs_no_change_is_not_counted_as_saturated() -> None:
     assert gate.saturations == [0, 0]
 
 
+@pytest.mark.requirement(id="SR-1.1")
 def test_without_permission_zero_comes_at_once_not_along_the_rate_limit() -> None:
     gate = make_gate()
     for _ in range(3):
@@ -206,12 +209,14 @@ def test_a_request_for_other_than_the_axes_there_are_is_an_error_and_nothing_goe
     assert heard == []
 
 
+@pytest.mark.requirement(id="SR-1.3")
 def test_the_gate_knows_neither_laws_nor_trajectories() -> None:
     tree = ast.parse((ROOT / "hil/cycle/gate.py").read_text())
     imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert imported <= {"collections.abc", "typing", "drivers.frame", "drivers.protocols.base"}
 
 
+@pytest.mark.requirement(id="SR-1.3")
 def test_nothing_else_in_hil_builds_a_command_frame() -> None:
     """By search: a Command is constructed, and a host protocol's encode called, in gate.py alone (benchmarks measure,
     they do not run rigs; the campaign puts another host on the simulated wire).

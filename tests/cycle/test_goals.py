@@ -227,6 +227,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.requirement(id="SR-4.4")
 @pytest.mark.parametrize(("wrong", "refusal"), WRONG)
 def test_a_goal_that_cannot_be_is_refused_with_its_reason_and_changes_nothing(
     wrong: dict[str, object], refusal: Refusal
@@ -292,6 +293,7 @@ def test_replay_needs_the_recording_alone(tmp_path: Path) -> None:
     assert (report.ticks, report.different) == (held.run.index, 0)
 
 
+@pytest.mark.requirement(id="SR-4.1")
 @pytest.mark.parametrize("seed", range(3))
 def test_no_plan_ends_outside_the_fence(seed: int) -> None:
     """Whatever goal was taken last, every axis comes to rest inside the travel less its margin."""
@@ -318,6 +320,7 @@ def test_no_plan_ends_outside_the_fence(seed: int) -> None:
     held.hold_limits()
 
 
+@pytest.mark.requirement(id="SR-4.6")
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_from_outside_the_fence_goals_lead_inward_at_a_fifth_of_the_speed(side: float) -> None:
     held = Held()

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,6 +37,7 @@ def test_answers_to_the_latest_command_are_fresh_and_have_age_zero() -> None:
     assert [sample.position for sample in inbox.samples if sample] == [11, 22]
 
 
+@pytest.mark.requirement(id="SR-3.1")
 def test_a_missing_answer_makes_the_axis_older_and_counts_as_lost() -> None:
     inbox = make_inbox()
     inbox.collect([answer(0, 5), answer(1, 5)], 5)
@@ -53,6 +55,7 @@ def test_before_the_first_command_nothing_is_missing() -> None:
     assert inbox.age == [1, 1]
 
 
+@pytest.mark.requirement(id="SR-3.2")
 def test_an_answer_to_a_command_never_sent_is_refused() -> None:
     inbox = make_inbox()
     inbox.collect([answer(0, 5)], -1)
@@ -117,6 +120,7 @@ def test_sequence_numbers_wrap_around() -> None:
     assert sum(inbox.rejects) == 0
 
 
+@pytest.mark.requirement(id="SR-3.2")
 def test_the_leaky_bucket_forgives_one_bad_frame_per_hundred_ticks() -> None:
     inbox = make_inbox()
     damaged = answer(0, 0)._replace(data=bytes(16))
@@ -127,6 +131,7 @@ def test_the_leaky_bucket_forgives_one_bad_frame_per_hundred_ticks() -> None:
     assert inbox.bad_frames == 2
 
 
+@pytest.mark.requirement(id="SR-3.2")
 @given(st.binary(max_size=64), st.integers(0, 0x7FF), st.integers(0, 7))
 def test_no_bytes_whatever_become_a_sample_without_their_checksum(data: bytes, can_id: int, flags: int) -> None:
     inbox = make_inbox()

@@ -139,6 +139,7 @@ def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reje
         sent += more
 
 
+@pytest.mark.requirement(id="SR-3.2")
 @given(st.sampled_from([0, 16, 256, 65536]), st.integers(-1, 600), st.lists(one_tick, max_size=40))
 @example(16, 14, [([(0, 0)], 1, False), ([(0, 0)], 1, False), ([(0, 2)], 1, False), ([(0, 0), (0, 0)], 1, False)])
 @example(16, -1, [([(0, 0)], 1, False)] * 3)

@@ -32,6 +32,7 @@ def sine(frequency: float, amplitude: float, seconds: float, phase: float = 0.0,
     ]
 
 
+@pytest.mark.requirement(id="SR-4.3")
 @given(st.floats(6.0, 200.0), st.floats(0.0, 6.28), st.floats(1.15, 50.0))
 def test_a_lasting_swing_is_seen_within_three_periods(frequency: float, phase: float, over: float) -> None:
     seen = first_seen(sine(frequency, over * AMPLITUDE, 1.0, phase))
@@ -53,6 +54,7 @@ def test_a_force_that_alternates_from_tick_to_tick_is_seen() -> None:
     assert 0 < first_seen([AMPLITUDE * 1.1 * (-1) ** k for k in range(20)]) <= 5
 
 
+@pytest.mark.requirement(id="SR-4.3")
 @given(st.floats(10.0, 200.0), st.floats(0.0, 6.28))
 def test_a_growing_swing_is_seen_within_50_ms_of_reaching_the_amplitude(frequency: float, phase: float) -> None:
     growth = 0.2 * frequency  # a tenth in a swing

@@ -71,6 +71,7 @@ def test_a_reading_is_the_newest_value_with_its_age_and_its_channel() -> None:
     assert (bench.readings.values, bench.readings.age) == ([4.5, 6.0], [0, 2])
 
 
+@pytest.mark.requirement(id="SR-8.1")
 def test_a_sensor_is_silent_at_its_own_number_of_ticks_and_its_reading_is_valid_no_more() -> None:
     bench = Bench()
     bench.tick(1)
@@ -91,6 +92,7 @@ def test_a_reading_that_its_sensor_calls_invalid_is_none() -> None:
     assert bench.tick(5, status=1) == [(Fault.SENSOR_SILENT, 0, 3.0, 3.0)]
 
 
+@pytest.mark.requirement(id="SR-8.1")
 def test_a_sensor_is_stuck_at_the_last_of_so_many_equal_readings() -> None:
     bench = Bench()
     for _ in range(2):
@@ -214,6 +216,7 @@ def test_damage_is_told_by_its_reason_and_changes_nothing() -> None:
     assert bench.readings.newest == before
 
 
+@pytest.mark.requirement(id="SR-8.1")
 def test_no_bytes_raise_and_every_value_is_a_number() -> None:
     bench, rng = Bench(), Random(3)
     flagged: set[int] = set()

@@ -56,6 +56,7 @@ def scenario_or_refusal(path: Path) -> None:
         assert isinstance(scenario, Scenario)
 
 
+@pytest.mark.requirement(id="SR-9.4")
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_scenario_or_a_refusal(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "fuzz.toml"
@@ -271,6 +272,7 @@ def altered(name: str, changes: list[tuple[tuple[Any, ...], float]]) -> dict[str
     return document
 
 
+@pytest.mark.requirement(id="SR-9.4")
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # overflow in a nonsensical plant is not the control's
 @settings(rare, max_examples=120)

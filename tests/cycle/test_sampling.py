@@ -89,6 +89,7 @@ def test_a_stamp_that_jumps_makes_no_interval_of_hours_and_none_below_zero() -> 
     assert [x.sample_interval for x in bench.inputs] == [LONGEST_PERIODS * 1e-3, 0.0]
 
 
+@pytest.mark.requirement(id="SR-3.3")
 def test_a_step_that_cannot_be_true_is_left_out_and_measured_from_the_last_that_was_believed() -> None:
     bench = Bench()
     bench.tick(1_000_000, (300_000, 0), (300_000, 0))

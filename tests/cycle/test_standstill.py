@@ -55,6 +55,7 @@ class Told(LockstepRun):
         raise AssertionError("it moved unseen")
 
 
+@pytest.mark.requirement(id="SR-5.2")
 @pytest.mark.parametrize("state", [State.READY, State.ESTOP])
 @pytest.mark.parametrize(
     ("axis", "force", "overrides"),
@@ -72,6 +73,7 @@ def test_an_axis_that_moves_is_named_within_a_tenth_of_a_millimetre_or_five_tick
     assert run.go(5, CommandKind.RESET).cycle.state is not State.CONNECTED, "it moves"
 
 
+@pytest.mark.requirement(id="SR-5.2")
 def test_where_it_rests_again_reset_and_activate_are_taken() -> None:
     run = Told().rests_in(State.READY)
     run.stage.push(0, -3.0)
@@ -86,6 +88,7 @@ def test_where_it_rests_again_reset_and_activate_are_taken() -> None:
     assert run.go(2, CommandKind.ACTIVATE).cycle.state is State.ACTIVE
 
 
+@pytest.mark.requirement(id="SR-5.2")
 def test_before_ready_it_is_an_event_and_no_fault() -> None:
     run = Told("safety.ready_ticks=400")
     run.go(20)

@@ -18,6 +18,7 @@ def machine_in(state: State) -> StateMachine:
     return machine
 
 
+@pytest.mark.requirement(id="SR-1.2")
 @pytest.mark.parametrize(("state", "event"), ALL_PAIRS, ids=lambda item: item.name)
 def test_every_pair_follows_the_table_or_is_refused_and_counted(state: State, event: Event) -> None:
     machine = machine_in(state)
@@ -41,11 +42,13 @@ def test_a_fresh_machine_is_in_boot() -> None:
     assert StateMachine().state is State.BOOT
 
 
+@pytest.mark.requirement(id="SR-1.2")
 def test_torque_is_permitted_only_where_the_axes_may_move() -> None:
     assert {State.HOMING, State.ACTIVE, State.STOPPING} == TORQUE_STATES
     assert {State.BOOT, State.SHUTDOWN} == SILENT_STATES
 
 
+@pytest.mark.requirement(id="SR-5.1")
 @pytest.mark.parametrize("latched", [State.FAULT, State.ESTOP])
 def test_a_latched_state_is_left_by_reset_alone_and_leads_to_connected(latched: State) -> None:
     ways_out = {event: target for (state, event), target in TABLE.items() if state is latched and target is not latched}
@@ -53,6 +56,7 @@ def test_a_latched_state_is_left_by_reset_alone_and_leads_to_connected(latched: 
     assert {event: target for event, target in ways_out.items() if event not in stops} == {Event.RESET: State.CONNECTED}
 
 
+@pytest.mark.requirement(id="SR-5.1")
 def test_active_is_entered_from_ready_by_the_operator_alone() -> None:
     assert [pair for pair, target in TABLE.items() if target is State.ACTIVE] == [(State.READY, Event.ACTIVATE)]
 
@@ -66,11 +70,13 @@ def test_a_fault_with_zero_reaction_latches_from_every_state(state: State) -> No
     assert TABLE[state, Event.FAULT_ZERO] is State.FAULT
 
 
+@pytest.mark.requirement(id="SR-2.1")
 @pytest.mark.parametrize("state", sorted(set(State) - {State.SHUTDOWN}))
 def test_an_emergency_stop_is_obeyed_from_every_state(state: State) -> None:
     assert TABLE[state, Event.ESTOP] is State.ESTOP
 
 
+@pytest.mark.requirement(id="SR-5.1")
 @given(st.lists(st.sampled_from(list(Event)), max_size=60))
 def test_no_sequence_of_events_reaches_active_from_a_fault_without_passing_connected_and_ready(
     events: list[Event],

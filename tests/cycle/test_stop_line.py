@@ -34,6 +34,7 @@ def run_to(state: State) -> LockstepRun:
     raise AssertionError(f"{state.name} was not reached")
 
 
+@pytest.mark.requirement(id="SR-2.1")
 @pytest.mark.parametrize(
     "state", [State.BOOT, State.CONNECTED, State.READY, State.HOMING, State.ACTIVE, State.STOPPING, State.FAULT]
 )
@@ -75,6 +76,7 @@ def test_after_shutdown_a_press_is_refused_and_counted() -> None:
     assert run.cycle.state is State.SHUTDOWN
 
 
+@pytest.mark.requirement(id="SR-2.1")
 def test_a_reset_in_the_same_tick_does_not_undo_it() -> None:
     run = LockstepRun(load_rig(RIG), RIG.parent, operator=lambda run, _: [CommandKind.RESET, CommandKind.ACTIVATE])
     for _ in range(100):

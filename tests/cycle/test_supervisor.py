@@ -85,6 +85,7 @@ def test_a_reset_is_told_to_the_drives_as_an_edge_that_outlives_lost_frames() ->
     assert told == [False] * 3 + [True] * 3 + [False] * 6, "an impatient operator does not hold it up"
 
 
+@pytest.mark.requirement(id="SR-4.4")
 def test_a_task_may_begin_at_both_ends_of_its_ranges_and_not_beyond() -> None:
     cycle = ControlCycle(paper(), RIGS)
     supervisor = cycle.supervisor
@@ -110,6 +111,7 @@ def test_a_heartbeat_counts_up_to_its_age_and_not_a_nanosecond_longer() -> None:
         assert supervisor._may_activate(Tick(1, now, now, PortCounters())) is may, (heard, now)
 
 
+@pytest.mark.requirement(id="SR-5.4")
 @pytest.mark.parametrize(
     ("missing", "overrides", "may"),
     [

@@ -21,6 +21,7 @@ from tests.support.paths import RIGS, ROOT
 SCENARIO = ROOT / "deploy" / "scenarios" / "bad-day.toml"
 
 
+@pytest.mark.requirement(id="SR-9.1")
 def test_every_kind_and_every_fault_has_its_text() -> None:
     assert KINDS.keys() == set(Kind)
     assert all(text.measured and text.cause and text.action for text in ROWS.values())

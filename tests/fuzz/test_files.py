@@ -8,6 +8,7 @@ from tests.fuzz.kinds import KINDS
 FEW, MANY = 60, 600  # 10 000 of a kind: python -m tests.fuzz KIND --files 10000
 
 
+@pytest.mark.requirement(id="SR-9.4")
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_damaged_files_are_read_or_refused(kind: str) -> None:

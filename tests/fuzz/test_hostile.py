@@ -87,6 +87,7 @@ def _refusal(kind: Kind, path: Path) -> str:
     return ""
 
 
+@pytest.mark.requirement(id="SR-9.4")
 @pytest.mark.long
 @pytest.mark.parametrize("what", HOSTILE)
 @pytest.mark.parametrize("name", KINDS)

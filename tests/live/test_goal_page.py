@@ -36,6 +36,7 @@ def test_a_goal_arrives_once_and_whole(page: GoalPage) -> None:
     assert page.poll(time.monotonic_ns()) == ()
 
 
+@pytest.mark.requirement(id="SR-5.3")
 def test_one_client_holds_the_lease_and_another_may_take_it_by_force(page: GoalPage) -> None:
     with GoalPage(page.path) as one, GoalPage(page.path) as two:
         with pytest.raises(GoalPageError, match="lease has ended"):
@@ -94,6 +95,7 @@ def test_a_damaged_slot_is_dropped_and_counted(page: GoalPage) -> None:
     assert page.counts["damaged"] == 1
 
 
+@pytest.mark.requirement(id="SR-7.2")
 def test_no_bytes_raise_in_the_control_process(page: GoalPage) -> None:
     draw = np.random.default_rng(3)
     for _ in range(200):

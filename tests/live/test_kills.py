@@ -77,6 +77,7 @@ def end_it(control: Control, how: signal.Signals, emulator: Emulator) -> None:
     wait_for_zero(emulator)
 
 
+@pytest.mark.requirement(id="SR-6.2")
 @pytest.mark.slow
 @pytest.mark.parametrize("chunk", range(CHUNKS))
 def test_at_random_moments_any_end_leaves_the_drives_at_zero(chunk: int) -> None:
@@ -126,6 +127,7 @@ hil.cycle.step.ControlCycle.step = wedging
 """
 
 
+@pytest.mark.requirement(id="SR-6.2")
 @pytest.mark.replaces_methods
 def test_a_wedged_loop_is_a_silent_one_and_the_drives_go_to_zero() -> None:
     with emulated(PATIENT) as emulator, Control(wrap=WEDGED) as control:

@@ -92,6 +92,7 @@ def run_beside(drives: UnpoweredDrives, tmp_path: Path, monkeypatch: pytest.Monk
     return loop
 
 
+@pytest.mark.requirement(id="SR-6.4")
 def test_commands_that_nobody_acknowledged_are_recalled_before_the_drives_get_power(tmp_path, monkeypatch):
     drives = UnpoweredDrives(NO_ACK, purges=[])
     loop = run_beside(drives, tmp_path, monkeypatch, ticks=10)
@@ -106,6 +107,7 @@ def test_a_recall_that_failed_is_tried_until_nothing_waits(tmp_path, monkeypatch
     assert (drives.recalls, drives.waiting) == (3, [])
 
 
+@pytest.mark.requirement(id="SR-6.4")
 def test_after_bus_off_nothing_restarts_the_controller_but_the_operator(tmp_path, monkeypatch):
     drives = UnpoweredDrives(BUS_OFF, purges=[])
     loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)

@@ -114,6 +114,7 @@ def test_a_command_with_one_damaged_byte_is_dropped_and_counted(box: Mailbox, po
     assert box.damaged == 1
 
 
+@pytest.mark.requirement(id="SR-7.2")
 @settings(max_examples=200, deadline=None)
 @given(noise=st.lists(st.tuples(st.integers(8, SIZE - 1), st.binary(min_size=1, max_size=16)), min_size=1, max_size=8))
 def test_no_content_of_the_file_can_raise_in_the_control_process(

@@ -95,6 +95,7 @@ def test_a_wake_later_than_half_a_period_waits_for_the_next_slot_instead_of_crow
     assert (pacer.index, pacer.skipped, pacer.now_ns - pacer.scheduled_ns) == (0, 0, PERIOD // 2)
 
 
+@pytest.mark.requirement(id="SR-7.1")
 def test_when_every_wake_is_late_the_tick_still_runs_so_that_stop_and_watchdog_live():
     world = World(oversleep=[3 * PERIOD + 700_000] * MAX_RESLEEPS)
     pacer = started(world)
@@ -144,6 +145,7 @@ def test_a_loop_is_never_woken_earlier_than_it_may_be():
     assert pacer.now_ns - pacer.scheduled_ns == pytest.approx(30_000, abs=100)
 
 
+@pytest.mark.requirement(id="SR-7.1")
 @given(
     st.integers(0, 100_000),
     st.lists(

@@ -22,6 +22,7 @@ from tests.support.paths import ROOT
 SLOTS = 1000
 
 
+@pytest.mark.requirement(id="SR-7.2")
 @pytest.mark.parametrize("size", [0, 1, 7, 100, 4095, 5000])
 def test_files_cut_short_end_nothing_and_stop_nothing(size: int, tmp_path: Path) -> None:
     folder = tmp_path / "rig"

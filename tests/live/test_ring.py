@@ -67,6 +67,7 @@ def test_a_record_object_that_is_reused_is_copied_each_time(tmp_path: Path) -> N
     assert records["n_received"].tolist() == list(range(10))
 
 
+@pytest.mark.requirement(id="SR-7.2")
 @settings(max_examples=60, deadline=None)
 @given(slots=st.integers(2, 9), steps=st.lists(st.tuples(st.integers(0, 25), st.integers(0, 12)), max_size=12))
 def test_every_record_is_either_delivered_once_or_counted_as_lost(

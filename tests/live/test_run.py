@@ -103,6 +103,7 @@ def test_a_run_of_n_ticks_leaves_n_records_and_a_timing_file():
     assert timing.counters["collector_runs"] == 0
 
 
+@pytest.mark.requirement(id="SR-5.5")
 def test_an_invalid_rig_is_refused_with_every_problem_before_any_bus(tmp_path, private_runtime_dir):
     rig = tmp_path / "bad.toml"
     rig.write_text(PAPER.read_text().replace("rate_hz = 1000", "rate_hz = -5\nwarp = 9"))
@@ -125,6 +126,7 @@ def test_a_missing_dbc_file_is_a_rig_problem():
     assert "nowhere.dbc" in err or "bus.dbc" in err
 
 
+@pytest.mark.requirement(id="SR-5.4")
 def test_denied_real_time_is_refused_without_a_frame_unless_the_rig_allows_it():
     asked = ["--set", "timing.realtime=true", "--set", "timing.cpu=1023"]  # a core no machine has
     with emulated() as emulator, Control(*asked, "--ticks", "50") as control:
@@ -169,6 +171,7 @@ def test_an_exception_in_the_cycle_stops_sending_and_is_shown_never_hidden():
         assert not ring.writer_alive
 
 
+@pytest.mark.requirement(id="SR-5.1")
 def test_after_a_kill_the_drives_are_at_zero_and_a_restart_leads_to_ready_never_to_active():
     with emulated() as emulator:
         with Control() as first:

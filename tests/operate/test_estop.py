@@ -33,6 +33,7 @@ def test_no_control_process_of_that_name_is_an_error() -> None:
         assert "no control process of the name" in done.stderr
 
 
+@pytest.mark.requirement(id="SR-2.1")
 @pytest.mark.live
 def test_it_stops_a_moving_rig_without_rig_file_sidecar_or_runtime_directory_and_tells_what_was_recorded(
     tmp_path: Path,

@@ -156,6 +156,7 @@ def test_a_single_peak_survives_the_thinning_of_a_long_line(ideal_microscope: Ri
     assert len(np.asarray(drawn.get_ydata())) < 4000
 
 
+@pytest.mark.requirement(id="SR-9.3")
 def test_a_control_process_that_hangs_is_said_to_and_how_old_what_is_shown_is() -> None:
     hung = status(now_ns=10_000_000_000, tick_ns=6_800_000_000)
     assert "THE CONTROL PROCESS HANGS: no tick for 3.2 s; what is shown is as old; it was ACTIVE" in line(hung)
@@ -163,6 +164,7 @@ def test_a_control_process_that_hangs_is_said_to_and_how_old_what_is_shown_is() 
     assert "HANGS" not in line(status(now_ns=10_000_000_000, tick_ns=9_600_000_000))
 
 
+@pytest.mark.requirement(id="SR-9.3")
 def test_a_sidecar_that_falls_silent_is_said_to_within_a_second() -> None:
     class Silent:
         statuses = [status()]  # noqa: RUF012

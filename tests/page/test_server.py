@@ -94,6 +94,7 @@ def test_each_role_may_what_it_says_and_no_more(told: Told, paired: Paired, role
     assert allowed == may
 
 
+@pytest.mark.requirement(id="SR-5.3")
 @pytest.mark.parametrize("name", ["activate", "shutdown", "load-task", "home", "activate-hold"])
 def test_nothing_that_brings_torque_can_be_asked_for(told: Told, paired: Paired, name: str) -> None:
     assert paired(Role.OPERATE).post(f"/rigs/paper/{name}").status_code == 404

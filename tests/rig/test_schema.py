@@ -94,6 +94,7 @@ def test_an_override_of_one_axis_encoder_beside_it_leaves_the_axes_to_what_they_
     assert rig.plant.encoder_resolution == 5e-9
 
 
+@pytest.mark.requirement(id="SR-5.5")
 @pytest.mark.parametrize(
     ("override", "expected"),
     [

@@ -41,6 +41,7 @@ def test_an_older_or_repeated_command_neither_acts_nor_feeds_the_watchdog() -> N
     assert drive.force == 2.0
 
 
+@pytest.mark.requirement(id="SR-6.2")
 def test_the_watchdog_latches_until_a_fresh_reset_edge() -> None:
     drive = make_drive()
     command(drive, 1, force=2.0)

@@ -65,6 +65,7 @@ def test_a_drift_of_one_encoder_may_be_mastered_and_is_named_by_motion_alone() -
     assert set(drift.faults) == {*BY_MOTION, Fault.STANDSTILL}
 
 
+@pytest.mark.requirement(id="SR-3.3")
 @pytest.mark.long
 def test_the_cells_pass_at_rest() -> None:
     rig = displaced(load_rig(RIGS / "paper.toml"))

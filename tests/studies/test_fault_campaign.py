@@ -73,6 +73,7 @@ def name_of(chunk: Chunk) -> str:
     return f"{rig['name']}, {rig['bus']['protocol']}, {chunk.point.name}"
 
 
+@pytest.mark.requirement(id="SR-9.6")
 @pytest.mark.long
 @pytest.mark.parametrize("chunk", CHUNKS + OTHERS, ids=map(name_of, CHUNKS + OTHERS))
 def test_every_fault_here_is_seen_in_time_and_answered_as_demanded(chunk: Chunk) -> None:
@@ -119,6 +120,7 @@ def failures(rig: str, stride: int, *overrides: str) -> list[str]:
     return [f"{c.rig}: {c.checkpoint} / {c.trial} / {c.axis}: {c.why}" for c in cells if not c.passed]
 
 
+@pytest.mark.requirement(id="SR-9.6")
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", WHOLE)
 def test_the_whole_campaign_passes_on_every_rig_we_ship(rig: str) -> None:
@@ -353,6 +355,7 @@ BROKEN: list[tuple[str, Break, str, Checkpoint, str]] = [
 ]
 
 
+@pytest.mark.requirement(id="SR-9.6")
 @pytest.mark.replaces_methods
 @pytest.mark.parametrize(("what", "sabotage", "trial", "point", "says"), BROKEN, ids=[row[0] for row in BROKEN])
 def test_a_broken_safety_core_fails_the_campaign_and_it_says_where(
@@ -375,6 +378,7 @@ def test_over_cia402_a_master_that_disables_nobody_fails_the_campaign(monkeypatc
     assert "enable 3 in READY" in outcome.why
 
 
+@pytest.mark.requirement(id="SR-6.3")
 @pytest.mark.replaces_methods
 def test_a_drive_that_stays_enabled_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its force is zero as it is told; it holds its brake open all the same."""

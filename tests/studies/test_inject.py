@@ -40,6 +40,7 @@ def test_every_kind_of_cell_gets_the_verdict_that_its_truth_asks_for(each_kind: 
     assert (len(each_kind.cells), each_kind.planned, each_kind.fault) == (10, 11, "")
 
 
+@pytest.mark.requirement(id="SR-8.3")
 @pytest.mark.long
 def test_no_pulse_into_a_whole_cell_and_no_force_beyond_the_limit(each_kind: Batch) -> None:
     assert [cell.wrong_pulses for cell in each_kind.cells] == [0] * 10

@@ -212,6 +212,7 @@ def test_a_command_is_accepted_or_refused_by_the_control_process_and_both_are_re
     assert all(entry.who == f"uid {os.getuid()} (pid {os.getpid()})" for entry in bench.entries)
 
 
+@pytest.mark.requirement(id="SR-9.3")
 @pytest.mark.live
 def test_a_control_process_that_takes_nothing_is_said_to_within_a_second(bench: CommandBench) -> None:
     bench.dead = True
@@ -286,6 +287,7 @@ def test_idle_connections_and_nonsense_keep_no_operator_out(bench: CommandBench)
     os.close(handle)
 
 
+@pytest.mark.requirement(id="SR-5.3")
 @pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
 @pytest.mark.live
 def test_another_user_who_got_hold_of_a_connection_is_refused_and_recorded(bench: CommandBench) -> None:
@@ -325,6 +327,7 @@ def test_an_operator_elsewhere_commands_and_is_recorded_by_name_and_role(
     assert {entry.who for entry in bench.entries} == {"certificate 'operator', role 'operator', from 127.0.0.1"}
 
 
+@pytest.mark.requirement(id="SR-5.3")
 @pytest.mark.live
 def test_whoever_lacks_certificate_role_or_secret_is_refused_and_recorded(
     remote: tuple[CommandBench, str], made: Path, tmp_path: Path

@@ -26,6 +26,7 @@ def file_size_limit(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.requirement(id="SR-7.2")
 @pytest.mark.live
 def test_a_full_disk_stops_the_recorders_sign_of_life_and_nothing_else(bench: Bench) -> None:
     with file_size_limit(4096):  # less than a recording begins with

@@ -111,6 +111,7 @@ def test_gaps_are_counted_by_ring_index() -> None:
     assert not loss_text([], 0.001, damaged=False)
 
 
+@pytest.mark.requirement(id="SR-9.2")
 @pytest.mark.long
 def test_every_command_says_what_is_missing_and_does_not_end_with_status_0(tmp_path: Path) -> None:
     import hil

@@ -72,6 +72,7 @@ def asked(endpoint: str, wanted: Callable[[list[Event]], list[Event]] = latched)
     raise AssertionError("it was not told")
 
 
+@pytest.mark.requirement(id="SR-9.1")
 def test_without_a_sidecar_the_journal_has_the_fault_and_the_ring_has_it_for_hil_events() -> None:
     with emulated() as emulator, Control() as control:
         reader = control.wait_for(State.READY)

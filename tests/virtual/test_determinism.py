@@ -15,6 +15,7 @@ def expected() -> dict[str, str]:
     return found
 
 
+@pytest.mark.requirement(id="SR-9.2")
 @pytest.mark.long
 @pytest.mark.parametrize("situation", situations()[1:], ids=lambda situation: situation.name)
 def test_nothing_around_a_run_changes_a_bit_of_it(situation: Situation, expected: dict[str, str]) -> None:

@@ -39,6 +39,7 @@ def settled(run: LockstepRun, frames: list[Frame], ticks: int = 4) -> LockstepRu
     return run
 
 
+@pytest.mark.requirement(id="SR-3.5")
 @pytest.mark.parametrize("layout", ["stage_fd", "stage_classic", "cia402"])
 @pytest.mark.parametrize("tick", [3, 400, BEGIN], ids=["CONNECTED", "READY", "ACTIVE"])
 @pytest.mark.parametrize("ahead", [0, 1])
@@ -87,6 +88,7 @@ def forged(change: Callable[[LockstepRun], None], *sets: str) -> LockstepRun:
     return run
 
 
+@pytest.mark.requirement(id="SR-3.5")
 @pytest.mark.parametrize("layout", ["stage_fd", "stage_classic"])
 def test_two_answers_that_differ_are_both_dropped_and_named(layout: str) -> None:
     run = forged(lambda run: answer_twice(run, 1, 0), f"bus.protocol={layout}")
@@ -100,6 +102,7 @@ def test_the_same_answer_twice_is_what_can_may_do() -> None:
     assert all(run.cycle.inbox.fresh)
 
 
+@pytest.mark.requirement(id="SR-3.5")
 def test_what_a_checksum_has_passed_is_never_forgiven() -> None:
     """An old answer of the axis once in a while: with a leak for line noise it would be nothing for ever."""
     run = run_at(BEGIN, "task.kind=hold")

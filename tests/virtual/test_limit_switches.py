@@ -28,6 +28,7 @@ def until_fault(run: LockstepRun, ticks: int = 2000) -> None:
         assert run.index < ticks
 
 
+@pytest.mark.requirement(id="SR-4.1")
 @pytest.mark.parametrize("sets", [(), ("axes.x.direction=-1",)])
 def test_an_axis_that_runs_onto_a_switch_is_stopped_and_the_switch_named(sets: Sequence[str]) -> None:
     run = run_of(*sets)
@@ -66,6 +67,7 @@ def test_from_a_switch_a_reset_leads_to_ready_and_it_does_not_latch_again_until_
     assert run.cycle.fault is Fault.LIMIT_SWITCH, "closed anew"
 
 
+@pytest.mark.requirement(id="SR-4.1")
 def test_a_switch_that_is_closed_lets_only_force_inwards_pass() -> None:
     run = run_of()
     gate = TorqueGate(run.cycle.protocol, [ForceLimits(2.0, -1.0, 1.0, 5.0)] * 2)

@@ -99,6 +99,7 @@ def test_the_brake_holds_z_until_torque_does(ideal_microscope: RigConfig, lockst
     assert run.stage.velocity[2] == 0.0
 
 
+@pytest.mark.requirement(id="SR-2.2")
 def test_stop_is_damped_and_over_within_fifty_milliseconds(lockstep: MakeRun, paper: RigConfig) -> None:
     run = lockstep(paper, operator=commands({100: CommandKind.ACTIVATE, 3000: CommandKind.STOP}))
     ticks(run, 3000)
@@ -131,6 +132,7 @@ def test_exit_stops_the_axes_says_zero_last_and_then_nothing(lockstep: MakeRun, 
     assert run.stage.applied_force == [0.0, 0.0]
 
 
+@pytest.mark.requirement(id="SR-3.1")
 def test_silent_drives_stop_the_run_and_a_reset_never_leads_to_active(lockstep: MakeRun, paper: RigConfig) -> None:
     cut = WireFault(kind=FaultKind.DROP, from_ns=1_000_000_000, until_ns=1_100_000_000)
     run = lockstep(paper, wire_faults=[cut], operator=commands({100: CommandKind.ACTIVATE, 1300: CommandKind.RESET}))
@@ -145,6 +147,7 @@ def test_silent_drives_stop_the_run_and_a_reset_never_leads_to_active(lockstep: 
     assert run.cycle.state is State.READY
 
 
+@pytest.mark.requirement(id="SR-5.1")
 def test_a_reset_is_refused_while_the_cause_lasts(lockstep: MakeRun, paper: RigConfig) -> None:
     down = WireFault(kind=FaultKind.DOWN, node="host", from_ns=500_000_000, until_ns=900_000_000)
     plan = {100: CommandKind.ACTIVATE, 700: CommandKind.RESET, 1000: CommandKind.RESET}
@@ -157,6 +160,7 @@ def test_a_reset_is_refused_while_the_cause_lasts(lockstep: MakeRun, paper: RigC
     assert run.cycle.state in (State.CONNECTED, State.READY)
 
 
+@pytest.mark.requirement(id="SR-3.1")
 def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: MakeRun, paper: RigConfig) -> None:
     lost = WireFault(kind=FaultKind.DROP, can_id=0x100, from_ns=5_000_000_000, count=1)
     run = lockstep(paper, wire_faults=[lost])
@@ -166,6 +170,7 @@ def test_one_lost_answer_is_bridged_without_a_trace_in_the_position(lockstep: Ma
     assert abs(float(run.cycle.inputs[0].sample.position - run.true_position[0])) < 2e-6
 
 
+@pytest.mark.requirement(id="SR-7.1")
 @pytest.mark.parametrize("skipped", [1, 2, 5])
 def test_the_filter_stays_with_the_axes_when_slots_are_skipped_all_the_time(lockstep: MakeRun, skipped: int) -> None:
     changes = ["rate_hz=50", "drives.watchdog_s=1.0", "safety.silent_zero_ticks=100"]

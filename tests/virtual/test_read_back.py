@@ -44,6 +44,7 @@ def to_ready(run: CampaignRun, ticks: int) -> bool:
     return False
 
 
+@pytest.mark.requirement(id="SR-5.6")
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_the_rig_never_gets_ready_and_the_difference_is_told(case: Case) -> None:
     rig, overrides, name, value, told = case
@@ -107,6 +108,7 @@ def test_a_mode_that_an_odrive_changes_by_itself_stops_the_rig() -> None:
 WATCHED = (*CIA402, f'bus.cia402.eds=["{EDS}"]', "bus.cia402.watch_mode=true", "bus.cia402.write_rated_torque=true")
 
 
+@pytest.mark.requirement(id="SR-5.6")
 def test_a_cia402_drive_that_leaves_its_mode_is_in_fault_within_two_ticks() -> None:
     run = run_of("microscope-ideal", (*WATCHED, 'bus.cia402.stop_options="keep"'))
     assert to_ready(run, 1000)

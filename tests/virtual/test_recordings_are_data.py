@@ -66,6 +66,7 @@ def command(text: str, folder: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
+@pytest.mark.requirement(id="SR-9.5")
 @pytest.mark.long
 @pytest.mark.parametrize("text", READING)
 def test_a_reading_command_does_not_run_it(text: str, folder: Path) -> None:
@@ -168,6 +169,7 @@ def _raise(text: str) -> None:
     raise ValueError(text)
 
 
+@pytest.mark.requirement(id="SR-9.5")
 @pytest.mark.parametrize(
     "change",
     [

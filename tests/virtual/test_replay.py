@@ -84,6 +84,7 @@ def test_a_recording_of_the_earlier_layout_replays_byte_for_byte_and_gives_the_s
         assert np.array_equal(old[field], new.columns[field]), field
 
 
+@pytest.mark.requirement(id="SR-9.2")
 def test_a_lockstep_run_with_lost_frames_replays_byte_for_byte(recording: Path) -> None:
     report = replay_run(recording)
     assert (report.ticks, report.different, report.gap_at, report.truncated) == (1200, 0, None, False)

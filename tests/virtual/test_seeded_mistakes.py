@@ -230,6 +230,7 @@ def test_without_a_mistake_the_task_runs(drive: str, tmp_path: Path) -> None:
     assert run.cycle.supervisor.commissioning.done
 
 
+@pytest.mark.requirement(id="SR-4.5")
 @pytest.mark.long
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: f"{mistake.drive}: {mistake.what}")
 def test_a_mistake_is_caught_before_a_task_runs(

@@ -101,6 +101,7 @@ def test_the_same_bytes_every_time() -> None:
     assert trace() == trace() != trace("wire.seed=2")
 
 
+@pytest.mark.requirement(id="SR-6.4")
 @pytest.mark.parametrize(
     ("kind", "fault", "axis_named"),
     [

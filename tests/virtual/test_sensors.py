@@ -124,6 +124,7 @@ SCENARIOS = {
 }
 
 
+@pytest.mark.requirement(id="SR-8.1")
 @pytest.mark.parametrize("kind", SCENARIOS)
 def test_a_sensor_that_fails_stops_the_stage_by_the_faults_name(kind: str) -> None:
     fault = {"kind": kind, "sensor": "force", "at_s": 0.6} | ({"value": 0.011} if kind == "sensor_value" else {})

@@ -23,6 +23,7 @@ def beyond(place: float, *changes: str, rig: str = "microscope-ideal") -> hil.Vi
     return mover
 
 
+@pytest.mark.requirement(id="SR-4.6")
 @pytest.mark.long
 @pytest.mark.parametrize("rig", ["microscope-ideal", "microscope"])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -115,6 +116,7 @@ def test_what_it_has_come_back_it_does_not_get_again() -> None:
     assert m._simulated.run.cycle.fault in (Fault.TRAVEL, Fault.TRAVEL_PLANNED, Fault.FOLLOWING_ERROR)
 
 
+@pytest.mark.requirement(id="SR-4.6")
 def test_the_travel_narrows_behind_an_axis_and_is_never_wider_than_where_it_began() -> None:
     travel = Travel(-1.0, 1.0, 0.1)
     travel.begin_at(0.5)

@@ -12,6 +12,7 @@ ROWS: Final = (
     Row(
         20,
         "BUS_PASSIVE",
+        requirement="SR-6.4",
         seen_by="error frames",
         after="1 tick",
         reaction=Reaction.COUNT,
@@ -26,6 +27,7 @@ ROWS: Final = (
     Row(
         21,
         "BUS_OFF",
+        requirement="SR-6.4",
         seen_by="error frames",
         after="1 tick",
         reaction=Reaction.SILENT,
@@ -40,6 +42,7 @@ ROWS: Final = (
     Row(
         22,
         "NO_ACK",
+        requirement="SR-6.4",
         seen_by="error frames",
         after="2 ticks in a row",
         reaction=Reaction.SILENT,
@@ -53,6 +56,7 @@ ROWS: Final = (
     Row(
         23,
         "TRANSMIT_REFUSED",
+        requirement="SR-6.4",
         seen_by="ENOBUFS, EAGAIN; newest wins, nothing is retried",
         after="1 frame",
         reaction=Reaction.COUNT,
@@ -66,6 +70,7 @@ ROWS: Final = (
     Row(
         24,
         "TRANSMIT_BLOCKED",
+        requirement="SR-6.4",
         seen_by="the same",
         after="safety.transmit_refused_limit (3) ticks in a row",
         reaction=Reaction.ZERO,
@@ -79,6 +84,7 @@ ROWS: Final = (
     Row(
         25,
         "INTERFACE_DOWN",
+        requirement="SR-6.4",
         seen_by="ENETDOWN, ENODEV",
         after="1 tick",
         reaction=Reaction.SILENT,
@@ -93,6 +99,7 @@ ROWS: Final = (
     Row(
         26,
         "RECEIVE_FLOOD",
+        requirement="SR-6.4",
         seen_by="frames of no use per tick, overflow counter",
         after="safety.flood_frames (12)",
         reaction=Reaction.STOP,
@@ -106,6 +113,7 @@ ROWS: Final = (
     Row(
         38,
         "FOREIGN_COMMAND",
+        requirement="SR-3.5",
         seen_by="a frame with an identifier in which the host alone speaks: command, SYNC, NMT",
         after="1 frame",
         reaction=Reaction.ZERO,

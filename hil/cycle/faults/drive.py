@@ -11,6 +11,7 @@ ROWS: Final = (
     Row(
         15,
         "DRIVE_FAULT",
+        requirement="SR-6.1",
         seen_by="status bit",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -33,6 +34,7 @@ ROWS: Final = (
     Row(
         16,
         "DRIVE_WATCHDOG",
+        requirement="SR-6.1",
         seen_by="status bit",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -49,6 +51,7 @@ ROWS: Final = (
     Row(
         17,
         "DRIVE_DISABLED",
+        requirement="SR-6.1",
         seen_by="status bit gone after it was set",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -65,6 +68,7 @@ ROWS: Final = (
     Row(
         18,
         "ENABLE_TIMEOUT",
+        requirement="SR-6.1",
         seen_by="status bit not set after activation",
         after="safety.enable_timeout_ticks (500)",
         reaction=Reaction.ZERO,
@@ -78,6 +82,7 @@ ROWS: Final = (
     Row(
         19,
         "ENCODER_FAULT",
+        requirement="SR-3.3",
         seen_by="status bit",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -94,6 +99,7 @@ ROWS: Final = (
     Row(
         34,
         "DRIVE_STAYS_ENABLED",
+        requirement="SR-6.3",
         seen_by="status bit set although no torque is permitted: its brake is open; only its watchdog is left",
         after="safety.disable_timeout_ticks (50) in a row",
         reaction=Reaction.SILENT,

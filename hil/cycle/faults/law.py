@@ -8,6 +8,7 @@ ROWS: Final = (
     Row(
         13,
         "NOT_FINITE",
+        requirement="SR-1.4",
         seen_by="NaN or infinity in the law's request or the filter",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -20,6 +21,7 @@ ROWS: Final = (
     Row(
         14,
         "FILTER_DIVERGED",
+        requirement="SR-4.3",
         seen_by="normalised innovation squared",
         after="safety.nis_ticks (20) in a row",
         reaction=Reaction.ZERO,

@@ -9,6 +9,7 @@ ROWS: Final = (
     Row(
         37,
         "LIMIT_SWITCH",
+        requirement="SR-4.1",
         seen_by="a limit switch closes (axes.NAME.limits.switches); not while homing on it",
         after="1 tick",
         reaction=Reaction.STOP,
@@ -25,6 +26,7 @@ ROWS: Final = (
     Row(
         8,
         "FOLLOWING_ERROR",
+        requirement="SR-4.3",
         seen_by="|position - setpoint| beyond a limit that grows with speed",
         after="1 tick",
         reaction=Reaction.STOP,
@@ -38,6 +40,7 @@ ROWS: Final = (
     Row(
         9,
         "TRAVEL_PLANNED",
+        requirement="SR-4.1",
         seen_by="setpoint, or position plus stopping distance, outside the travel",
         after="1 tick",
         reaction=Reaction.STOP,
@@ -51,6 +54,7 @@ ROWS: Final = (
     Row(
         10,
         "TRAVEL",
+        requirement="SR-4.1",
         seen_by="measured position outside the travel",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -64,6 +68,7 @@ ROWS: Final = (
     Row(
         11,
         "SPEED_PLANNED",
+        requirement="SR-4.2",
         seen_by="setpoint speed above the limit",
         after="1 tick",
         reaction=Reaction.STOP,
@@ -77,6 +82,7 @@ ROWS: Final = (
     Row(
         12,
         "SPEED",
+        requirement="SR-4.2",
         seen_by="estimated speed above the limit",
         after="1 tick",
         reaction=Reaction.ZERO,
@@ -90,6 +96,7 @@ ROWS: Final = (
     Row(
         35,
         "AXIS_NOT_AS_STATED",
+        requirement="SR-4.5",
         seen_by="the commissioning push moved the axis the wrong way, too far or too little ([axes.NAME.push])",
         after="a push",
         reaction=Reaction.ZERO,
@@ -102,6 +109,7 @@ ROWS: Final = (
     Row(
         36,
         "OSCILLATION",
+        requirement="SR-4.3",
         seen_by="the following error swings to and fro without fading, 5 Hz to half the rate, by limits.oscillation",
         after="3 swings",
         reaction=Reaction.STOP,
@@ -115,6 +123,7 @@ ROWS: Final = (
     Row(
         42,
         "STANDSTILL",
+        requirement="SR-5.2",
         seen_by="an axis without torque leaves a window around where it came to rest (axes.NAME.limits.standstill)",
         after="2 samples",
         reaction=Reaction.ZERO,
@@ -129,6 +138,7 @@ ROWS: Final = (
     Row(
         43,
         "AXIS_MOVED",
+        requirement="SR-5.2",
         seen_by="the same before READY, where people push axes by hand",
         after="2 samples",
         reaction=Reaction.COUNT,

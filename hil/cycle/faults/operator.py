@@ -8,6 +8,7 @@ ROWS: Final = (
     Row(
         30,
         "HEARTBEAT_LOST",
+        requirement="SR-2.3",
         seen_by="age of the operator's heartbeat",
         after="safety.heartbeat_s, when not 0",
         reaction=Reaction.STOP,
@@ -20,6 +21,7 @@ ROWS: Final = (
     Row(
         31,
         "REALTIME_DENIED",
+        requirement="SR-5.4",
         seen_by="what the kernel granted",
         after="at start; ACTIVATE is refused unless timing.allow_degraded",
         reaction=Reaction.COUNT,
@@ -33,6 +35,7 @@ ROWS: Final = (
     Row(
         32,
         "RECORDER_LOST",
+        requirement="SR-5.4",
         seen_by="the sidecar's heartbeat",
         after="ACTIVATE is refused if telemetry.recording_required",
         reaction=Reaction.COUNT,
@@ -47,6 +50,7 @@ ROWS: Final = (
     Row(
         33,
         "RIG_CHANGED",
+        requirement="SR-5.4",
         seen_by="hash of the rig file",
         after="ACTIVATE is refused",
         reaction=Reaction.COUNT,

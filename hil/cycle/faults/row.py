@@ -65,7 +65,8 @@ class Row(NamedTuple):
     its evidence names a channel of [sensors] in the place of an axis. form, measured, unit:
     what its evidence is, and `words` what stands for {} in `measured`, by a
     value of 0, 1, ...; "m" and "N" stand for rad and N m where the axis is rotary. cause: what usually brings it
-    about. action: what to do next. guards: the fields of an answer whose bound it watches.
+    about. action: what to do next. guards: the fields of an answer whose bound it watches. requirement: the one of
+    docs/safety-case.md that it serves.
     """
 
     number: int
@@ -85,3 +86,4 @@ class Row(NamedTuple):
     words: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     guards: tuple[Field, ...] = ()
+    requirement: str = ""

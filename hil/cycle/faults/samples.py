@@ -12,6 +12,7 @@ ROWS: Final = (
     Row(
         1,
         "ENCODER_GAP",
+        requirement="SR-3.1",
         seen_by="no answer to the latest command",
         after="1 tick",
         reaction=Reaction.BRIDGE,
@@ -25,6 +26,7 @@ ROWS: Final = (
     Row(
         2,
         "ENCODER_LOST",
+        requirement="SR-3.1",
         seen_by="the same",
         after="safety.silent_stop_ticks (3)",
         reaction=Reaction.STOP,
@@ -39,6 +41,7 @@ ROWS: Final = (
     Row(
         3,
         "ENCODER_DEAD",
+        requirement="SR-3.1",
         seen_by="the same",
         after="safety.silent_zero_ticks (10)",
         reaction=Reaction.ZERO,
@@ -53,6 +56,7 @@ ROWS: Final = (
     Row(
         4,
         "BAD_FRAMES",
+        requirement="SR-3.2",
         seen_by="sequence, checksum, length; leaky bucket",
         after="safety.bad_frame_limit (5)",
         reaction=Reaction.ZERO,
@@ -71,6 +75,7 @@ ROWS: Final = (
     Row(
         5,
         "ENCODER_GLITCH",
+        requirement="SR-3.3",
         seen_by="step beyond the speed bound; the sample is discarded",
         after="1 sample",
         reaction=Reaction.BRIDGE,
@@ -85,6 +90,7 @@ ROWS: Final = (
     Row(
         6,
         "ENCODER_JUMP",
+        requirement="SR-3.3",
         seen_by="the same",
         after="2 samples in a row",
         reaction=Reaction.ZERO,
@@ -102,6 +108,7 @@ ROWS: Final = (
     Row(
         7,
         "ENCODER_STUCK",
+        requirement="SR-3.3",
         seen_by="high force, not one count of motion",
         after="safety.stuck_ticks (50)",
         reaction=Reaction.ZERO,
@@ -115,6 +122,7 @@ ROWS: Final = (
     Row(
         39,
         "ANSWERS_DIFFER",
+        requirement="SR-3.5",
         seen_by="two valid answers to one command say different things; neither is used",
         after="1 frame",
         reaction=Reaction.ZERO,
@@ -132,6 +140,7 @@ ROWS: Final = (
     Row(
         40,
         "STAMP",
+        requirement="SR-3.4",
         seen_by="a drive's time stamp beyond what its own clock can have said between command and answer",
         after="1 sample, which is not used",
         reaction=Reaction.ZERO,
@@ -149,6 +158,7 @@ ROWS: Final = (
     Row(
         41,
         "STAMP_GLITCH",
+        requirement="SR-3.4",
         seen_by="a time stamp a little beyond its bound; the sample is discarded",
         after="1 sample",
         reaction=Reaction.BRIDGE,

@@ -10,6 +10,7 @@ ROWS: Final = (
     Row(
         44,
         "SENSOR_SILENT",
+        requirement="SR-8.1",
         seen_by="no valid reading of a sensor",
         after="sensors.NAME.silent_ticks (3)",
         reaction=Reaction.STOP,
@@ -24,6 +25,7 @@ ROWS: Final = (
     Row(
         45,
         "SENSOR_STUCK",
+        requirement="SR-8.1",
         seen_by="a sensor repeats one value to the last digit",
         after="sensors.NAME.stuck_ticks (8)",
         reaction=Reaction.STOP,
@@ -38,6 +40,7 @@ ROWS: Final = (
     Row(
         46,
         "SENSOR_RANGE",
+        requirement="SR-8.1",
         seen_by="a reading outside sensors.NAME.range",
         after="1 reading",
         reaction=Reaction.STOP,
@@ -52,6 +55,7 @@ ROWS: Final = (
     Row(
         47,
         "SENSOR_SEQUENCE",
+        requirement="SR-8.1",
         seen_by="a sensor's sequence number does not follow; the reading is not used",
         after="1 frame",
         reaction=Reaction.COUNT,

@@ -10,6 +10,7 @@ ROWS: Final = (
     Row(
         27,
         "OVERRUN",
+        requirement="SR-7.1",
         seen_by="a slot was skipped",
         after="1 slot",
         reaction=Reaction.COUNT,
@@ -23,6 +24,7 @@ ROWS: Final = (
     Row(
         28,
         "OVERRUN_BURST",
+        requirement="SR-7.1",
         seen_by="the same",
         after="safety.overrun_streak (5) ticks in a row",
         reaction=Reaction.STOP,
@@ -36,6 +38,7 @@ ROWS: Final = (
     Row(
         29,
         "OVERRUN_LONG",
+        requirement="SR-7.1",
         seen_by="time between two ticks",
         after="safety.overrun_zero_s (20 ms)",
         reaction=Reaction.ZERO,

@@ -32,6 +32,7 @@ def test_a_good_cell_goes_through_all_phases_in_their_order_and_is_ok() -> None:
     assert len(bench.cells[0].pulses) == 50
 
 
+@pytest.mark.requirement(id="SR-8.3")
 @pytest.mark.parametrize(
     ("cell", "verdict", "pulses"),
     [
@@ -58,6 +59,7 @@ def test_each_anomaly_has_its_verdict_and_none_a_pulse_that_is_not_due(
     assert bench.answer.position[2] == 0.0  # at the safe height
 
 
+@pytest.mark.requirement(id="SR-8.3")
 @pytest.mark.parametrize("missing", ["bolus", "valve"])
 def test_evidence_that_is_missing_is_never_ok(missing: str) -> None:
     assert injected(BenchCell(), **{missing: ""}).motion.results[0].verdict is Verdict.UNKNOWN

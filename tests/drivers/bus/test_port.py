@@ -179,6 +179,7 @@ def test_a_sender_without_end_costs_a_drain_a_bounded_number_of_reads(
     assert port.counters().received == 16 * SLOTS
 
 
+@pytest.mark.requirement(id="SR-6.4")
 def test_error_frames_change_the_state_and_the_counters_and_are_not_returned(port: Port, cable: Cable) -> None:
     def after(can_id: int, data: str = "0000000000000000") -> PortCounters:
         cable.arrive(Frame(ERROR | can_id, bytes.fromhex(data)), FEEDBACK)
@@ -193,6 +194,7 @@ def test_error_frames_change_the_state_and_the_counters_and_are_not_returned(por
     assert after(0x004, "0001000000070000") == PortCounters(errors=6, no_ack=2, bus_off=1, restarted=1, overflow=7)
 
 
+@pytest.mark.requirement(id="SR-6.4")
 @pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
 def test_a_full_queue_is_counted_and_the_frame_is_not_tried_again(port: Port, cable: Cable, number: int) -> None:
     cable.next_error = number

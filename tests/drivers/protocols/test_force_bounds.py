@@ -28,6 +28,7 @@ def layout_of(name: str, overrides: tuple[str, ...]) -> tuple[Any, list[float]]:
     return rig_layout(rig, RIGS), [axis.limits.force for axis in rig.axes.values()]
 
 
+@pytest.mark.requirement(id="SR-1.1")
 @pytest.mark.parametrize(("name", "overrides"), LAYOUTS)
 @pytest.mark.parametrize("enable", [0, 3])
 def test_a_force_is_sent_up_to_the_rated_one_and_no_further(name: str, overrides: tuple[str, ...], enable: int) -> None:

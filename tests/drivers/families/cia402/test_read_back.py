@@ -141,6 +141,7 @@ def test_all_that_is_written_is_read_back_the_application_last(bench: Bench) -> 
     assert [step.proof for step in steps] == sorted(step.proof for step in steps)
 
 
+@pytest.mark.requirement(id="SR-5.6")
 @pytest.mark.parametrize("place", [place for place in PROVED if place[0] >= 0x1400])
 def test_a_drive_that_acknowledges_and_keeps_another_value_is_named(bench: Bench, place: Place) -> None:
     bench.drive.lies[place] = 0x77
