@@ -67,10 +67,11 @@ test-browser: setup  ## the page in a real browser, with pictures in build/brows
 attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
-lint: setup $(TYPES)/.installed  ## ruff, mypy --strict, commit messages; users' programs as mypy and pyright see them
+lint: setup $(TYPES)/.installed  ## ruff, mypy --strict, prose, commit messages; users' programs as mypy and pyright see them
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/python -m tests.project.prose
 	@$(BIN)/python -m tests.users
 	@$(BIN)/python -m tests.project.commit_messages
 
