@@ -322,7 +322,7 @@ def simulate(
 ) -> Simulation:
     """Run a rig in virtual time against its emulated stage, for `seconds`: the same bytes every time, on any machine.
 
-    rig: a Rig or a rig file. law: another law's name, or a class of yours, of a notebook's cell too. overrides:
+    rig: a Rig or a rig file. law: another law's name, or your own class, of a notebook's cell too. overrides:
     key.path=value texts, or {"key.path": value}. scenario: a file of faults to inject, or a shipped one's name.
     record: write a recording there. Raises RigError where the rig cannot run, RecordingError where `record` cannot be
     written.

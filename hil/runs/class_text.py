@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import linecache
 import sys
 import textwrap
 from types import ModuleType
@@ -27,7 +28,7 @@ def class_text(made: type) -> str:
 def _take(thing: Any, parts: dict[str, str]) -> None:
     """Put the source of a class or function into `parts`, after all that it uses."""
     try:
-        source = textwrap.dedent(inspect.getsource(thing))
+        source = textwrap.dedent(_class_in_its_cell(thing) or inspect.getsource(thing))
     except (OSError, TypeError):
         raise ClassTextError(f"{thing.__name__}: its source is not to be had; put it into a file") from None
     home = vars(sys.modules[thing.__module__])
@@ -36,6 +37,24 @@ def _take(thing: Any, parts: dict[str, str]) -> None:
         if name in home and name not in parts:
             _take_name(thing, name, home[name], parts)
     parts.setdefault(thing.__name__, source.rstrip())
+
+
+def _class_in_its_cell(thing: Any) -> str:
+    """The source of a class by the lines of its methods; "" of anything else.
+
+    inspect asks the module of a class for its file. The module of a notebook has none, but each cell has a name.
+    """
+    for value in vars(thing).values() if isinstance(thing, type) else ():
+        code = getattr(value, "__code__", None)
+        if code is None or value.__qualname__ != f"{thing.__qualname__}.{value.__name__}":
+            continue
+        lines = linecache.getlines(code.co_filename)
+        for node in ast.walk(ast.parse("".join(lines))):
+            if isinstance(node, ast.ClassDef) and node.name == thing.__name__:
+                first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+                if first <= code.co_firstlineno <= (node.end_lineno or first):
+                    return "".join(lines[first - 1 : node.end_lineno])
+    return ""
 
 
 def _take_name(user: Any, name: str, value: Any, parts: dict[str, str]) -> None:

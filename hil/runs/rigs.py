@@ -38,11 +38,13 @@ class Rig:
         self, *overrides: str | Mapping[str, object], law: str | type[Law] | None = None, **keys: object
     ) -> "Rig":
         """The same rig with other values, beyond those it has: "key.path=value" texts, {"key.path": value} mappings, or
-        keywords for keys at the top, rate_hz=500. law: a law's name, or a class of yours. Raises RigError.
+        keywords for keys at the top, rate_hz=500. law: a law's name, or your own class. Raises RigError.
         """
         words = [word for one in (*overrides, keys) for word in override_words([one] if isinstance(one, str) else one)]
         if isinstance(law, type):
-            return _rig(_with_law(self.changed(*words).config, law), self.folder, ())
+            of_law = tuple(word for word in words if word.startswith("law."))
+            others = [word for word in words if word not in of_law]
+            return _rig(_with_law(self.changed(*others).config, law), self.folder, of_law)
         named = [] if law is None else [f"law.name={law}"]
         return _rig(self._source, self.folder, (*self._overrides, *named, *words))
 

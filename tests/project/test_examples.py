@@ -1,5 +1,6 @@
 """Every example runs, by itself, in an empty folder; the notebooks cell by cell."""
 
+import base64
 import json
 import os
 import re
@@ -7,9 +8,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from docs.notebooks import outputs_of
 from hil.live.runtime_paths import runtime_paths
 from tests.support.live_rig import PAPER, Control, emulated
 from tests.support.paths import ROOT
@@ -43,8 +46,14 @@ def code_of(notebook: Path) -> str:
     document = json.loads(notebook.read_text())
     assert (document["nbformat"], document["nbformat_minor"]) == (4, 5)
     cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
-    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
     return "\n\n".join("".join(cell["source"]) for cell in cells)
+
+
+def told(outputs: list[list[dict[str, Any]]]) -> list[list[str]]:
+    """The text of each cell, "picture" for one: a picture's bytes are its fonts' and libraries' affair."""
+    return [
+        ["".join(one.get("text", one.get("data", {}).get("text/plain", "picture"))) for one in cell] for cell in outputs
+    ]
 
 
 def test_the_ladder_names_every_example_and_no_other() -> None:
@@ -64,10 +73,20 @@ def test_a_program_runs_in_an_empty_folder(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_runs_cell_by_cell(name: str, tmp_path: Path) -> None:
-    program = tmp_path / "cells.py"
-    program.write_text(code_of(FOLDER / name))
-    ran([str(program)], tmp_path)
+def test_a_notebook_shows_what_its_cells_print_and_draw(name: str) -> None:
+    document = json.loads((FOLDER / name).read_text())
+    stored = [cell["outputs"] for cell in document["cells"] if cell["cell_type"] == "code"]
+    assert told(outputs_of(document)) == told(stored), "python -m docs.notebooks"
+
+
+def test_every_notebook_is_stored_with_a_picture_and_without_an_error() -> None:
+    for name in NOTEBOOKS:
+        cells = json.loads((FOLDER / name).read_text())["cells"]
+        shown = [output for cell in cells if cell["cell_type"] == "code" for output in cell["outputs"]]
+        assert {output["output_type"] for output in shown} <= {"stream", "execute_result", "display_data"}, name
+        pictures = [output["data"]["image/png"] for output in shown if output["output_type"] == "display_data"]
+        assert pictures, f"{name}: python -m docs.notebooks"
+        assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
 
 
 @pytest.mark.slow

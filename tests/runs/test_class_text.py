@@ -48,8 +48,7 @@ class Leaky(Soft):
 @pytest.fixture
 def cell() -> Iterator[dict[str, Any]]:
     """The names of a module that no file holds, as a notebook's are."""
-    module = ModuleType("cell_of_a_notebook")
-    module.__file__ = "<cell 1>"
+    module = ModuleType("cell_of_a_notebook")  # without __file__, as IPython's is
     linecache.cache["<cell 1>"] = (len(CELL), None, CELL.splitlines(keepends=True), "<cell 1>")
     sys.modules[module.__name__] = module
     exec(compile(CELL, "<cell 1>", "exec"), module.__dict__)
@@ -75,6 +74,13 @@ def test_the_text_of_a_class_is_a_file_of_its_own(cell: dict[str, Any]) -> None:
 def test_what_a_file_cannot_say_is_refused_by_name(cell: dict[str, Any]) -> None:
     with pytest.raises(hil.RigError, match="law = Leaky: Leaky uses open_file, a tuple_iterator"):
         hil.load_rig("paper").changed(law=cell["Leaky"])
+
+
+def test_overrides_of_the_law_are_those_of_the_class(cell: dict[str, Any]) -> None:
+    rig = hil.load_rig("paper").changed("plant.mass_scale=1.25", "law.gains.damping=0.3", law=cell["Soft"])
+    assert (rig.config.law.gains, rig.config.plant.mass_scale) == ({"damping": 0.3}, 1.25)
+    with pytest.raises(hil.RigError, match=r"stiffness"):
+        hil.simulate("paper", 0.1, law=cell["Soft"], overrides={"law.gains.stiffness": 1.0})
 
 
 def test_values_may_be_numbers_lists_and_arrays() -> None:
