@@ -80,7 +80,7 @@ $(TYPES)/.installed: tests/users/requirements.lock
 	@$(TYPES)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $<
 	@touch $@
 
-lock:  ## renew the lock files (needs uv)
+lock:  ## renew the lock files and the wheel's SBOM (needs uv)
 	uv pip compile pyproject.toml $(foreach name,dashboard cluster bench dev,--extra $(name)) --universal --python-version 3.11 --generate-hashes \
 	    --no-annotate --custom-compile-command "make lock" -q -o requirements.lock
 	uv pip compile tests/mutation/requirements.in -c requirements.lock --universal --python-version 3.11 \
@@ -94,6 +94,8 @@ lock:  ## renew the lock files (needs uv)
 	grep -E '^[a-zA-Z].*==' requirements.lock | grep -vE '^(fsspec|python-dateutil)==' | sed 's/ *\\$$//' > build/constraints.txt
 	uv pip compile tests/adapters/requirements.in -c build/constraints.txt --universal --python-version 3.11 \
 	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q -o tests/adapters/requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m deploy.wheel.sbom
 
 include deploy/vm/vm.mk
 include deploy/package.mk
