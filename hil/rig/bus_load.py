@@ -9,16 +9,18 @@ from drivers.config import LAYOUT_KIND
 from drivers.families import family_of
 from drivers.protocols.base import HostProtocol, Message
 from drivers.protocols.mounting import MountedHost
-from hil.rig.layout import host_layout
+from hil.rig.layout import fitted, host_layout
 from hil.rig.outputs import output_messages
 from hil.rig.schema import LEAST_RATE_HZ, RigConfig, RigError
 from hil.rig.sensors import sensor_messages
 
 
-def rig_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
-    """The host's side of the rig's frame layout. Raises RigError for one the rig cannot have."""
+def rig_layout(rig: RigConfig, base_dir: Path, built: HostProtocol | None = None) -> HostProtocol:
+    """The host's side of the rig's frame layout; built: that of a rig with the same drives and bus. Raises RigError for
+    one the rig cannot have.
+    """
     try:
-        return host_layout(rig, base_dir)
+        return host_layout(rig, base_dir) if built is None else fitted(rig, built)
     except (ValueError, OSError) as error:
         raise RigError([layout_problem(rig, error)]) from None
 
@@ -103,11 +105,11 @@ def analyse_rig(rig: RigConfig, layout: HostProtocol) -> Analysis:
     )
 
 
-def refuse_unschedulable(rig: RigConfig, base_dir: Path) -> HostProtocol:
-    """The layout of a rig whose traffic fits. Raises RigError (exit status 78) naming each frame that is too late, and
-    for a layout that the rig cannot have.
+def refuse_unschedulable(rig: RigConfig, base_dir: Path, built: HostProtocol | None = None) -> HostProtocol:
+    """The layout of a rig whose traffic fits. built: that of a rig with the same drives and bus. Raises RigError (exit
+    status 78) naming each frame that is too late, and for a layout that the rig cannot have.
     """
-    layout = rig_layout(rig, base_dir)
+    layout = rig_layout(rig, base_dir, built)
     analysis = analyse_rig(rig, layout)
     if not analysis.schedulable:
         raise RigError(problems(rig, base_dir, analysis))

@@ -15,7 +15,11 @@ LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     """Raises LayoutError (a ValueError) or OSError for a layout that the rig cannot have, naming the key."""
     rated = [axis.rated_force for axis in rig.axes.values()]
-    layout = host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings)
+    return fitted(rig, host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings))
+
+
+def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:
+    """The layout of a rig with the same drives and bus, for what this rig has beside them. Raises LayoutError."""
     for key, axis, demanded in demands(rig):
         if missing := demanded & ~tells_of(layout, axis):
             raise LayoutError(

@@ -7,7 +7,7 @@ Times are in s, positions in m (rad).
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,17 +28,22 @@ class TaskFileError(ValueError):
 
 def read_task_file(path: Path) -> tuple[list[str], Rows]:
     """The axes a file names, and its rows: time, then positions in their order. Raises TaskFileError."""
-    try:
-        data = read_bounded(path, LARGEST)
-    except OSError as error:
-        raise TaskFileError(f"{path}: {error.strerror or error}") from None
-    except UnsuitableFileError as error:
-        raise TaskFileError(f"{path}: {error}") from None
+    data = file_bytes(path)
     axes, rows = (_from_npz if path.suffix.lower() == ".npz" else _from_csv)(path, data)
     problems = sample_problems(axes, rows)
     if problems:
         raise TaskFileError("\n".join(f"{path}: {problem}" for problem in problems))
     return axes, rows
+
+
+def file_bytes(path: Path) -> bytes:
+    """All of a file of at most LARGEST bytes. Raises TaskFileError."""
+    try:
+        return read_bounded(path, LARGEST)
+    except OSError as error:
+        raise TaskFileError(f"{path}: {error.strerror or error}") from None
+    except UnsuitableFileError as error:
+        raise TaskFileError(f"{path}: {error}") from None
 
 
 def sample_problems(axes: Sequence[str], rows: Sequence[Sequence[float]]) -> list[str]:
@@ -61,32 +66,44 @@ def sample_problems(axes: Sequence[str], rows: Sequence[Sequence[float]]) -> lis
 
 
 def _from_csv(path: Path, data: bytes) -> tuple[list[str], Rows]:
+    names, rows = csv_columns(path, data, lambda header: [TIME, *_columns(path, header)])
+    return names[1:], rows
+
+
+def csv_columns(
+    path: Path, data: bytes, chosen: Callable[[Sequence[str]], list[str]], most: int = MOST_ROWS
+) -> tuple[list[str], Rows]:
+    """Columns of numbers of a CSV file with a header line, and their names. chosen: of the header's names those that
+    are read, in the order of each row. most: rows. Raises TaskFileError naming file, row and column.
+    """
     try:
         lines = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), skipinitialspace=True)
         header = [name.strip() for name in next(lines, [])]
-        axes = _columns(path, header)
+        names = chosen(header)
+        places = [header.index(name) for name in names]
         rows: Rows = []
         for line in lines:
             if not any(cell.strip() for cell in line):
                 continue
-            if len(rows) == MOST_ROWS:
-                raise TaskFileError(f"{path}: more than {MOST_ROWS} rows")
-            rows.append(_numbers(path, len(rows) + 1, header, line))
+            if len(rows) == most:
+                raise TaskFileError(f"{path}: more than {most} rows")
+            rows.append(_numbers(path, len(rows) + 1, header, line, places))
     except (UnicodeDecodeError, csv.Error) as error:
         raise TaskFileError(f"{path}: no CSV file: {error}") from None
-    order = [header.index(name) for name in (TIME, *axes)]
-    return axes, [[row[index] for index in order] for row in rows]
+    return names, rows
 
 
-def _numbers(path: Path, number: int, header: Sequence[str], line: Sequence[str]) -> list[float]:
+def _numbers(path: Path, number: int, header: Sequence[str], line: Sequence[str], places: Sequence[int]) -> list[float]:
     if len(line) != len(header):
         raise TaskFileError(f"{path}: row {number}: {len(line)} values, expected {len(header)} ({', '.join(header)})")
     found = []
-    for name, cell in zip(header, line, strict=True):
+    for place in places:
         try:
-            found.append(float(cell))
+            found.append(float(line[place]))
         except ValueError:
-            raise TaskFileError(f"{path}: row {number}, column {name}: {cell[:40]!r} is no number") from None
+            raise TaskFileError(
+                f"{path}: row {number}, column {header[place]}: {line[place][:40]!r} is no number"
+            ) from None
     return found
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.bus.counters import PortCounters, of_all
 from drivers.frame import ECHO, Frame, segment_of
-from drivers.protocols.base import echo_ids
+from drivers.protocols.base import HostProtocol, echo_ids
 from drivers.protocols.segments import segments_of
 from drivers.wire.faults import Random, WireFault
 from drivers.wire.node import WireNode
@@ -50,7 +50,7 @@ class LockstepRun:
     """One run. Advance it tick by tick with `tick`, or whole with `run`.
 
     operator: says which commands arrive in a tick. observer: called with every tick's inputs and result, before the
-    wire moves on.
+    wire moves on. layout: the rig's, where who judged it has built one.
     """
 
     def __init__(
@@ -62,10 +62,11 @@ class LockstepRun:
         observer: Observer | None = None,
         wire_faults: Sequence[WireFault] = (),
         scenario: Scenario | None = None,
+        layout: HostProtocol | None = None,
     ) -> None:
         self.rig = rig
         self.base_dir = base_dir
-        self.cycle = ControlCycle(rig, base_dir)
+        self.cycle = ControlCycle(rig, base_dir, layout)
         self._operator = operator
         self._observer = observer
         rated = [axis.rated_force for axis in rig.axes.values()]

@@ -90,8 +90,9 @@ def test_a_grid_goes_to_and_fro_around_its_middle() -> None:
     [
         ("a,b\n1,2\n", "no column 'x'"),
         ("x,y\n", "no cell"),
-        ("x,y\n1e-3,oops\n", "line 2"),
-        ("x,y\n1e-3\n", "line 2"),
+        ("x,y\n1e-3,oops\n", "row 1, column y"),
+        ("x,y\n1e-3\n", "row 1: 1 values"),
+        ("x,y\n1e-3,nan\n", "row 1: x = 0.001, y = nan"),
     ],
 )
 def test_a_file_of_cells_that_is_none_is_refused_by_line(tmp_path: Path, text: str, said: str) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import isnan, nan
 from pathlib import Path
 
+from drivers.protocols.base import HostProtocol
 from hil.control.motion.injection.verdict import CellResult, Verdict
 from hil.cycle.goal import MotionWord
 from hil.rig.schema import RigConfig
@@ -59,9 +60,16 @@ class Batch:
     limited: int = 0
 
 
-def inject(rig: RigConfig, base_dir: Path, progress: Callable[[int, int], None] = lambda done, of: None) -> Batch:
-    """Run the rig's cells to the end, or to a fault. progress: told of cells that are over, and of all."""
-    run = LockstepRun(rig, base_dir)
+def inject(
+    rig: RigConfig,
+    base_dir: Path,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+    layout: HostProtocol | None = None,
+) -> Batch:
+    """Run the rig's cells to the end, or to a fault. progress: told of cells that are over, and of all. layout: the
+    rig's, where it has been built.
+    """
+    run = LockstepRun(rig, base_dir, layout=layout)
     desk = run.cycle.supervisor.goals
     decided = desk.decided
     assert decided is not None

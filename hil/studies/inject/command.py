@@ -13,17 +13,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from drivers.protocols.base import HostProtocol
 from hil.cli.options import JsonTarget, Overrides, RigFile
 from hil.cli.output import writable, write_json
 from hil.rig.bus_load import refuse_unschedulable, rig_layout
 from hil.rig.file import load_rig
-from hil.rig.schema import RigError
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.inject.batch import Batch, Injected
 from hil.studies.inject.batch import inject as inject_batch
-from hil.studies.inject.equipment import Positions, grid, has_equipment, middle, read_positions, words
+from hil.studies.inject.equipment import MOST_CELLS, Positions, grid, has_equipment, middle, read_positions, words
 from hil.studies.inject.judge import Line, judged, share_text
-
-MOST_CELLS = 2000
 
 
 def inject(
@@ -53,13 +52,13 @@ def inject(
     places = _grid(grid_text, pitch, centre) if cells is None else read_positions(cells)
     if len(places) > MOST_CELLS:
         raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
-    fd = rig_layout(rig, rig_file.parent).fd
-    changed = load_rig(rig_file, (*(overrides or ()), *words(rig, places, seed, anomalies, fd=fd)))
-    refuse_unschedulable(changed, rig_file.parent)
+    layout = rig_layout(rig, rig_file.parent)
+    changed = load_rig(rig_file, (*(overrides or ()), *words(rig, places, seed, anomalies, fd=layout.fd)))
+    layout = refuse_unschedulable(changed, rig_file.parent, layout)
     console = Console(stderr=json_target == "-")
     if not has_equipment(rig):
         console.print("The rig names no motion for cells: with the reference sensors, valve and dish, all assumed.")
-    batch = _run(changed, rig_file.parent, console)
+    batch = _run(changed, rig_file.parent, layout, console)
     limit = float(changed.motion.parameters.get("force_limit", 1.4e-3))
     lines = judged(batch, limit) if judge else []
     _show(console, batch, lines)
@@ -83,11 +82,11 @@ def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
     return grid(int(rows), int(columns), pitch, centre)
 
 
-def _run(rig: Any, folder: Path, console: Console) -> Batch:
+def _run(rig: RigConfig, folder: Path, layout: HostProtocol, console: Console) -> Batch:
     columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=None)
-        return inject_batch(rig, folder, lambda done, of: bar.update(task, completed=done, total=of))
+        return inject_batch(rig, folder, lambda done, of: bar.update(task, completed=done, total=of), layout)
 
 
 def _show(console: Console, batch: Batch, lines: list[Line]) -> None:

@@ -4,17 +4,19 @@ The figures are those of the issue's specification: a force sensor of 5 uN RMS o
 whose frames come 50 ms late, a valve, and cells like those of zebrafish embryos. All of it is assumed.
 """
 
-import csv
 import json
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from hil.cycle.limits import motion_limits
 from hil.rig.schema import RigConfig, RigError
+from hil.rig.task_file import TaskFileError, csv_columns, file_bytes
 
 Positions = list[tuple[float, float]]
 
+MOST_CELLS = 2000
 TOP_SHARE = 0.2  # of the travel, above its lower end: where the tops of the cells are
 ABOVE = 0.8e-3  # m from there to the safe height
 _SLOW = "silent_ticks=2000, stuck_ticks=0"  # of the camera; the motion itself looks at the age of its frames
@@ -39,25 +41,23 @@ def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> 
 
 
 def read_positions(path: Path) -> Positions:
-    """The columns x and y (m) of a CSV file. Raises RigError naming file, line and column."""
+    """The columns x and y (m) of a CSV file, one row a cell. Raises RigError naming file, row and column."""
+
+    def places(header: Sequence[str]) -> list[str]:
+        if missing := [name for name in ("x", "y") if name not in header]:
+            raise TaskFileError(f"{path}: no column {missing[0]!r}; expected x and y, m")
+        return ["x", "y"]
+
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RigError([f"{path}: {getattr(error, 'strerror', None) or error}"]) from None
-    found: Positions = []
-    for line, row in enumerate(rows, 2):
-        try:
-            found.append((float(row["x"]), float(row["y"])))
-        except KeyError as missing:
-            raise RigError([f"{path}: no column {missing}; expected x and y, m"]) from None
-        except (TypeError, ValueError):
-            raise RigError(
-                [f"{path}: line {line}: x = {row['x']!r:.30}, y = {row['y']!r:.30}; expected numbers, m"]
-            ) from None
-    if not found:
-        raise RigError([f"{path}: no cell; expected a line of x and y, m, for each"])
-    return found
+        _, rows = csv_columns(path, file_bytes(path), places, MOST_CELLS)
+    except TaskFileError as error:
+        raise RigError([str(error)]) from None
+    for number, row in enumerate(rows, 1):
+        if not all(isfinite(value) for value in row):
+            raise RigError([f"{path}: row {number}: x = {row[0]}, y = {row[1]}; expected finite numbers, m"])
+    if not rows:
+        raise RigError([f"{path}: no cell; expected a row of x and y, m, for each"])
+    return [(x, y) for x, y in rows]
 
 
 def middle(rig: RigConfig) -> tuple[float, float]:
