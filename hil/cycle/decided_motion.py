@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from hil.control.motion.asked import AskedMotion
-from hil.control.motion.contract import Observation, References
+from hil.control.motion.contract import Observation, References, Request
 from hil.control.plans.axis_plan import MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import knot, move
@@ -45,6 +45,7 @@ class DecidedMotion:
         self._period_ns = period_ns
         self._period = period_ns * 1e-9
         self._tick = 0
+        self._request = Request.NONE
         self.runs = False
         self.outputs = self.phase = self.cell = self.limited = 0
 
@@ -65,9 +66,14 @@ class DecidedMotion:
         self._asked.begin(position)
         self.runs = True
 
+    def ask(self, request: Request) -> None:
+        """The motion is told so in this tick."""
+        self._request = request
+
     def end(self) -> None:
         """It is asked no more, and sets nothing."""
         self.runs = False
+        self._request = Request.NONE
         self.outputs = self.phase = self.cell = 0
 
     def advance(self, course: Course) -> None:
@@ -85,8 +91,10 @@ class DecidedMotion:
                 in_force,
                 list(self._readings),
                 list(self._ages),
+                self._request,
             )
         )
+        self._request = Request.NONE
         self._tick += 1
         if answer is None:
             self.end()

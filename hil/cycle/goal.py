@@ -18,6 +18,7 @@ class GoalKind(IntEnum):
     PATH = 4  # the rig's task, or the one loaded last, from where the stage rests
     RATE = 5  # of the path's time: `speed`; 0 is a pause
     HALT = 6  # stop here, and hold
+    REQUEST = 7  # of the motion that runs: `flags` is a hil.control.motion.contract.Request
 
 
 class MotionWord(IntEnum):
@@ -63,7 +64,7 @@ _TEXTS: dict[int, str] = {
     Refusal.FENCE: "the target is beyond the travel less its margin",
     Refusal.LIMITS: "no plan keeps the limits from the motion in force",
     Refusal.TASK: "the task may not be interrupted",
-    Refusal.NO_PATH: "no path to begin or to pause here",
+    Refusal.NO_PATH: "no path and no motion here to begin, to pause or to ask",
     Refusal.SUPERSEDED: "a newer goal of its kind came in the same tick",
     Refusal.STALE: "it waited too long for the control process",
     Refusal.FOREIGN: "the lease that it was sent under has ended",

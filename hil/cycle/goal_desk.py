@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from hil.control.motion.contract import Request
 from hil.control.plans.axis_plan import AxisPlan, MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import halt, jog, knot, move
@@ -149,7 +150,19 @@ class GoalDesk:
         self.begin(path, MotionWord.PATH)
         return Refusal.NONE
 
+    def _ask(self, goal: Goal) -> Refusal:
+        """The motion that runs hears what the operator asks for; nothing else changes."""
+        decided = self.decided
+        if self.word is not MotionWord.MOTION or decided is None:
+            return Refusal.NO_PATH
+        if not Request.PAUSE <= goal.flags <= Request.ABORT:
+            return Refusal.UNKNOWN
+        decided.ask(Request(goal.flags))
+        return Refusal.NONE
+
     def _act(self, goal: Goal) -> Refusal:
+        if goal.kind == GoalKind.REQUEST:
+            return self._ask(goal)
         axes = self._chosen(goal)
         refusal = self._wrong(goal, axes)
         if refusal is not Refusal.NONE:

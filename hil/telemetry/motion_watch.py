@@ -47,7 +47,7 @@ class MotionWatch:
         """Where the goals of a tick lead, from what was so before."""
         self._hold(before)
         for goal in record["goals"][: record["n_goals"]]:
-            if goal["refusal"] == 0 and goal["kind"] != GoalKind.RATE:
+            if goal["refusal"] == 0 and goal["kind"] not in (GoalKind.RATE, GoalKind.REQUEST):
                 self._lead(goal)
 
     def _lead(self, goal: np.void) -> None:

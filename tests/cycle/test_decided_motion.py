@@ -189,6 +189,41 @@ def test_activate_hold_begins_without_the_motion() -> None:
     assert told.run.cycle.supervisor.goals.word is MotionWord.HOLD
 
 
+def test_a_motion_hears_a_request_in_the_tick_that_takes_it_and_goes_on() -> None:
+    heard: list[hil.Request] = []
+
+    def step(seen: hil.Observation) -> hil.References:
+        heard.append(seen.request)
+        return hil.References([0.0] * 4, [0.0] * 4)
+
+    told = Decided(step, "motion.interrupt=false").begin().ticks(5)
+    before = len(heard)
+    assert told.ask(GoalKind.REQUEST, flags=hil.Request.SKIP) == Refusal.NONE
+    told.ticks(3)
+    assert heard[before:] == [hil.Request.SKIP, *[hil.Request.NONE] * 3]
+    assert told.word is MotionWord.MOTION
+
+
+@pytest.mark.parametrize("flags", [0, 5, 0xFFFF])
+def test_a_request_that_is_none_is_refused_and_the_motion_hears_nothing(flags: int) -> None:
+    heard: list[hil.Request] = []
+
+    def step(seen: hil.Observation) -> hil.References:
+        heard.append(seen.request)
+        return hil.References([0.0] * 4, [0.0] * 4)
+
+    told = Decided(step).begin().ticks(5)
+    assert told.ask(GoalKind.REQUEST, flags=flags) == Refusal.UNKNOWN
+    told.ticks(3)
+    assert set(heard) == {hil.Request.NONE}
+
+
+def test_where_no_motion_runs_a_request_is_refused_and_the_next_motion_does_not_hear_it() -> None:
+    told = Decided(still).begin().ticks(5)
+    assert told.ask(GoalKind.HALT) == Refusal.NONE
+    assert told.ask(GoalKind.REQUEST, flags=hil.Request.ABORT) == Refusal.NO_PATH
+
+
 def test_a_motion_sees_readings_with_their_age_and_what_the_axes_do() -> None:
     seen: list[hil.Observation] = []
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.control.motion.contract import Observation, References, Surroundings
+from hil.control.motion.contract import Observation, References, Request, Surroundings
 from hil.control.plans.axis_plan import MotionLimits
 from hil.control.reading import Reading
 
@@ -105,8 +105,8 @@ class Bench:
             _, shift, tip, bolus = self._waiting.pop(0)
             self._camera = (shift, tip, bolus, self._camera[3] + 1, self.tick)
 
-    def step(self) -> None:
-        """One tick."""
+    def step(self, request: Request = Request.NONE) -> None:
+        """One tick. request: of an operator."""
         cell = self.cells[self._cell]
         force = self._force()
         self.peak = max(self.peak, force)
@@ -130,7 +130,7 @@ class Bench:
         self.answer = self.motion.step(
             Observation(
                 self.tick, ends, [s[0] for s in self.state], [s[1] for s in self.state], self.state, readings,
-                [0, *[self.tick - came] * 3],
+                [0, *[self.tick - came] * 3], request,
             )
         )  # fmt: skip
         self.phases.append(self.answer.phase)

@@ -2,10 +2,23 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from hil.control.plans.axis_plan import MotionLimits
 from hil.control.reading import Reading
+
+
+class Request(IntEnum):
+    """What an operator asks of a motion while it runs. What it means is the motion's own to say; one that looks at none
+    of them goes on.
+    """
+
+    NONE = 0
+    PAUSE = 1
+    RESUME = 2
+    SKIP = 3  # what it is at now
+    ABORT = 4  # end in good order
 
 
 class Surroundings(NamedTuple):
@@ -30,7 +43,7 @@ class Observation(NamedTuple):
     each axis counts by the stamps of its own drive. position, velocity: where the axis is and how fast it moves, by
     the rig's own filter, when the coming force begins to act. reference: position, velocity and acceleration in force
     at that instant, m, m/s, m/s^2: what was asked for a tick ago, where it was within the limits. readings: the newest
-    of every sensor. ages: ticks since each was sampled.
+    of every sensor. ages: ticks since each was sampled. request: what the operator asks for in this tick alone.
     """
 
     tick: int
@@ -40,6 +53,7 @@ class Observation(NamedTuple):
     reference: Sequence[tuple[float, float, float]]
     readings: Sequence[Reading]
     ages: Sequence[int]
+    request: Request = Request.NONE
 
 
 class References(NamedTuple):

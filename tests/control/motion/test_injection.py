@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from hil.control.motion.contract import Request
 from hil.control.motion.injection.cells import CellInjection
 from hil.control.motion.injection.verdict import TOLD, Phase, Verdict
 from tests.support.bench_cell import AROUND, PARAMETERS, Bench, BenchCell
@@ -90,6 +91,7 @@ def test_noise_alone_is_neither_contact_nor_puncture(seed: int) -> None:
     ("changes", "words"),
     [
         ({"cells": []}, "cells = \\[\\]"),
+        ({"first": 2}, "first = 2; allowed: 1 to 1"),
         ({"cells": [[0.0, 0.0]]}, "row 1 is"),
         ({"cells": [[0.0, 0.0, -0.0059]]}, "takes z to"),
         ({"cells": [[0.02, 0.0, -0.002]]}, "takes x to"),
@@ -107,3 +109,83 @@ def test_noise_alone_is_neither_contact_nor_puncture(seed: int) -> None:
 def test_parameters_that_cannot_be_are_refused_by_their_key(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         CellInjection(AROUND, **{**PARAMETERS, **changes})
+
+
+# requests of an operator -----------------------------------------------------------------------------------------------
+
+
+def asked(*requests: tuple[Request, int, Phase], cells: int = 3) -> tuple[Bench, list[int]]:
+    """A batch in which each request comes once, in the second tick of a cell's phase; a pause lasts 400 ticks. Also
+    the places of the tip in the second half of a pause, um.
+    """
+    places = [[0.001 * (k + 1), 0.0, -0.002] for k in range(cells)]
+    bench = Bench(CellInjection(AROUND, **{**PARAMETERS, "cells": places}), [BenchCell() for _ in range(cells)])
+    waiting, resume_at, low = list(requests), -1, []
+    before = (0, 0)
+    while bench.answer is None or not bench.answer.done:
+        request = Request.NONE
+        now = (bench.answer.cell, bench.answer.phase) if bench.answer else (0, 0)
+        if waiting and now == before == (waiting[0][1], waiting[0][2]):
+            request = waiting.pop(0)[0]
+            resume_at = bench.tick + 400 if request is Request.PAUSE else resume_at
+        elif bench.tick == resume_at:
+            request = Request.RESUME
+        before = now
+        bench.step(request)
+        assert bench.answer is not None
+        if bench.answer.phase == Phase.PAUSED and resume_at - 200 < bench.tick < resume_at:
+            low.append(round(bench.answer.position[2] * 1e6))
+        assert bench.tick < 20_000
+    assert waiting == []
+    return bench, low
+
+
+WHOLE = [Phase.NONE, Phase.APPROACH, Phase.TARE, Phase.SEEK]  # the tip has not pressed on the cell yet
+TOUCHED = [Phase.PRESS, Phase.FREEZE, Phase.ADVANCE, Phase.PULSE]
+OVER = [Phase.WITHDRAW, Phase.LIFT]
+
+
+@pytest.mark.parametrize("phase", [*WHOLE, *TOUCHED, Phase.CONFIRM, *OVER])
+def test_a_skip_ends_the_cell_in_hand_and_the_others_are_injected(phase: Phase) -> None:
+    bench, _ = asked((Request.SKIP, 2, phase))
+    verdict = Verdict.OK if phase in OVER else Verdict.UNKNOWN if phase is Phase.CONFIRM else Verdict.SKIPPED
+    assert [r.verdict for r in bench.motion.results] == [Verdict.OK, verdict, Verdict.OK]
+    assert [p - TOLD for p in bench.phases if p >= TOLD] == [Verdict.OK, verdict, Verdict.OK]
+    pulses = [len(cell.pulses) for cell in bench.cells]
+    assert pulses[0] == pulses[2] == 50
+    assert pulses[1] == {Phase.CONFIRM: pulses[1], **dict.fromkeys(OVER, 50)}.get(phase, 0) <= 50
+    assert sum(cell.unpierced_pulses for cell in bench.cells) == 0
+
+
+@pytest.mark.parametrize("phase", [*WHOLE, *TOUCHED, Phase.CONFIRM, *OVER])
+def test_a_pause_waits_at_the_safe_height_and_a_cell_that_is_whole_is_begun_anew(phase: Phase) -> None:
+    bench, low = asked((Request.PAUSE, 2, phase))
+    left = Verdict.UNKNOWN if phase is Phase.CONFIRM else Verdict.SKIPPED
+    verdict = Verdict.OK if phase in (*WHOLE, *OVER) else left
+    assert [r.verdict for r in bench.motion.results] == [Verdict.OK, verdict, Verdict.OK]
+    assert bench.motion.results[1].number == 1
+    assert low
+    assert set(low) == {0}
+
+
+@pytest.mark.parametrize("phase", [*WHOLE, *TOUCHED, Phase.CONFIRM, *OVER])
+def test_an_abort_ends_the_batch_at_the_safe_height(phase: Phase) -> None:
+    bench, _ = asked((Request.ABORT, 2, phase))
+    verdicts = [r.verdict for r in bench.motion.results]
+    assert verdicts[0] is Verdict.OK
+    assert len(verdicts) == (1 if phase in WHOLE else 2)
+    assert bench.answer is not None
+    assert (bench.answer.position[2], bench.answer.velocity) == (0.0, [0.0, 0.0, 0.0])
+
+
+def test_a_skip_while_paused_is_for_the_next_cell() -> None:
+    bench, _ = asked((Request.PAUSE, 1, Phase.LIFT), (Request.SKIP, 2, Phase.PAUSED))
+    assert [r.verdict for r in bench.motion.results] == [Verdict.OK, Verdict.SKIPPED, Verdict.OK]
+
+
+def test_a_batch_that_begins_with_a_later_cell_counts_on() -> None:
+    places = [[0.001 * (k + 1), 0.0, -0.002] for k in range(3)]
+    bench = Bench(CellInjection(AROUND, **{**PARAMETERS, "cells": places, "first": 3}), [BenchCell()])
+    bench.run()
+    assert [(r.number, r.verdict) for r in bench.motion.results] == [(2, Verdict.OK)]
+    assert bench.motion.total == bench.motion.over == 3

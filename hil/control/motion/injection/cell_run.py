@@ -94,6 +94,17 @@ class CellRun:
             self._go(Phase.WITHDRAW, seen)
             self._to(seen, self._top - self._s.direction * self._s.start_above, self._s.withdraw_speed)
 
+    @property
+    def touched(self) -> bool:
+        """The tip has pressed on the cell: it cannot be begun anew."""
+        return self.phase >= Phase.PRESS
+
+    def leave(self, evidence: str, seen: Observation) -> None:
+        """By request: out of a cell that is touched. Where its pulse was given, nobody has seen whether it came out."""
+        if self.phase < Phase.WITHDRAW:
+            pulsed = self.phase is Phase.CONFIRM
+            self.decide(Verdict.UNKNOWN if pulsed else Verdict.SKIPPED, evidence, seen)
+
     # ------------------------------------------------------------------------------------------------------------------
 
     def _go(self, phase: Phase, seen: Observation) -> None:
@@ -261,6 +272,6 @@ class CellRun:
             self._stuck("a force that stays outside the cell", seen)
 
     def _stuck(self, evidence: str, seen: Observation) -> None:
-        if self.result.verdict in (Verdict.OK, Verdict.UNKNOWN, Verdict.CLOGGED):
+        if self.result.verdict in (Verdict.OK, Verdict.UNKNOWN, Verdict.CLOGGED, Verdict.SKIPPED):
             self.result.verdict = Verdict.NONE
             self.decide(Verdict.STUCK, evidence, seen)

@@ -33,7 +33,8 @@ _RANGES: dict[str, Range] = {
 class Settings:
     """Lengths in m, forces in N, times in s, speeds in m/s.
 
-    cells: rows of place across (two axes) and of the cell's top along the axis of injection. safe: height of the way
+    cells: rows of place across (two axes) and of the cell's top along the axis of injection. first: number of the one
+    that it begins with, from 1 on; those before it are over. safe: height of the way
     from cell to cell. start_above: above the expected top, where the search begins. deposit, deepest: behind the first
     touch. force_limit: most force on the cell. pull_limit: of withdrawal. camera_latency_s: from exposure to the first
     bit of its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where
@@ -42,6 +43,7 @@ class Settings:
 
     cells: Sequence[Sequence[float]]
     safe: float
+    first: int = 1
     along: str = "z"
     across: Sequence[str] = ("x", "y")
     direction: int = -1
@@ -109,6 +111,8 @@ def _check_places(rig: Surroundings, made: Settings) -> None:
     """Every way that the motion takes is inside the fence."""
     if not made.cells:
         raise ValueError("motion.parameters.cells = []: expected rows of three numbers")
+    if type(made.first) is not int or not 1 <= made.first <= len(made.cells):
+        raise ValueError(f"motion.parameters.first = {made.first!r:.40}; allowed: 1 to {len(made.cells)}")
     axes = [*made.across, made.along]
     fences = [(rig.limits[rig.axes.index(name)].low, rig.limits[rig.axes.index(name)].high) for name in axes]
     for number, row in enumerate(made.cells, 1):

@@ -20,7 +20,7 @@ class Verdict(IntEnum):
     STUCK = 9  # the cell stays on the pipette
     BROKEN = 10  # the tip is not where it should be: the batch stops
     UNKNOWN = 11
-    SKIPPED = 12
+    SKIPPED = 12  # by an operator, before its pulse
 
 
 class Phase(IntEnum):
@@ -37,6 +37,7 @@ class Phase(IntEnum):
     CONFIRM = 8
     WITHDRAW = 9
     LIFT = 10
+    PAUSED = 11  # by an operator, between two cells
 
 
 TOLD = 100  # a phase of so much and a verdict: the tick in which it is reached
