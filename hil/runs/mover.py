@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Final, Self
 
+from hil.control.motion.contract import Request
 from hil.control.plans.pace import MOST_RATE
 from hil.cycle.goal import (
     LINE,
@@ -231,6 +232,12 @@ class Mover:
     def halt(self) -> Move:
         """Stop here, by a plan, and keep holding. To let go of the stage is `command("stop")`."""
         return self._taken(Goal(0, GoalKind.HALT))
+
+    def ask(self, request: Request) -> None:
+        """Ask something of the motion that runs ([motion] name); the rig goes on by it."""
+        _, refusal = self._link.send(Goal(0, GoalKind.REQUEST, flags=int(request)))
+        if refusal is not Refusal.NONE:
+            raise GoalRefusedError(refusal, f"{request.name.lower()}: {refusal.text}")
 
     # what becomes of them ---------------------------------------------------------------------------------------------
 

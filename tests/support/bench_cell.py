@@ -65,6 +65,7 @@ class Bench:
         self.phases: list[int] = []
         self._dead: tuple[float, int] | None = None
         self.answer: References | None = None
+        self._origin = 0  # tick in which the motion began
         motion.begin([0.0, 0.0, 0.0])
 
     def run(self, most: int = 20_000) -> None:
@@ -73,9 +74,16 @@ class Bench:
             self.step()
             assert self.tick < most, "the motion does not end"
 
+    def restart(self) -> None:
+        """The rig has stopped: the axes are at rest where they are, and the motion begins anew."""
+        self.state = [(place, 0.0, 0.0) for place, _, _ in self.state]
+        self._past, self.answer, self._origin = self.state, None, self.tick
+        self.motion.begin([place for place, _, _ in self.state])
+
     @property
     def _cell(self) -> int:
-        return min(len(self.motion.results), len(self.cells) - 1)
+        """That under the tip: they lie 1 mm apart along x, the first one at 1 mm."""
+        return max(0, min(round(self.state[0][0] * 1e3) - 1, len(self.cells) - 1))
 
     def _force(self) -> float:
         """On the tip where it was when the newest command came: a tick before the coming interval."""
@@ -126,10 +134,11 @@ class Bench:
                 for k, value in enumerate((shift, tip, bolus))
             )
         ]  # fmt: skip
-        ends = [(self.tick + 1) * PERIOD_NS] * 3
+        ends = [(self.tick - self._origin + 1) * PERIOD_NS] * 3
         self.answer = self.motion.step(
             Observation(
-                self.tick, ends, [s[0] for s in self.state], [s[1] for s in self.state], self.state, readings,
+                self.tick - self._origin, ends, [s[0] for s in self.state], [s[1] for s in self.state], self.state,
+                readings,
                 [0, *[self.tick - came] * 3], request,
             )
         )  # fmt: skip

@@ -111,7 +111,7 @@ def test_parameters_that_cannot_be_are_refused_by_their_key(changes: dict[str, A
         CellInjection(AROUND, **{**PARAMETERS, **changes})
 
 
-# requests of an operator -----------------------------------------------------------------------------------------------
+# requests of an operator ----------------------------------------------------------------------------------------------
 
 
 def asked(*requests: tuple[Request, int, Phase], cells: int = 3) -> tuple[Bench, list[int]]:
@@ -189,3 +189,28 @@ def test_a_batch_that_begins_with_a_later_cell_counts_on() -> None:
     bench.run()
     assert [(r.number, r.verdict) for r in bench.motion.results] == [(2, Verdict.OK)]
     assert bench.motion.total == bench.motion.over == 3
+
+
+@pytest.mark.parametrize(
+    ("phase", "verdict"),
+    [
+        (Phase.APPROACH, Verdict.OK),
+        (Phase.SEEK, Verdict.OK),
+        (Phase.PRESS, Verdict.UNKNOWN),
+        (Phase.CONFIRM, Verdict.UNKNOWN),
+        (Phase.LIFT, Verdict.UNKNOWN),
+    ],
+)
+def test_a_cell_in_which_the_rig_stopped_is_not_touched_again(phase: Phase, verdict: Verdict) -> None:
+    """The motion begins anew where the tip was left; a whole cell is injected as if nothing had been."""
+    places = [[0.001 * (k + 1), 0.0, -0.002] for k in range(2)]
+    bench = Bench(CellInjection(AROUND, **{**PARAMETERS, "cells": places}), [BenchCell(), BenchCell()])
+    while not bench.phases or bench.phases[-1] != phase:
+        bench.step()
+    bench.restart()
+    before = len(bench.cells[0].pulses)
+    bench.run()
+    assert [r.verdict for r in bench.motion.results] == [verdict, Verdict.OK]
+    assert [p - TOLD for p in bench.phases if p >= TOLD] == [verdict, Verdict.OK]
+    assert len(bench.cells[0].pulses) - before == (50 if verdict is Verdict.OK else 0)
+    assert sum(cell.unpierced_pulses for cell in bench.cells) == 0

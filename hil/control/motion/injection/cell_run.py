@@ -103,7 +103,16 @@ class CellRun:
         """By request: out of a cell that is touched. Where its pulse was given, nobody has seen whether it came out."""
         if self.phase < Phase.WITHDRAW:
             pulsed = self.phase is Phase.CONFIRM
+            self.result.left = True
             self.decide(Verdict.UNKNOWN if pulsed else Verdict.SKIPPED, evidence, seen)
+
+    def interrupted(self) -> CellResult:
+        """The rig has stopped in this cell: nobody can say that all is well with it."""
+        result = self.result
+        if result.verdict in (Verdict.NONE, Verdict.OK):
+            result.verdict, result.left = Verdict.UNKNOWN, True
+            result.evidence = f"the rig stopped in {self.phase.name.lower()}"
+        return result
 
     # ------------------------------------------------------------------------------------------------------------------
 

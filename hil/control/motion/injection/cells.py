@@ -37,12 +37,15 @@ class CellInjection(Motion):
         self.total = len(self._s.cells)
         self.results: list[CellResult] = []
         self._run: CellRun | None = None
-        self._ending = self._paused = self._aborted = False
+        self._ending = self._paused = self._aborted = self._untold = False
 
     def begin(self, position: Sequence[float]) -> None:
-        """See Motion. Cells that are over stay so."""
+        """See Motion. Cells that are over stay so; one that the tip had touched is over by what stopped the rig."""
         for glide, place in zip(self._glides, position, strict=True):
             glide.hold(place)
+        if self._run is not None and self._run.touched:
+            self.results.append(self._run.interrupted())
+            self._untold = True
         self._run, self._ending, self._paused, self._aborted = None, False, False, False
 
     def step(self, seen: Observation) -> References:
@@ -53,11 +56,17 @@ class CellInjection(Motion):
         told = self._heed(seen) if seen.request else 0
         if seen.tick == 0:
             self._lift(seen)
+            told = self._tell_interrupted() or told
         elif not told and self._run is not None and self._run.phase:
             told = self._inject(self._run, seen)
         elif not told and self._arrived(seen):
             self._next(seen)
         return self._references(seen, told)
+
+    def _tell_interrupted(self) -> int:
+        told = TOLD + self.results[-1].verdict if self._untold else 0
+        self._untold = False
+        return told
 
     @property
     def over(self) -> int:
@@ -80,7 +89,8 @@ class CellInjection(Motion):
         if request is not Request.SKIP or self.over == self.total:
             return 0
         now = seen.tick * self._period
-        self.results.append(CellResult(self.over, Verdict.SKIPPED, now, now, evidence="the operator's skip"))
+        skipped = CellResult(self.over, Verdict.SKIPPED, now, now, evidence="the operator's skip", left=True)
+        self.results.append(skipped)
         return TOLD + Verdict.SKIPPED
 
     def _withdraw(self, seen: Observation) -> None:

@@ -67,3 +67,4 @@ class CellResult:
     pulse_s: float = nan  # when the pulse began
     bolus: float = nan
     evidence: str = ""  # what decided
+    left: bool = False  # at an operator's request, or in a batch that was interrupted
