@@ -9,6 +9,7 @@ from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader
 from hil.rig.file import build_rig
 from hil.rig.schema import RigError
+from hil.telemetry.cell_watch import CellWatch
 from hil.telemetry.fault_snapshots import FaultSnapshots
 from hil.telemetry.motion_watch import MotionWatch
 from hil.telemetry.run_recorder import RunRecorder
@@ -43,8 +44,12 @@ class Attached:
         self.window = Window(max(1, round(1e9 / max(reader.period_ns, 1))), len(self.axes))
         self.encoder = TickEncoder(TickSchema(rig))
         self.motion: MotionWatch | None = None  # None: the rig is of another version of hil
+        self.cells: CellWatch | None = None  # None: it injects none
         with contextlib.suppress(RigError):
-            self.motion = MotionWatch(build_rig(dict(rig), carried=True))
+            config = build_rig(dict(rig), carried=True)
+            self.motion = MotionWatch(config)
+            if config.motion.name == "cells":
+                self.cells = CellWatch(config)
         self.dropped = progress.published - progress.sent  # what a killed sidecar cannot be known to have sent, too
         self.caught_up = False  # the window is the present: the last round read the ring to its end
         self.over = False  # the control process is gone, and all it left is safe

@@ -38,7 +38,13 @@ class Publisher(Closing):
                     encoding=zenoh.Encoding.APPLICATION_PROTOBUF.with_schema(f"hil.telemetry.{kind}"),
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
-                for topic, kind in (("tick", "Tick"), ("status", "Status"), ("motion", "Motion"), ("events", "Events"))
+                for topic, kind in (
+                    ("tick", "Tick"),
+                    ("status", "Status"),
+                    ("motion", "Motion"),
+                    ("events", "Events"),
+                    ("cells", "Cell"),
+                )
             }
             self.queries = {
                 name: self._session.declare_queryable(f"{self.key}/{name}", RingChannel(_QUERIES_WAITING))

@@ -2,8 +2,8 @@
 
 Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Topics: `tick` (every
 tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to the byte, for replay: cycle_codec.py),
-`status` (10 Hz), `commands` (every request, refused ones included), `events` (what happened, one message each).
-recording.py reads them.
+`status` (10 Hz), `commands` (every request, refused ones included), `events` (what happened, one message each), and
+`cells` where cells are injected. recording.py reads them.
 """
 
 import contextlib
@@ -39,6 +39,7 @@ MESSAGES: dict[str, type[Message]] = {
     "status": pb.Status,
     "commands": pb.CommandEntry,
     "events": events_pb2.Event,
+    "cells": pb.Cell,
 }
 CHUNK_SIZE = 1024 * 1024  # at most; a chunk is written twice a second
 BATCH = 500  # ticks of a Cycle message, of twice as many at most: larger ones compress no better, rests worse
@@ -110,9 +111,12 @@ class Recorder:
         self._describe()
         self._writer.add_metadata("hil", {key: str(metadata.get(key, "")) for key in _SUMMARY_KEYS})
         for topic in TOPICS:
-            schema, more = described_topic(self._writer, topic, self.encoder.schema)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema, more)
+            self._register(topic)
         self._to_disk()
+
+    def _register(self, topic: str) -> None:
+        schema, more = described_topic(self._writer, topic, self.encoder.schema)
+        self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema, more)
 
     def _describe(self) -> None:
         now = time.time_ns()
@@ -143,6 +147,8 @@ class Recorder:
             return
         at = time_ns + self._offset_ns
         try:
+            if topic not in self._channels:  # of a rig that injects cells alone
+                self._register(topic)
             self._writer.add_message(self._channels[topic], at, data, at)
         except OSError as error:
             self._fail(error)

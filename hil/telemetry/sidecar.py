@@ -30,6 +30,8 @@ from hil.rig.schema import RigConfig
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.attached import Attached
 from hil.telemetry.blackbox import recordings_in, save_black_boxes
+from hil.telemetry.cell_watch import CellWatch
+from hil.telemetry.codec import Records
 from hil.telemetry.command_server import CommandServer
 from hil.telemetry.credentials import Credentials, CredentialsError
 from hil.telemetry.event_log import EventLog
@@ -177,8 +179,18 @@ class Sidecar:
         run.window.add(records)
         if run.motion:
             run.motion.add(records)
+        if run.cells:
+            self._tell_cells(run.cells, records, run.recorder)
         self._gateway.verdicts(records, batch.first, now_ns)
         return True
+
+    def _tell_cells(self, cells: CellWatch, records: Records, recorder: RunRecorder | None) -> None:
+        """Every phase that a cell came to, published and recorded."""
+        for told in cells.add(records):
+            data = cells.message(told).SerializeToString()
+            self._publisher.put("cells", data)
+            if recorder:
+                recorder.write("cells", told.now_ns, data)
 
     def _serve(self, now_ns: int, alive: bool) -> None:
         run = self.attached
