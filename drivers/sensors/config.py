@@ -16,6 +16,10 @@ Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 
 
+def _is_zero(value: float) -> bool:
+    return not value
+
+
 class SensorConfig(Table):
     """[sensors.NAME]: a node on the bus that samples with the drives and sends one reading a tick.
 
@@ -29,6 +33,14 @@ class SensorConfig(Table):
     scale: float = key(REQUIRED, "reading per count on the bus, in that unit", "unit", gt=0, le=1e6)
     noise: float = key(REQUIRED, "RMS noise of a reading, in that unit; 0: not known", "unit", ge=0, le=1e6)
     range: Range = key(REQUIRED, "least and greatest reading that can be true, in that unit", "unit")
+    tool_mass: float = key(
+        0.0, "mass between it and the tip, which it feels when that is accelerated; 0: it is on the cell's side", "kg",
+        exclude_if=_is_zero, ge=0, le=1,
+    )  # fmt: skip
+    decay: float = key(
+        0.0, "time constant with which a constant reading fades, as a piezo's does; 0: never", "s",
+        exclude_if=_is_zero, ge=0, le=1e4,
+    )  # fmt: skip
     silent_ticks: Ticks = key(3, "ticks without a valid reading that are a fault", "ticks")
     stuck_ticks: int = key(
         8, "readings in a row of exactly one value that are a fault; 0: none are", "ticks", ge=0, le=10_000

@@ -21,6 +21,7 @@ from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.law_registry import law_class
 from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
+from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import (
     analyse_rig,
     emulation_notes,
@@ -82,6 +83,7 @@ def check_rig(
         stability = check_stability(rig, lowest_rate=True)
         corners = findings(rig, measured, frd) if stability.stable else []
         learning = check_learning(rig)
+        sensor = check_sensor(rig)
     except ValueError as error:
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
@@ -90,6 +92,8 @@ def check_rig(
         console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
     for finding in learning:
         console.print(finding.note(), soft_wrap=True, markup=False)
+    for told in sensor:
+        console.print(told.text, soft_wrap=True, markup=False)
     units = {name: "m" if axis.kind == "linear" else "rad" for name, axis in rig.axes.items()}
     for note in [*figures.notes(units), *excursion_notes(rig)]:
         console.print(note, soft_wrap=True, markup=False)
@@ -97,11 +101,13 @@ def check_rig(
         console.print(f"ACTIVATE there would break a limit: {note}", soft_wrap=True, markup=False)
     found = [*found, *stability.problems(), *corner_problems(corners), *infeasible]
     found += [text for finding in learning if (text := finding.problem())]
+    found += [told.text for told in sensor if told.refused]
     found += stage_problems(rig.plant, rig.axis_names)
     document = as_json(analysis) | {"faults_tolerated": tolerated, "stability": stability.as_json(), "problems": found}
     document["warnings"] = warnings
     document["task"] = figures.as_json() | {"excursions": excursions_json(rig)}
     document["corners"] = [corner.as_json() for corner in corners]
+    document["sensor"] = [told._asdict() for told in sensor]
     document["learning"] = [finding.as_json() for finding in learning]
     if json_path:
         write_json(document, json_path)

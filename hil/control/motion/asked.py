@@ -17,6 +17,15 @@ _MOST_PHASE = 0xFFFF
 _MOST_CELL = 0xFFFFFFFF
 
 
+def surroundings(rig: RigConfig, limits: Sequence[MotionLimits]) -> Surroundings:
+    """What a motion is told of its rig. limits: what the axes are held to."""
+    return Surroundings(
+        list(rig.axis_names), rig.period_ns * 1e-9, list(limits), list(rig.sensors),
+        [sensor.noise for sensor in rig.sensors.values()],
+        {name: output.bit for name, output in rig.outputs.items()},
+    )  # fmt: skip
+
+
 class AskedMotion:
     """The motion that [motion] names. motion: itself. failure: why it no longer counts, with file and line; empty where
     all is well.
@@ -26,16 +35,12 @@ class AskedMotion:
 
     def __init__(self, rig: RigConfig, limits: Sequence[MotionLimits]) -> None:
         """limits: what the axes are held to."""
-        config, sensors = rig.motion, rig.sensors
+        config = rig.motion
         made = plugins.find(MOTION_KIND, config.name, config.source)
         plugins.check_parameters(MOTION_KIND, config.name, made, config.parameters, given=1)
         self._guard = Guard(MOTION_KIND, config.name, made)
         self._n = len(rig.axes)
-        around = Surroundings(
-            list(rig.axis_names), rig.period_ns * 1e-9, list(limits), list(sensors),
-            [sensor.noise for sensor in sensors.values()],
-            {name: output.bit for name, output in rig.outputs.items()},
-        )  # fmt: skip
+        around = surroundings(rig, limits)
         self.motion: Any = self._guard.call("it cannot be made", made, around, **config.parameters)
         self.failure = ""
 

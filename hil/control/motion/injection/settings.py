@@ -16,6 +16,7 @@ _RANGES: dict[str, Range] = {
     "deposit": (1e-6, 0.01),
     "deepest": (1e-6, 0.02),
     "force_limit": (1e-9, 1.0),
+    "puncture_force": (0.0, 1.0),
     "pull_limit": (1e-9, 1.0),
     "freeze_s": (0.0, 1.0),
     "pulse_s": (0.001, 10.0),
@@ -36,7 +37,8 @@ class Settings:
     cells: rows of place across (two axes) and of the cell's top along the axis of injection. first: number of the one
     that it begins with, from 1 on; those before it are over. safe: height of the way
     from cell to cell. start_above: above the expected top, where the search begins. deposit, deepest: behind the first
-    touch. force_limit: most force on the cell. pull_limit: of withdrawal. camera_latency_s: from exposure to the first
+    touch. force_limit: most force on the cell. puncture_force: that is expected, for `hil
+    check` alone; 0: not known. pull_limit: of withdrawal. camera_latency_s: from exposure to the first
     bit of its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where
     there is none; what they would show is then unknown.
     """
@@ -55,6 +57,7 @@ class Settings:
     deposit: float = 230e-6
     deepest: float = 320e-6
     force_limit: float = 1.4e-3
+    puncture_force: float = 0.0
     pull_limit: float = 3e-4
     freeze_s: float = 0.012
     pulse_s: float = 0.05
