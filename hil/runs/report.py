@@ -12,7 +12,7 @@ from hil.cli.pictures import Tracked, axis_svg
 from hil.rig.schema import RigConfig
 
 MOST_EVENTS = 500  # shown one by one
-_STYLE = """
+STYLE = """
 body{font:16px/1.4 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:.5rem 1rem}
 h1{font-size:1.4rem}h2{font-size:1.1rem;margin-top:2rem}
 div{overflow-x:auto}table{border-collapse:collapse}
@@ -20,7 +20,7 @@ th,td{border-bottom:1px solid #ddd;padding:.25rem .6rem;text-align:left;vertical
 img{width:100%;max-width:40rem;display:block}pre{overflow-x:auto;background:#f6f6f6;padding:.6rem;font-size:.8rem}
 .bad{color:#b00020;font-weight:bold}
 """
-_HEAD = (
+HEAD = (
     '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
     '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
     "style-src 'unsafe-inline'\">"
@@ -45,23 +45,25 @@ def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
     """The page's text. Everything that comes from a rig file or a recording is escaped; the page runs no script."""
     title = f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz"
     parts = [
-        f"{_HEAD}<title>{_text(title)}</title><style>{_STYLE}</style></head><body><h1>{_text(title)}</h1>",
-        f"<p>{_text(rig.description)}</p>" if rig.description else "",
-        f'<p class="bad">{_text(story.latched)}</p>' if story.latched else "",
-        f'<p class="bad">{_text(story.failure)}</p>' if story.failure else "",
-        _table([], _verdict(story)),
+        f"{HEAD}<title>{text_html(title)}</title><style>{STYLE}</style></head><body><h1>{text_html(title)}</h1>",
+        f"<p>{text_html(rig.description)}</p>" if rig.description else "",
+        f'<p class="bad">{text_html(story.latched)}</p>' if story.latched else "",
+        f'<p class="bad">{text_html(story.failure)}</p>' if story.failure else "",
+        table_html([], _verdict(story)),
         "<h2>Steady window</h2>",
-        _table(["axis", "max error", "RMS error", "plateau", "peak force", "chatter"], _figures(rig, story.summary)),
+        table_html(
+            ["axis", "max error", "RMS error", "plateau", "peak force", "chatter"], _figures(rig, story.summary)
+        ),
         *_pictures(rig, run),
         "<h2>Events</h2>",
-        _table(["s", "event"], [[f"{time:.4f}", text] for time, text in story.events[:MOST_EVENTS]]),
+        table_html(["s", "event"], [[f"{time:.4f}", text] for time, text in story.events[:MOST_EVENTS]]),
         f"<p>and {len(story.events) - MOST_EVENTS} more</p>" if len(story.events) > MOST_EVENTS else "",
         "<h2>Law</h2>",
-        _table([], [["law", rig.law.name], *([key, value] for key, value in rig.law.effective_gains().items())]),
-        f"<pre>{_text(rig.law.source)}</pre>" if rig.law.source else "",  # of a package, the digest of its code
-        f"<h2>Estimator</h2><pre>{_text(rig.estimator.source)}</pre>" if rig.estimator.source else "",
+        table_html([], [["law", rig.law.name], *([key, value] for key, value in rig.law.effective_gains().items())]),
+        f"<pre>{text_html(rig.law.source)}</pre>" if rig.law.source else "",  # of a package, the digest of its code
+        f"<h2>Estimator</h2><pre>{text_html(rig.estimator.source)}</pre>" if rig.estimator.source else "",
         "<h2>Rig</h2>",
-        f"<pre>{_text(_document(rig))}</pre></body></html>\n",
+        f"<pre>{text_html(_document(rig))}</pre></body></html>\n",
     ]
     return "\n".join(part for part in parts if part)
 
@@ -88,12 +90,13 @@ def _figures(rig: RigConfig, summary: Mapping[str, Any]) -> Iterable[list[str]]:
 def _pictures(rig: RigConfig, run: Tracked) -> Iterable[str]:
     for index, name in enumerate(rig.axis_names):
         data = base64.b64encode(axis_svg(rig, run, index).encode()).decode()
-        yield f'<img alt="axis {_text(name)} over time" src="data:image/svg+xml;base64,{data}">'
+        yield f'<img alt="axis {text_html(name)} over time" src="data:image/svg+xml;base64,{data}">'
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    head = "".join(f"<th>{_text(text)}</th>" for text in heads)
-    body = "".join("<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+def table_html(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table; every cell is escaped."""
+    head = "".join(f"<th>{text_html(text)}</th>" for text in heads)
+    body = "".join("<tr>" + "".join(f"<td>{text_html(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<div><table>{f'<tr>{head}</tr>' if head else ''}{body}</table></div>"
 
 
@@ -103,5 +106,6 @@ def _document(rig: RigConfig) -> str:
     return json.dumps(document, indent=1)
 
 
-def _text(value: Any) -> str:
+def text_html(value: Any) -> str:
+    """Escaped, also for attributes."""
     return html.escape(str(value), quote=True)

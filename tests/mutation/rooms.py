@@ -101,13 +101,17 @@ ROOMS = {
         ("tests/adapters/test_ros2.py",),
     ),
     "telemetry": Room(
-        ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py", "hil/telemetry/motion_watch.py"),
+        ("hil/telemetry/gateway.py", "hil/telemetry/recorder.py", "hil/telemetry/motion_watch.py",
+         "hil/telemetry/cell_watch.py"),
         ("tests/telemetry", "tests/operate/test_events_told.py"),
     ),
     "page": Room(
         ("hil/page/access.py", "hil/page/guard.py", "hil/page/frames.py", "hil/page/signals.py",
          "hil/page/ring_feed.py"),
         ("tests/page/test_access.py", "tests/page/test_signals.py", "tests/page/test_ring_feed.py", "tests/page"),
+    "injection": Room(
+        ("hil/studies/inject/sheet.py", "hil/studies/inject/requests.py", "hil/operate/check_sensor.py"),
+        ("tests/studies/test_inject_batches.py", "tests/operate/test_check_sensor.py"),
     ),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),

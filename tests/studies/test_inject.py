@@ -7,22 +7,12 @@ import pytest
 
 from hil.control.motion.injection.verdict import TOLD, Verdict
 from hil.cycle.state_machine import State
-from hil.rig.bus_load import rig_layout
-from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigError
 from hil.studies.inject.batch import Batch, inject
-from hil.studies.inject.equipment import grid, middle, read_positions, words
+from hil.studies.inject.equipment import grid, read_positions
 from hil.studies.inject.judge import judged, quantile, wilson
 from hil.virtual.lockstep import LockstepRun
-from tests.support.paths import RIGS
-
-RIG = RIGS / "microscope.toml"
-
-
-def equipped(cells: int, *, seed: int = 3, anomalies: tuple[str, ...] = (), share: float = 0.0) -> RigConfig:
-    rig = load_rig(RIG)
-    places = grid(1, cells, 1e-3, middle(rig))
-    return load_rig(RIG, words(rig, places, seed, share, anomalies, fd=rig_layout(rig, RIGS).fd))
+from tests.support.cells import RIG, RIGS, equipped
 
 
 @pytest.fixture(scope="module")

@@ -1,18 +1,26 @@
 """One batch in virtual time: the motion's own account of each cell beside the emulated dish's truth."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isnan, nan
 from pathlib import Path
 
+import numpy as np
+
+from drivers.frame import Frame
 from drivers.protocols.base import HostProtocol
 from hil.control.motion.injection.verdict import CellResult, Verdict
-from hil.cycle.goal import MotionWord
+from hil.cycle.goal import Goal, GoalKind, MotionWord
+from hil.cycle.record import RECORD
+from hil.cycle.tick import CycleResult, Tick
 from hil.rig.schema import RigConfig
+from hil.studies.inject.requests import Script
+from hil.telemetry.cell_watch import FIELDS, CellWatch, Trace
 from hil.virtual.lockstep import LockstepRun
 from sim_plant.physics.dish import DishCell
 
 PATIENCE_TICKS = 60_000  # for one cell; nothing takes a minute
+BUFFERED = 500  # ticks whose records are looked at together
 
 EXPECTED = {
     "": Verdict.OK, "no_cell": Verdict.NO_CELL, "rolled": Verdict.ROLLED, "not_pierced": Verdict.NOT_PIERCED,
@@ -27,7 +35,7 @@ class Injected:
 
     expected: the verdict that its truth asks for. found_depth: below the true first touch where the touch was known.
     known_after: from the true puncture to its verdict. lurch: how far the tip went on behind it. wrong_pulses: into a
-    cell that was whole, or into none.
+    cell that was whole, or into none. Of a cell that is real there is no truth, and nothing is expected.
     """
 
     result: CellResult
@@ -47,8 +55,9 @@ class Injected:
 
 @dataclass
 class Batch:
-    """fault, state, failure: how the run ended; empty words where all is well. limited: ticks in which the motion asked
-    for more than the axes may.
+    """cells: that are over, those of an earlier part included. fault, failure: how the run ended; empty where all is
+    well. limited: ticks in which the motion asked for more than the axes may. seconds: that this part took. earlier:
+    cells of earlier parts. traces: force over depth by number from 0 on, where they were kept.
     """
 
     cells: list[Injected] = field(default_factory=list)
@@ -58,43 +67,106 @@ class Batch:
     fault: str = ""
     failure: str = ""
     limited: int = 0
+    earlier: int = 0
+    traces: dict[int, Trace] = field(default_factory=dict)
+
+    @property
+    def judged(self) -> list[Injected]:
+        """The cells that nobody took out of the batch."""
+        return [cell for cell in self.cells if not cell.result.left]
+
+
+class Follower:
+    """Who is told how a batch goes on; each does nothing unless it is overridden."""
+
+    def at(self, number: int, phase: int, now_s: float) -> None:
+        """Called in each tick, or as often as one looks. number: of the cell, from 1 on."""
+
+    def over(self, cell: Injected) -> None:
+        """A cell has its verdict."""
 
 
 def inject(
     rig: RigConfig,
     base_dir: Path,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    followers: Sequence[Follower] = (),
+    script: Script | None = None,
     layout: HostProtocol | None = None,
+    *,
+    keep: bool = False,
 ) -> Batch:
-    """Run the rig's cells to the end, or to a fault. progress: told of cells that are over, and of all. layout: the
-    rig's, where it has been built.
+    """Run the rig's cells to the end, or to a fault. script: what an operator asks for meanwhile. layout: the rig's,
+    where it has been built. keep: the traces.
     """
-    run = LockstepRun(rig, base_dir, layout=layout)
-    desk = run.cycle.supervisor.goals
-    decided = desk.decided
-    assert decided is not None
-    motion, done, since, began = decided.motion, 0, 0, -1
-    batch = Batch(planned=motion.total)
-    while not run.cycle.fault and run.index - since < PATIENCE_TICKS:
-        run.tick()
-        if began < 0 and desk.word is MotionWord.MOTION:
-            began = run.index - 1
-        if len(motion.results) > done:
-            done, since = len(motion.results), run.index
-            progress(done, motion.total)
-        if began >= 0 and not decided.runs:
-            break
-    run.stage.advance(run.index * rig.period_ns)
-    batch.ticks, batch.seconds = run.index, run.index * rig.period_ns * 1e-9
-    batch.fault = run.cycle.fault.name if run.cycle.fault else ""
-    batch.failure, batch.limited = run.cycle.failure, decided.limited
-    dish = run.stage.dish
-    assert dish is not None
-    period = rig.period_ns * 1e-9
-    batch.cells = [
-        _beside(result, cell, began * period) for result, cell in zip(motion.results, dish.cells, strict=False)
-    ]
-    return batch
+    return _Run(rig, base_dir, followers, script or Script([]), layout, keep=keep).whole()
+
+
+class _Run:
+    def __init__(
+        self, rig: RigConfig, base_dir: Path, followers: Sequence[Follower], script: Script,
+        layout: HostProtocol | None, *, keep: bool,
+    ) -> None:  # fmt: skip
+        self._watch = CellWatch(rig, keep=True) if keep else None
+        self._rows = np.zeros(BUFFERED, [(name, RECORD[name]) for name in FIELDS])
+        self._filled = 0
+        observer = self._observe if keep else None
+        self._run = LockstepRun(rig, base_dir, layout=layout, observer=observer)
+        self._followers, self._script, self._period = followers, script, rig.period_ns * 1e-9
+        desk = self._run.cycle.supervisor.goals
+        assert desk.decided is not None
+        self._desk, self._decided, self._motion = desk, desk.decided, desk.decided.motion
+        self._began = -1
+        self._asked = 0
+        self.batch = Batch(planned=self._motion.total, earlier=self._motion.over)
+
+    def whole(self) -> Batch:
+        """Until it ends."""
+        run, batch = self._run, self.batch
+        since = 0
+        while not run.cycle.fault and run.index - since < PATIENCE_TICKS:
+            self._ask()
+            run.tick()
+            if self._began < 0 and self._desk.word is MotionWord.MOTION:
+                self._began = run.index - 1
+            if len(self._motion.results) > len(batch.cells):
+                since = run.index
+                self._over(self._motion.results[-1])
+            for follower in self._followers:
+                follower.at(self._decided.cell, self._decided.phase, run.index * self._period)
+            if self._began >= 0 and not self._decided.runs:
+                break
+        batch.ticks, batch.seconds = run.index, run.index * self._period
+        batch.fault = run.cycle.fault.name if run.cycle.fault else ""
+        batch.failure, batch.limited = run.cycle.failure, self._decided.limited
+        if self._watch is not None:
+            self._watch.add(self._rows[: self._filled])
+            batch.traces = self._watch.traces or {}
+        return batch
+
+    def _ask(self) -> None:
+        request = self._script.due(self._decided.cell, self._decided.phase, self._run.index * self._period)
+        if request:
+            self._asked += 1
+            self._run.goals.append(Goal(self._asked, GoalKind.REQUEST, flags=request))
+
+    def _over(self, result: CellResult) -> None:
+        dish = self._run.stage.dish
+        assert dish is not None
+        cell = _beside(result, dish.cells[result.number], self._began * self._period)
+        self.batch.cells.append(cell)
+        for follower in self._followers:
+            follower.over(cell)
+
+    def _observe(self, tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
+        """Only what the traces are made of."""
+        assert self._watch is not None
+        row = self._rows[self._filled]
+        for name in FIELDS:
+            row[name] = result.record[name]
+        self._filled += 1
+        if self._filled == BUFFERED:
+            self._watch.add(self._rows.copy())
+            self._filled = 0
 
 
 def _beside(result: CellResult, cell: DishCell, began_s: float) -> Injected:

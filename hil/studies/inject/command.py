@@ -1,28 +1,42 @@
-"""`hil inject`: a batch of cells in virtual time, with the rig's own law, limits and bus."""
+"""`hil inject`: a batch of cells, in virtual time, live on the emulated stage, or of a rig that runs."""
 
-import csv
-import io
+import shlex
 import sys
-from collections import Counter
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from drivers.protocols.base import HostProtocol
 from hil.cli.options import JsonTarget, Overrides, RigFile
 from hil.cli.output import writable, write_json
+from hil.cli.progress import Steps
+from hil.control.motion.contract import Request
+from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import refuse_unschedulable, rig_layout
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
-from hil.studies.inject.batch import Batch, Injected
+from hil.studies.inject.batch import Batch, Follower, Injected
 from hil.studies.inject.batch import inject as inject_batch
 from hil.studies.inject.equipment import MOST_CELLS, Positions, grid, has_equipment, middle, read_positions, words
-from hil.studies.inject.judge import Line, judged, share_text
+from hil.studies.inject.judge import Line, judged
+from hil.studies.inject.requests import WORDS, Declared, Script, declared
+from hil.studies.inject.sheet import Sheet, read_sheet
+from hil.studies.inject.shown import Shown, document, show
+
+
+class Plan(NamedTuple):
+    """What is injected. words: overrides of the rig file. done: cells that are over already."""
+
+    rig: RigConfig
+    rig_file: Path
+    words: tuple[str, ...]
+    layout: HostProtocol
+    places: Positions
+    done: list[Injected]
+    assumed: bool
 
 
 def inject(
@@ -35,44 +49,100 @@ def inject(
         float, typer.Option(min=0.0, max=1.0, help="share of cells that are not as they should be")
     ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="of the emulated dish")] = 1,
+    live: Annotated[bool, typer.Option("--live", help="on an emulated stage in real time, as hil demo")] = False,
+    attach: Annotated[
+        bool, typer.Option("--attach", help="follow the batch of the rig of that name that runs")
+    ] = False,
+    ask: Annotated[
+        list[str] | None,
+        typer.Option(metavar="WORD@CELL:PHASE", help="pause, skip or abort there, as skip@3 or pause@2:press; repeat"),
+    ] = None,
+    tell: Annotated[
+        str, typer.Option(metavar="WORD", help="ask a batch that runs: pause, resume, skip or abort; and end")
+    ] = "",
     judge: Annotated[bool, typer.Option("--judge", help="print the bars; exit status 1 where one is missed")] = False,
     csv_target: Annotated[
-        str, typer.Option("--csv", metavar="PATH", callback=writable, help="write a line for each cell")
+        str, typer.Option("--csv", metavar="PATH", callback=writable, help="write a line for each cell, as it goes on")
+    ] = "",
+    resume: Annotated[bool, typer.Option("--resume", help="go on where the file of --csv ends")] = False,
+    report_target: Annotated[
+        str, typer.Option("--report", metavar="PATH", callback=writable, help="write the batch as one HTML page")
     ] = "",
     json_target: JsonTarget = "",
     overrides: Overrides = None,
 ) -> None:
-    """Inject a batch of cells in virtual time: approach, touch, puncture, pulse, and a verdict for each cell.
+    """Inject a batch of cells: approach, touch, puncture, pulse, and a verdict for each cell.
 
-    Nothing real moves. A rig whose [motion] is not "cells" gets reference equipment for the time of the run: a force
-    sensor, a camera, a valve and a dish of cells, all of them assumed. Exit status 1 where the batch does not end.
+    In virtual time, and with --live, nothing real moves. A rig whose [motion] is not "cells" gets reference equipment
+    for the time of the run: a force sensor, a camera, a valve and a dish of cells, all of them assumed. At a terminal a
+    live batch is asked by keys: p pause, r resume, s skip, a abort. Exit status 1 where the batch does not end.
     """
+    if tell:
+        _tell(rig_file, tell)
+        return
+    _check_together(live=live, attach=attach, judge=judge, resume=resume, csv_target=csv_target)
+    script = [declared(text) for text in ask or ()]
+    console = Console(stderr=json_target == "-")
+    if attach:
+        _attach(rig_file, script, csv_target, report_target, json_target, console)
+        return
     rig = load_rig(rig_file, overrides or ())
     centre = middle(rig)
     places = _grid(grid_text, pitch, centre) if cells is None else read_positions(cells)
     if len(places) > MOST_CELLS:
         raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
-    layout = rig_layout(rig, rig_file.parent)
-    changed = load_rig(rig_file, (*(overrides or ()), *words(rig, places, seed, anomalies, fd=layout.fd)))
-    layout = refuse_unschedulable(changed, rig_file.parent, layout)
-    console = Console(stderr=json_target == "-")
-    if not has_equipment(rig):
+    done = read_sheet(Path(csv_target), places) if resume else []
+    if len(done) == len(places):
+        console.print(f"All {len(done)} cells of {csv_target} are over.")
+        return
+    plan = _planned(rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies)
+    if plan.assumed:
         console.print("The rig names no motion for cells: with the reference sensors, valve and dish, all assumed.")
-    batch = _run(changed, rig_file.parent, layout, console)
-    limit = float(changed.motion.parameters.get("force_limit", 1.4e-3))
+    if done:
+        console.print(f"{len(done)} cells are over; it goes on with cell {len(done) + 1}.")
+    sheet = Sheet(Path(csv_target), places, done) if csv_target else None
+    with Steps("cells", len(places) - len(done), console) as steps:
+        followers = [Shown(steps), *([sheet] if sheet else [])]
+        if live:
+            batch = _live(plan, followers, script, console)
+        else:
+            batch = inject_batch(
+                plan.rig, rig_file.parent, followers, Script(script), plan.layout, keep=bool(report_target)
+            )
+    batch.cells[:0] = done
+    limit = float(plan.rig.motion.parameters.get("force_limit", 1.4e-3))
     lines = judged(batch, limit) if judge else []
-    _show(console, batch, lines)
-    if csv_target:
-        Path(csv_target).write_text(_csv(batch), encoding="utf-8")
-        console.print(f"cells: {csv_target}")
-    if json_target:
-        write_json(_document(batch, lines), json_target)
-    if batch.fault or len(batch.cells) < batch.planned:
-        why = batch.failure or batch.fault or "the tip is broken"
-        print(f"hil inject: {len(batch.cells)} of {batch.planned} cells: {why}", file=sys.stderr)
-        sys.exit(1)
-    if any(line.holds is False for line in lines):
-        sys.exit(1)
+    _leave(batch, lines, places, plan.rig, (csv_target, report_target, json_target), console)
+
+
+def _check_together(*, live: bool, attach: bool, judge: bool, resume: bool, csv_target: str) -> None:
+    """Options that do not go together. Raises typer.BadParameter."""
+    if judge and (live or attach):
+        raise typer.BadParameter("only virtual time knows the truth of each cell", param_hint="--judge")
+    if resume and (not csv_target or not Path(csv_target).exists()):
+        raise typer.BadParameter("needs --csv with the file of the batch that was interrupted", param_hint="--resume")
+    if attach and (live or resume):
+        raise typer.BadParameter("that rig has its cells already", param_hint="--attach")
+
+
+def _planned(
+    rig: RigConfig, rig_file: Path, overrides: tuple[str, ...], places: Positions, done: list[Injected], seed: int,
+    anomalies: float,
+) -> Plan:  # fmt: skip
+    """The rig with these cells under its tip; its layout is built once."""
+    layout = rig_layout(rig, rig_file.parent)
+    chosen = (*overrides, *words(rig, places, seed, anomalies, fd=layout.fd))
+    if done:
+        chosen = (*chosen, f"motion.parameters.first={len(done) + 1}")
+    changed = load_rig(rig_file, chosen)
+    try:
+        refused = [finding.text for finding in check_sensor(changed) if finding.refused]
+    except ValueError as error:
+        raise RigError([f"{rig_file}: {error}"]) from None
+    if refused:
+        raise RigError(refused)
+    layout = refuse_unschedulable(changed, rig_file.parent, layout)
+    return Plan(changed, rig_file, chosen, layout, places, done, not has_equipment(rig))
 
 
 def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
@@ -82,54 +152,67 @@ def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
     return grid(int(rows), int(columns), pitch, centre)
 
 
-def _run(rig: RigConfig, folder: Path, layout: HostProtocol, console: Console) -> Batch:
-    columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None)
-        return inject_batch(rig, folder, lambda done, of: bar.update(task, completed=done, total=of), layout)
+def _live(plan: Plan, followers: Sequence[Follower], script: Sequence[Declared], console: Console) -> Batch:
+    from hil.studies.inject.run_live import run_live
+
+    return run_live(plan.rig, plan.rig_file, plan.words, followers, Script(script), console)
 
 
-def _show(console: Console, batch: Batch, lines: list[Line]) -> None:
-    counts = Counter(cell.result.verdict.name for cell in batch.cells)
-    table = Table(
-        "verdict", "cells", "share [95 % interval]", title=f"{len(batch.cells)} cells in {batch.seconds:.1f} s"
-    )
-    for name, count in counts.most_common():
-        table.add_row(name.lower().replace("_", " "), str(count), share_text(count, len(batch.cells)))
-    console.print(table)
-    if lines:
-        bars = Table("bar", "allowed", "reached", "", title="against the specification")
-        for line in lines:
-            bars.add_row(line.name, line.bar, line.reached, {True: "holds", False: "MISSED", None: ""}[line.holds])
-        console.print(bars)
+def _attach(
+    rig: Path, script: Sequence[Declared], csv_target: str, report_target: str, json_target: str, console: Console
+) -> None:
+    from hil.operate.move import told
+    from hil.studies.inject.run_live import cells_of_running, run_attached
+
+    with told("inject"):
+        config, places = cells_of_running(rig.stem)
+        sheet = Sheet(Path(csv_target), places) if csv_target else None
+        with Steps("cells", len(places), console) as steps:
+            batch = run_attached(config, [Shown(steps), *([sheet] if sheet else [])], Script(script), console)
+    _leave(batch, [], places, config, (csv_target, report_target, json_target), console)
 
 
-def _row(cell: Injected) -> dict[str, Any]:
-    found = asdict(cell.result)
-    found["verdict"] = cell.result.verdict.name.lower()
-    truth = asdict(cell)
-    del truth["result"]
-    truth["expected"] = cell.expected.name.lower()
-    return {**found, **{f"true_{name}" if name == "peak_force" else name: value for name, value in truth.items()}}
+def _tell(rig: Path, word: str) -> None:
+    """Ask the running batch once."""
+    from hil.operate.move import told
+    from hil.operate.moving import motion
+
+    if word not in WORDS:
+        raise typer.BadParameter(f"{word!r}: one of {', '.join(WORDS)}", param_hint="--tell")
+    with told("inject"), motion(rig.stem, take=False, activate=False) as mover:
+        mover.ask(Request[word.upper()])
+    print(f"{word}: taken")
 
 
-def _csv(batch: Batch) -> str:
-    """SI units; verdicts in words; empty where something did not happen."""
-    rows = [_row(cell) for cell in batch.cells]
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: "" if v != v else v for k, v in row.items()} for row in rows)
-    return text.getvalue()
+def _leave(
+    batch: Batch, lines: Sequence[Line], places: Positions, rig: RigConfig, targets: tuple[str, str, str],
+    console: Console,
+) -> None:  # fmt: skip
+    """Print and write what there is; exit status 1 where the batch did not end, or missed a bar."""
+    csv_target, report_target, json_target = targets
+    show(console, batch, lines)
+    if csv_target:
+        console.print(f"cells: {csv_target}")
+    if report_target:
+        from hil.studies.inject.report import batch_page
+
+        Path(report_target).write_text(batch_page(rig, batch, places, lines), encoding="utf-8")
+        console.print(f"page: {report_target}")
+    if json_target:
+        write_json(document(batch, lines, places), json_target)
+    if batch.fault or len(batch.cells) < batch.planned:
+        broken = bool(batch.cells) and batch.cells[-1].result.verdict.name == "BROKEN"
+        why = batch.failure or batch.fault or ("the tip is broken" if broken else "it was ended before")
+        print(f"hil inject: {len(batch.cells)} of {batch.planned} cells: {why}", file=sys.stderr)
+        if csv_target:
+            command = shlex.join([*_again(sys.argv), "--resume"])
+            print(f"to go on: {command}", file=sys.stderr)
+        sys.exit(1)
+    if any(line.holds is False for line in lines):
+        sys.exit(1)
 
 
-def _document(batch: Batch, lines: list[Line]) -> dict[str, Any]:
-    return {
-        "cells": [_row(cell) for cell in batch.cells],
-        "planned": batch.planned,
-        "seconds": batch.seconds,
-        "fault": batch.fault,
-        "limited": batch.limited,
-        "bars": [line._asdict() for line in lines],
-    }
+def _again(arguments: Sequence[str]) -> list[str]:
+    """The command that was typed, without what must not be said twice."""
+    found = ["hil", *arguments[1:]]
+    return [word for word in found if word != "--resume"]

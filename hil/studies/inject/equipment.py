@@ -43,13 +43,13 @@ def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> 
 def read_positions(path: Path) -> Positions:
     """The columns x and y (m) of a CSV file, one row a cell. Raises RigError naming file, row and column."""
 
-    def places(header: Sequence[str]) -> list[str]:
+    def chosen(header: Sequence[str]) -> list[str]:
         if missing := [name for name in ("x", "y") if name not in header]:
             raise TaskFileError(f"{path}: no column {missing[0]!r}; expected x and y, m")
         return ["x", "y"]
 
     try:
-        _, rows = csv_columns(path, file_bytes(path), places, MOST_CELLS)
+        _, rows = csv_columns(path, file_bytes(path), chosen, MOST_CELLS)
     except TaskFileError as error:
         raise RigError([str(error)]) from None
     for number, row in enumerate(rows, 1):

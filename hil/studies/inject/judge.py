@@ -41,8 +41,10 @@ def share_text(hits: int, total: int) -> str:
 
 
 def judged(batch: Batch, force_limit: float) -> list[Line]:
-    """Every bar of the specification that a batch can be held against. force_limit: N."""
-    cells = batch.cells
+    """Every bar of the specification that a batch can be held against. force_limit: N. Cells that an operator took out
+    of the batch count in none but force and pulses.
+    """
+    cells = batch.judged
     right = sum(cell.right for cell in cells)
     lines = [
         Line("verdicts", ">= 99 %", share_text(right, len(cells)), right >= 0.99 * len(cells)) if cells else None,
@@ -50,8 +52,8 @@ def judged(batch: Batch, force_limit: float) -> list[Line]:
         _quantiles("touch known, um deep", [cell.found_depth * 1e6 for cell in cells], 35.0, 42.0),
         _quantiles("puncture known after, ms", [cell.known_after * 1e3 for cell in cells], 4.0, 5.0),
         _lurch(cells),
-        _force(cells, force_limit),
-        _pulses(cells),
+        _force(batch.cells, force_limit),
+        _pulses(batch.cells),
         _pace(batch),
     ]
     return [line for line in lines if line is not None]
@@ -101,5 +103,5 @@ def _pulses(cells: Sequence[Injected]) -> Line | None:
 def _pace(batch: Batch) -> Line | None:
     if not batch.cells or not batch.seconds:
         return None
-    pace = 60.0 * len(batch.cells) / batch.seconds
+    pace = 60.0 * (len(batch.cells) - batch.earlier) / batch.seconds
     return Line("cells a minute", ">= 40", f"{pace:.0f}", pace >= 40.0)
