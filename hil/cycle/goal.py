@@ -49,6 +49,7 @@ class Refusal(IntEnum):
     SUPERSEDED = 8  # by a newer one of its kind in the same tick
     STALE = 9  # it waited too long; never reaches the cycle
     FOREIGN = 10  # of a lease that has ended; never reaches the cycle
+    NO_MOTION = 11  # none that decides runs, so nothing can be asked of it
 
     @property
     def text(self) -> str:
@@ -64,10 +65,11 @@ _TEXTS: dict[int, str] = {
     Refusal.FENCE: "the target is beyond the travel less its margin",
     Refusal.LIMITS: "no plan keeps the limits from the motion in force",
     Refusal.TASK: "the task may not be interrupted",
-    Refusal.NO_PATH: "no path and no motion here to begin, to pause or to ask",
+    Refusal.NO_PATH: "no path to begin or to pause here",
     Refusal.SUPERSEDED: "a newer goal of its kind came in the same tick",
     Refusal.STALE: "it waited too long for the control process",
     Refusal.FOREIGN: "the lease that it was sent under has ended",
+    Refusal.NO_MOTION: "no motion runs that could be asked",
 }
 
 

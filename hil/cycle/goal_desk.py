@@ -154,7 +154,7 @@ class GoalDesk:
         """The motion that runs hears what the operator asks for; nothing else changes."""
         decided = self.decided
         if self.word is not MotionWord.MOTION or decided is None:
-            return Refusal.NO_PATH
+            return Refusal.NO_MOTION
         if not Request.PAUSE <= goal.flags <= Request.ABORT:
             return Refusal.UNKNOWN
         decided.ask(Request(goal.flags))

@@ -221,7 +221,7 @@ def test_a_request_that_is_none_is_refused_and_the_motion_hears_nothing(flags: i
 def test_where_no_motion_runs_a_request_is_refused_and_the_next_motion_does_not_hear_it() -> None:
     told = Decided(still).begin().ticks(5)
     assert told.ask(GoalKind.HALT) == Refusal.NONE
-    assert told.ask(GoalKind.REQUEST, flags=hil.Request.ABORT) == Refusal.NO_PATH
+    assert told.ask(GoalKind.REQUEST, flags=hil.Request.ABORT) == Refusal.NO_MOTION
 
 
 def test_a_motion_sees_readings_with_their_age_and_what_the_axes_do() -> None:
