@@ -172,7 +172,7 @@ class CellWatch:
             self._recent = [*self._recent, *forces.tolist()][-PEAK_TICKS:]
         elif phase >= Phase.WITHDRAW:
             result.pull = max(result.pull, float(np.nanmax(-forces, initial=0.0)))
-        if self.traces is not None:
+        if self.traces is not None and phase < Phase.LIFT:  # beyond that it is far above the cell
             depths = (part["position"][:, self._axis] - self._cells[result.number][2]) * self._sign
             self.traces.setdefault(result.number, Trace()).add(depths.tolist(), forces.tolist())
 

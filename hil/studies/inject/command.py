@@ -169,7 +169,7 @@ def _attach(
         sheet = Sheet(Path(csv_target), places) if csv_target else None
         with Steps("cells", len(places), console) as steps:
             batch = run_attached(config, [Shown(steps), *([sheet] if sheet else [])], Script(script), console)
-    _leave(batch, [], places, config, (csv_target, report_target, json_target), console)
+    _leave(batch, [], places, config, (csv_target, report_target, json_target), console, again=False)
 
 
 def _tell(rig: Path, word: str) -> None:
@@ -186,7 +186,7 @@ def _tell(rig: Path, word: str) -> None:
 
 def _leave(
     batch: Batch, lines: Sequence[Line], places: Positions, rig: RigConfig, targets: tuple[str, str, str],
-    console: Console,
+    console: Console, *, again: bool = True,
 ) -> None:  # fmt: skip
     """Print and write what there is; exit status 1 where the batch did not end, or missed a bar."""
     csv_target, report_target, json_target = targets
@@ -204,7 +204,7 @@ def _leave(
         broken = bool(batch.cells) and batch.cells[-1].result.verdict.name == "BROKEN"
         why = batch.failure or batch.fault or ("the tip is broken" if broken else "it was ended before")
         print(f"hil inject: {len(batch.cells)} of {batch.planned} cells: {why}", file=sys.stderr)
-        if csv_target:
+        if csv_target and again:
             command = shlex.join([*_again(sys.argv), "--resume"])
             print(f"to go on: {command}", file=sys.stderr)
         sys.exit(1)

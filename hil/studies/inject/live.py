@@ -34,15 +34,14 @@ KEYS: Final = {"p": Request.PAUSE, "r": Request.RESUME, "s": Request.SKIP, "a": 
 
 
 class LiveBatch:
-    """Follows the batch of one control process. keys: what was pressed since it was called last. insists: somebody
-    activates the rig again where it stops. stops: how often it did.
+    """Follows the batch of one control process. keys: what was pressed since it was called last. stops: how often
+    the rig stopped; the batch goes on where somebody activates it again.
     """
 
     def __init__(
         self, paths: RuntimePaths, rig: RigConfig, followers: Sequence[Follower], script: Script,
-        keys: Callable[[], str] = lambda: "", *, insists: bool = False,
+        keys: Callable[[], str] = lambda: "",
     ) -> None:  # fmt: skip
-        self._insists = insists
         self.stops = 0
         self._stopped = False
         self.batch = Batch(planned=len(rig.motion.parameters["cells"]))
@@ -74,24 +73,24 @@ class LiveBatch:
             else:
                 self._tell(told.result.number + 1, told.phase)
         self.batch.traces = self._watch.traces or {}
-        over = len(records) > 0 and self._ended(records[-1])
+        over = self._ended(records[-1]) if len(records) else not self._ring.writer_alive
         if not over:
             self._tell(self._watch.number, self._watch.phase)
             self._heed()
         return not over
 
     def _ended(self, record: np.void) -> bool:
-        """Whether the batch is over by the newest tick: the motion has ended, or the rig has stopped for good."""
+        """Whether the motion has ended by the newest tick; where the rig has merely stopped it may begin again."""
         self._last, batch = int(record["index"]), self.batch
         word, stopped = MotionWord(int(record["motion"])), bool(record["fault"])
         self.stops += stopped and not self._stopped
         self._stopped = stopped
         batch.fault = Fault(int(record["fault"])).name if stopped else ""
         if self._watch.began < 0:
-            return stopped and not self._insists
+            return False
         batch.ticks = self._last - self._watch.began
         batch.seconds = batch.ticks * self._period
-        return word is not MotionWord.MOTION and not (self._insists and word is MotionWord.NONE)
+        return word not in (MotionWord.MOTION, MotionWord.NONE)
 
     def _heed(self) -> None:
         """The script and the operator."""
@@ -171,7 +170,7 @@ class LiveInjection(Demo):
         self.live: LiveBatch | None = None
 
     def _watch(self, client: RigClient, seconds: float) -> None:
-        self.live = LiveBatch(self.scene.paths, self.scene.rig, *self._follows, insists=True)
+        self.live = LiveBatch(self.scene.paths, self.scene.rig, *self._follows)
         try:
             follow(self.live, self._signals, lambda: self._look(client))
         finally:
