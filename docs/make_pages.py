@@ -89,6 +89,9 @@ def faults_page() -> str:
         "",
         "Made from the rows in `hil/cycle/faults/` by `make docs`. Thresholds are keys of `[safety]` in the rig file.",
         "",
+        "WITHDRAW takes the place of R2 where the tip of a motion is beyond its safe height: the tip goes there first.",
+        "Then R2 follows. [Inject cells](inject.md#when-the-rig-stops) says when.",
+        "",
     ]
     lines += ["| number | fault | seen by | after | reaction | armed in |", "|---|---|---|---|---|---|"]
     for fault, rule in ROWS.items():

@@ -26,6 +26,7 @@ from hil.control.motion.contract import Motion as Motion
 from hil.control.motion.contract import Observation as Observation
 from hil.control.motion.contract import References as References
 from hil.control.motion.contract import Request as Request
+from hil.control.motion.contract import Retreat as Retreat
 from hil.control.motion.contract import Surroundings as Surroundings
 from hil.control.reading import Reading as Reading
 from hil.cycle.goal import GoalRefusedError as GoalRefusedError

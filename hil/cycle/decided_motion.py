@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from hil.control.motion.asked import AskedMotion
-from hil.control.motion.contract import Observation, References, Request
+from hil.control.motion.contract import Observation, References, Request, Retreat
 from hil.control.plans.axis_plan import MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import knot, move
@@ -53,6 +53,11 @@ class DecidedMotion:
     def motion(self) -> Any:
         """The motion itself, for who reads its results."""
         return self._asked.motion
+
+    @property
+    def retreat(self) -> Retreat | None:
+        """The way out that it declares."""
+        return self._asked.retreat
 
     @property
     def failure(self) -> str:

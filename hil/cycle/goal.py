@@ -7,6 +7,7 @@ MOST_GOALS: Final = 2  # that a tick takes; of more the newest of each kind coun
 MOST_JOG_S: Final = 0.5  # that a jog may be valid for
 RELATIVE: Final = 1  # flags: positions count from the target in force
 LINE: Final = 2  # along the straight line
+LEAD_OUT: Final = "; lead it out: "  # in the words on a tip that was left inside: between what is so and the commands
 
 
 class GoalKind(IntEnum):
@@ -22,7 +23,7 @@ class GoalKind(IntEnum):
 
 
 class MotionWord(IntEnum):
-    """What the axes do in ACTIVE."""
+    """What the axes do under torque."""
 
     NONE = 0  # not ACTIVE, or not yet
     TASK = 1
@@ -33,6 +34,7 @@ class MotionWord(IntEnum):
     PATH = 6
     MOTION = 7
     PAUSED = 8
+    WITHDRAW = 9  # in STOPPING: the tip goes to its safe height first
 
 
 class Refusal(IntEnum):

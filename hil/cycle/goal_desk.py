@@ -81,6 +81,22 @@ class GoalDesk:
         self._axes.setpoints.follow(self._course, origin_ns)
         decided.begin(position)
 
+    def withdraw(self, axis: int, target: float, seconds: float) -> float:
+        """One axis goes to `target`, m, in about `seconds` or as soon as its limits allow, the others come to rest,
+        whatever was asked for before. Returns how long it takes, s.
+        """
+        if self.decided is not None:
+            self.decided.end()
+        course = self._on_course()
+        for one, at in enumerate(self._commits()):
+            state = course.at(one, at)
+            li = self._limits_at(one, state[0])
+            plan = move(*state, target, li, seconds) if one == axis else halt(*state, li)
+            course.add(one, Stretch(at, plan))
+        self._path, self.word = None, MotionWord.WITHDRAW
+        self._update()
+        return course.newest(axis).plan.ends
+
     def leave(self) -> None:
         """The axes are no longer ours to move."""
         if self.decided is not None:

@@ -50,6 +50,7 @@ from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.supervisor import Supervisor
 from hil.cycle.tick import CycleResult, Tick
+from hil.cycle.withdrawal import shared
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 
@@ -108,6 +109,11 @@ class ControlCycle:
         """Why drives were refused or an axis is not as stated, for people."""
         push = self.supervisor.commissioning.problem
         return [*self.protocol.problems, *([push] if push else [])]
+
+    @property
+    def tip(self) -> str:
+        """That the tip stays beyond its safe height, and how it comes out, for people; empty where it does not."""
+        return self.supervisor.tip
 
     @property
     def failure(self) -> str:
@@ -204,7 +210,10 @@ class ControlCycle:
             monitor.check_rest(self.inbox)
             return
         filters, applied, following = self.filters, self.gate.force, state is not State.STOPPING
+        released = self.supervisor.released
         for axis, x in enumerate(self.inputs):
+            if released is not None:
+                following = not released[axis]
             motion = filters[axis]
             monitor.check_filter(axis, motion.innovation)
             monitor.check_motion(
@@ -251,9 +260,14 @@ class ControlCycle:
     def _ask(self) -> list[float]:
         """The force asked for, N per axis: of the damped stop, else of the law."""
         if self.supervisor.machine.state is State.STOPPING:
-            return self.supervisor.damped_stop.force(self.axes.ahead_velocity())
+            damped = self.supervisor.damped_stop.force(self.axes.ahead_velocity())
+            released = self.supervisor.released
+            return damped if released is None else shared(self._of_law(), damped, released)
         if self.supervisor.commissioning.running:
             return self.supervisor.commissioning.force(self.axes.ahead_velocity())
+        return self._of_law()
+
+    def _of_law(self) -> list[float]:
         try:
             return self.axes.law.force(self.inputs)
         except ArithmeticError:  # floats raise where arrays would say NaN; the gate knows what to do with that

@@ -12,6 +12,8 @@ Rules:
   (limits.return_forces), and goals move it inwards, slowly. What it has come back it does not get again (travel.py).
 - The first fault whose reaction is STOP or more latches; later ones do not replace it. A latched fault is left by an
   operator's RESET alone.
+- Where the tip of a motion is beyond its safe height, it is led out first (WITHDRAW, withdrawal.py): STOPPING then has
+  the law's force and the rig's own references, and the damped stop behind that.
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
   applies torque; where the rig asks for a commissioning push, behind that.
 
@@ -45,6 +47,7 @@ from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
 from hil.cycle.tick import Tick
+from hil.cycle.withdrawal import WITHIN_S, Withdrawal
 from hil.rig.schema import RigConfig
 
 _FROM_REST: Final = frozenset({Event.ACTIVATE, Event.HOME, Event.RESET})
@@ -56,7 +59,8 @@ class Supervisor:
     """States, faults and commands of one control cycle. Raises ValueError naming a task that this rig cannot have.
 
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
-    torque, and none has taken it back. start_ranges: by axis, where the task may begin, m (rad).
+    torque, and none has taken it back. released: while the tip is led out, axes that have the damped stop's force all
+    the same; None: it is not. start_ranges: by axis, where the task may begin, m (rad).
     """
 
     def __init__(
@@ -82,12 +86,28 @@ class Supervisor:
             decided = DecidedMotion(AskedMotion(rig, limits), axes, sampling, limits, readings, rig.period_ns)
         interrupt = rig.motion.interrupt and not rig.law.iterative_learning
         self.goals = GoalDesk(axes, sampling, limits, paths, interrupt, decided)
+        retreat = None if decided is None else decided.retreat
+        self._way_out = None if retreat is None else Withdrawal(retreat, rig, limits)
+        self.released: list[bool] | None = None
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
     @property
     def state(self) -> State:
         """Where the state machine is."""
         return self.machine.state
+
+    @property
+    def longest_stop_s(self) -> float:
+        """That STOPPING may take, s."""
+        return self._rig.safety.stop_s + (0.0 if self._way_out is None else self._way_out.longest_s)
+
+    @property
+    def tip(self) -> str:
+        """That the tip stays beyond its safe height, and how it comes out, for people; empty where it does not."""
+        way_out = self._way_out
+        if way_out is None or self.machine.state in TORQUE_STATES or not self._sampling.tracked:
+            return ""
+        return way_out.left() if way_out.beyond(self._axes.measured) else ""
 
     def advance(self, tick: Tick) -> None:
         """Faults first, then exit, the operator, the stop line, and at last what the state itself has reached."""
@@ -117,10 +137,20 @@ class Supervisor:
         """Goals, once the axes are under torque and ours to move."""
         if self.goals.handled:
             self.goals.handled = []
-        if self.goals.word is not MotionWord.NONE:
+        before = self.goals.word
+        if before is not MotionWord.NONE and self.released is None:
             self.goals.advance(tick.goals, self._path_from)
+            if before is MotionWord.MOTION and self._fails_inside():
+                self._handle(Event.STOP, tick)
         elif tick.goals:
             self.goals.refuse(tick.goals)
+
+    def _fails_inside(self) -> bool:
+        """Whether the motion has failed while the tip is beyond its safe height."""
+        decided, way_out = self.goals.decided, self._way_out
+        if way_out is None or decided is None or not decided.failure:
+            return False
+        return way_out.needed(self._axes.measured, self._axes.ahead_velocity())
 
     def _path_from(self, position: list[float]) -> Trajectory | None:
         """The task's plan from rest; None where it may not begin there."""
@@ -224,7 +254,10 @@ class Supervisor:
                 self._monitor.allow_way_back(self._axes.measured)
         elif state is State.STOPPING:
             self._stopping_since_ns = tick.now_ns
-        if state is not State.ACTIVE:
+            self._lead_out(tick)
+        if state is not State.STOPPING:
+            self.released = None
+        if state is not State.ACTIVE and self.released is None:
             self.goals.leave()
         if state not in TORQUE_STATES:
             self.enabled = False
@@ -266,6 +299,8 @@ class Supervisor:
                 self._push(tick)
             elif state is State.HOMING and self._at_home():
                 self._handle(Event.HOMED, tick)
+        elif state is State.STOPPING and self.released is not None:
+            self._go_out(tick)
         elif state is State.STOPPING:
             elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
             if self.damped_stop.over(self._axes.ahead_velocity(), elapsed):
@@ -322,6 +357,25 @@ class Supervisor:
         setpoints.update(sampling.instants, sampling.starts)
         if self.machine.state is State.ACTIVE:
             self.goals.begin(trajectory, MotionWord.TASK)
+
+    def _lead_out(self, tick: Tick) -> None:
+        """The tip to its safe height first, where it is beyond it and the axes are under control."""
+        way_out = self._way_out
+        if way_out is None or not self.enabled or self.goals.word is MotionWord.NONE:
+            return
+        way_out.begin()
+        if way_out.needed(self._axes.measured, self._axes.ahead_velocity()) and way_out.sound(self._monitor):
+            way_out.due(tick.now_ns, self.goals.withdraw(way_out.axis, way_out.safe, WITHIN_S))
+            self.released = way_out.released
+
+    def _go_out(self, tick: Tick) -> None:
+        """Until the tip is out, or the way out is out of control; the damped stop follows."""
+        way_out = self._way_out
+        assert way_out is not None
+        if way_out.over(self._axes.measured, tick.now_ns) or not way_out.sound(self._monitor):
+            self.released = None
+            self.goals.leave()
+            self._stopping_since_ns = tick.now_ns
 
     def _at_home(self) -> bool:
         setpoints = self._axes.setpoints

@@ -1,4 +1,4 @@
-"""What the cycle says in words: why a drive was refused, what an axis or a user's law did wrong.
+"""What the cycle says in words: why a drive was refused, what a user's law did wrong, that the tip was left inside.
 
 It goes from the control process to all others by a file.
 """
@@ -17,7 +17,7 @@ LONGEST = 400  # characters of one
 
 
 class Note(NamedTuple):
-    """Words of the cycle. kind: DRIVE or LAW. tick, time_ns: when they were there first."""
+    """Words of the cycle. kind: DRIVE, LAW or TIP. tick, time_ns: when they were there first."""
 
     kind: Kind
     text: str
@@ -33,16 +33,21 @@ class Speaker(Protocol):
         """Why drives were refused or an axis is not as stated."""
 
     @property
+    def tip(self) -> str:
+        """That the tip stays beyond its safe height, or empty."""
+
+    @property
     def failure(self) -> str:
         """Why a user's law no longer counts, or empty."""
 
 
 def noted(speaker: Speaker, before: Sequence[Note], tick: int, time_ns: int) -> tuple[Note, ...]:
     """What it says now; what it said before keeps its tick."""
-    problems, failure = speaker.problems, speaker.failure
-    if not (problems or failure):
+    problems, failure, tip = speaker.problems, speaker.failure, speaker.tip
+    if not (problems or failure or tip):
         return ()
-    said = [(Kind.DRIVE, text) for text in problems] + ([(Kind.LAW, failure)] if failure else [])
+    said = [(Kind.DRIVE, text) for text in problems]
+    said += [(kind, text) for kind, text in ((Kind.LAW, failure), (Kind.TIP, tip)) if text]
     known = {(note.kind, note.text): note for note in before}
     cut = [(kind, " ".join(text.split())[:LONGEST]) for kind, text in said[:MOST]]
     return tuple(known.get(words) or Note(*words, tick, time_ns) for words in dict.fromkeys(cut))
@@ -81,3 +86,8 @@ def read_notes(path: Path) -> list[Note]:
 def read_problems(path: Path) -> list[str]:
     """Of what was written last, why drives were refused or an axis is not as stated."""
     return [note.text for note in read_notes(path) if note.kind is Kind.DRIVE]
+
+
+def read_tip(path: Path) -> str:
+    """Of what was written last, that the tip stays beyond its safe height; empty where it does not."""
+    return next((note.text for note in read_notes(path) if note.kind is Kind.TIP), "")

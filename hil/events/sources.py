@@ -11,21 +11,24 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.cycle.goal import LEAD_OUT
 from hil.events.event import Event
 from hil.events.notes import Note, Speaker, noted, read_notes
 from hil.events.stream import EventStream, stream_of
 from hil.events.table import KINDS, Kind
 from hil.rig.schema import RigConfig
 
+_NAMES = {Kind.DRIVE: "not ready", Kind.LAW: "failed", Kind.TIP: "left beyond its safe height"}
+
 
 def event_of(note: Note, period_ns: int) -> Event:
     """The event that words are."""
     text = KINDS[note.kind]
-    name = "not ready" if note.kind is Kind.DRIVE else "failed"
     run_ns = max(note.tick, 0) * period_ns
+    cause, _, action = note.text.partition(LEAD_OUT) if note.kind is Kind.TIP else (note.text, "", "")
     return Event(
-        note.kind, text.severity, name, note.tick, note.time_ns, run_ns, "", "", math.nan, math.nan, "", note.text,
-        text.action,
+        note.kind, text.severity, _NAMES[note.kind], note.tick, note.time_ns, run_ns, "", "", math.nan, math.nan, "",
+        cause, action or text.action,
     )  # fmt: skip
 
 

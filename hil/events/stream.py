@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from drivers.bus.counters import BusState
 from hil.cycle.fault_table import GRANTS, ROWS, Fault, Form, Row
 from hil.cycle.faults.row import OF_SENSOR
+from hil.cycle.goal import MotionWord
 from hil.cycle.record import EVERY_AXIS, MAX_EVIDENCE, NO_AXIS, RECORD
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -277,7 +278,8 @@ class EventStream:
     def _state(self, record: np.void, last: _Seen, commands: "list[_Command]") -> Event:
         before, now = State(last.state), State(int(record["state"]))
         event = self._event(Kind.STATE, f"{before.name} -> {now.name}", record)
-        event = event._replace(cause=self._state_cause(record, last, commands))
+        led_out = "; the tip goes to its safe height first" if record["motion"] == MotionWord.WITHDRAW else ""
+        event = event._replace(cause=self._state_cause(record, last, commands) + led_out)
         if now is State.FAULT and self.latched:
             return event._replace(severity=self.latched.severity, action=self.latched.action)
         if now is State.ESTOP:
@@ -298,7 +300,8 @@ class EventStream:
             return reached + (f": {Fault(fault).name.lower()}" if fault and now is State.FAULT else "")
         if int(record["flags"]) & _STOP:
             return "the process was told to end"
-        return f"fault {Fault(fault).name.lower()}" if fault else "it was so when the records begin"
+        failed = "the motion failed" if record["motion"] == MotionWord.WITHDRAW else "it was so when the records begin"
+        return f"fault {Fault(fault).name.lower()}" if fault else failed
 
     # events -----------------------------------------------------------------------------------------------------------
 

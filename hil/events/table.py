@@ -22,8 +22,8 @@ class Severity(IntEnum):
 
 class Kind(IntEnum):
     """Number of a kind of event in telemetry and recordings (events.proto has the same). Those up to RIG_FILE and
-    ACCURACY_LOST follow from the ticks' records alone, DRIVE and LAW from what the cycle says in words; the others are
-    the sidecar's.
+    ACCURACY_LOST follow from the ticks' records alone, DRIVE, LAW and TIP from what the cycle says in words; the others
+    are the sidecar's.
     """
 
     STATE = 1
@@ -42,6 +42,7 @@ class Kind(IntEnum):
     DRIVE = 14
     LAW = 15
     ACCURACY_LOST = 16
+    TIP = 17
 
 
 class KindText(NamedTuple):
@@ -113,6 +114,11 @@ KINDS: Final[dict[Kind, KindText]] = {
         "law",
         Severity.ERROR,
         action="mend the law or the estimator where the cause says; hil check RIG --law or --estimator FILE tries it",
+    ),
+    Kind.TIP: KindText(
+        "tip",
+        Severity.ERROR,
+        action="hil command NAME reset, then hil command NAME activate-hold, then hil move NAME AXIS=HEIGHT",
     ),
     Kind.ACCURACY_LOST: KindText(
         "accuracy lost",

@@ -41,7 +41,7 @@ from hil.live.watched_file import WatchedFile
 from hil.rig.schema import RigConfig
 
 CHORE_INTERVAL_S = 0.25
-STOP_GRACE_S = 1.0  # beyond safety.stop_s; then the loop ends without the cycle's consent
+STOP_GRACE_S = 1.0  # beyond what STOPPING may take; then the loop ends without the cycle's consent
 _NO_AGE: Final = -1
 
 
@@ -113,7 +113,7 @@ class ControlLoop:
         self._task_number = parts.mailbox.task_posted
         self._pause: tuple[Goal, ...] = ()  # of a path whose client is gone: for the next tick
         self._plan_chores(rig.period_ns)
-        self._stop_ticks = round((rig.safety.stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
+        self._stop_ticks = round((self._cycle.supervisor.longest_stop_s + STOP_GRACE_S) * 1e9 / rig.period_ns)
 
     def _plan_chores(self, period_ns: int) -> None:
         interval = min(CHORE_INTERVAL_S, self.parts.notifier.watchdog_s / 3 or CHORE_INTERVAL_S)

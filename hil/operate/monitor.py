@@ -67,6 +67,8 @@ def control_line(status: pb.Status, age_s: float = 0.0) -> Text:
         text.append(f"  fault {status.fault}", style="bold red")
     if status.faults_active:
         text.append(f"  seen now: {', '.join(status.faults_active)}", style="red")
+    if status.tip:
+        text.append(f"\n  {status.tip}", style="bold red")
     for problem in status.drive_problems:
         text.append(f"\n  drive not ready: {problem}", style="bold red")
     if silent := silent_axes(status.axes, status.answer_age):

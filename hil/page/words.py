@@ -50,6 +50,7 @@ def status_words(status: pb.Status) -> dict[str, Any]:
         "faults": list(status.faults_active),
         "latched": event_words(status.latched, status.rig) if status.HasField("latched") else None,
         "problems": list(status.drive_problems),
+        "tip": status.tip,
         "silent": silent_axes(status.axes, status.answer_age),
         "drives": [drive_words(bits).plain.strip() or "-" for bits in status.drive_status],
         "max_error": list(map(_number, status.max_error)),

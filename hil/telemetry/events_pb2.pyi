@@ -28,6 +28,7 @@ class Event(_message.Message):
         DRIVE: _ClassVar[Event.Kind]
         LAW: _ClassVar[Event.Kind]
         ACCURACY_LOST: _ClassVar[Event.Kind]
+        TIP: _ClassVar[Event.Kind]
     UNKNOWN_KIND: Event.Kind
     STATE: Event.Kind
     FAULT_SEEN: Event.Kind
@@ -45,6 +46,7 @@ class Event(_message.Message):
     DRIVE: Event.Kind
     LAW: Event.Kind
     ACCURACY_LOST: Event.Kind
+    TIP: Event.Kind
     class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN_SEVERITY: _ClassVar[Event.Severity]

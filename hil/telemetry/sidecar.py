@@ -20,7 +20,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from drivers.base.runtime import stop_signals, write_private
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cycle.tick import CommandKind
-from hil.events.notes import read_problems
+from hil.events.notes import read_problems, read_tip
 from hil.live import stop_page
 from hil.live.mailbox import Mailbox, MailboxError
 from hil.live.ring import RingError, RingReader
@@ -268,6 +268,7 @@ class Sidecar:
             status.control_ended = run.reader.ended
             if run.reader.writer_alive:
                 status.drive_problems.extend(read_problems(self._paths.notes))
+                status.tip = read_tip(self._paths.notes) if run.window.rests else ""
             status.produced = run.reader.written
             status.sent, status.dropped = run.progress.sent, run.dropped
             if run.caught_up:

@@ -148,7 +148,7 @@ class Command(_message.Message):
     def __init__(self, kind: _Optional[int] = ..., sequence: _Optional[int] = ..., expires_ns: _Optional[int] = ..., accepted: _Optional[bool] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path", "drive_problems", "answer_age", "motion", "latched")
+    __slots__ = ("rig", "rig_hash", "axes", "units", "law", "period_ns", "pid", "control_alive", "control_ended", "state", "fault", "faults_active", "realtime", "index", "now_ns", "task_ns", "tick_ns", "counters", "position", "setpoint", "max_error", "force", "lateness_p50", "lateness_p99", "lateness_max", "drive_status", "produced", "sent", "dropped", "recording", "recorder_errors", "recording_path", "drive_problems", "answer_age", "tip", "motion", "latched")
     RIG_FIELD_NUMBER: _ClassVar[int]
     RIG_HASH_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
@@ -183,6 +183,7 @@ class Status(_message.Message):
     RECORDING_PATH_FIELD_NUMBER: _ClassVar[int]
     DRIVE_PROBLEMS_FIELD_NUMBER: _ClassVar[int]
     ANSWER_AGE_FIELD_NUMBER: _ClassVar[int]
+    TIP_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
     LATCHED_FIELD_NUMBER: _ClassVar[int]
     rig: str
@@ -219,9 +220,10 @@ class Status(_message.Message):
     recording_path: str
     drive_problems: _containers.RepeatedScalarFieldContainer[str]
     answer_age: _containers.RepeatedScalarFieldContainer[float]
+    tip: str
     motion: str
     latched: _events_pb2.Event
-    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ..., drive_problems: _Optional[_Iterable[str]] = ..., answer_age: _Optional[_Iterable[float]] = ..., motion: _Optional[str] = ..., latched: _Optional[_Union[_events_pb2.Event, _Mapping]] = ...) -> None: ...
+    def __init__(self, rig: _Optional[str] = ..., rig_hash: _Optional[str] = ..., axes: _Optional[_Iterable[str]] = ..., units: _Optional[_Iterable[str]] = ..., law: _Optional[str] = ..., period_ns: _Optional[int] = ..., pid: _Optional[int] = ..., control_alive: _Optional[bool] = ..., control_ended: _Optional[bool] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., faults_active: _Optional[_Iterable[str]] = ..., realtime: _Optional[str] = ..., index: _Optional[int] = ..., now_ns: _Optional[int] = ..., task_ns: _Optional[int] = ..., tick_ns: _Optional[int] = ..., counters: _Optional[_Union[Counters, _Mapping]] = ..., position: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., max_error: _Optional[_Iterable[float]] = ..., force: _Optional[_Iterable[float]] = ..., lateness_p50: _Optional[float] = ..., lateness_p99: _Optional[float] = ..., lateness_max: _Optional[float] = ..., drive_status: _Optional[_Iterable[int]] = ..., produced: _Optional[int] = ..., sent: _Optional[int] = ..., dropped: _Optional[int] = ..., recording: _Optional[bool] = ..., recorder_errors: _Optional[int] = ..., recording_path: _Optional[str] = ..., drive_problems: _Optional[_Iterable[str]] = ..., answer_age: _Optional[_Iterable[float]] = ..., tip: _Optional[str] = ..., motion: _Optional[str] = ..., latched: _Optional[_Union[_events_pb2.Event, _Mapping]] = ...) -> None: ...
 
 class Motion(_message.Message):
     __slots__ = ("index", "tick_ns", "state", "fault", "motion", "goal", "position", "velocity", "target", "setpoint", "setpoint_velocity", "moving", "in_position", "limited", "lag", "lease", "stream_delay", "stream_late", "stream_disordered")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
-from hil.cycle.state_machine import State
+from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.events.followed import followed
 from hil.telemetry import codec
 from hil.telemetry import telemetry_pb2 as pb
@@ -60,6 +60,11 @@ class Window:
         """The same for people, with its age where the control process has not ticked since."""
         age_ns = 0 if self.last is None else now_ns - int(self.last["now_ns"])
         return f"{self.state} {age_ns * 1e-9:.1f} s ago, nothing since" if age_ns > STALE_NS else self.state
+
+    @property
+    def rests(self) -> bool:
+        """Whether the newest tick permits no torque."""
+        return self.last is not None and int(self.last["state"]) not in TORQUE_STATES
 
     def fill(self, status: pb.Status) -> None:
         """Write the figures into a status message."""

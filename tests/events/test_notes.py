@@ -6,16 +6,20 @@ from types import SimpleNamespace
 from drivers.frame import Frame
 from drivers.protocols.base import Command, HostProtocol
 from drivers.protocols.mounting import MountedHost, Mounting
-from hil.events.notes import LONGEST, MOST, Note, NoteWriter, read_notes, read_problems
-from hil.events.table import Kind
+from hil.events.notes import LONGEST, MOST, Note, NoteWriter, read_notes, read_problems, read_tip
+from hil.events.sources import event_of
+from hil.events.table import Kind, Severity
 from hil.operate.monitor import control_line
+from hil.page.words import status_words
 from hil.telemetry import telemetry_pb2 as pb
 from sim_plant.drives.object_dictionary import key_of
 from tests.support.canopen_bench import Bench
 
+LEFT = "the tip may be in a cell: z is beyond its safe height of -0.001; lead it out: hil command r reset, then more"
 
-def says(*problems: str, failure: str = "") -> SimpleNamespace:
-    return SimpleNamespace(problems=list(problems), failure=failure)
+
+def says(*problems: str, failure: str = "", tip: str = "") -> SimpleNamespace:
+    return SimpleNamespace(problems=list(problems), failure=failure, tip=tip)
 
 
 def test_a_refusal_keeps_the_tick_it_was_told_in_and_is_read_by_others(tmp_path: Path) -> None:
@@ -59,6 +63,24 @@ def test_a_runtime_directory_that_is_gone_does_not_end_the_loop(tmp_path: Path) 
 def test_the_monitor_shows_it_under_the_state() -> None:
     status = pb.Status(state="BOOT", control_alive=True, drive_problems=["node 3: 6502h:00 aborted"])
     assert "drive not ready: node 3: 6502h:00 aborted" in control_line(status).plain
+
+
+def test_a_tip_that_was_left_inside_is_told_with_the_way_out_and_no_longer_than_it_is(tmp_path: Path) -> None:
+    notes = NoteWriter(tmp_path / "notes")
+    notes.write(says("node 3: no", tip=LEFT), 7, 7000)
+    assert read_tip(tmp_path / "notes") == LEFT
+    assert read_problems(tmp_path / "notes") == ["node 3: no"], "no drive's problem"
+    event = event_of(read_notes(tmp_path / "notes")[-1], 1_000_000)
+    assert (event.kind, event.severity, event.tick) == (Kind.TIP, Severity.ERROR, 7)
+    assert event.line.endswith("beyond its safe height of -0.001; next: hil command r reset, then more")
+    notes.write(says(), 8, 8000)
+    assert read_tip(tmp_path / "notes") == ""
+
+
+def test_monitor_and_page_show_that_the_tip_was_left_inside() -> None:
+    status = pb.Status(state="ESTOP", control_alive=True, tip=LEFT)
+    assert LEFT in control_line(status).plain
+    assert status_words(status)["tip"] == LEFT
 
 
 def test_mounted_drives_say_it_too() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from drivers.base import plugins
 from drivers.base.call_limit import FAILED, watch
 from drivers.base.guard import Guard
-from hil.control.motion.contract import Observation, References, Surroundings
+from hil.control.motion.contract import Observation, References, Retreat, Surroundings
 from hil.control.plans.axis_plan import MotionLimits
 from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
@@ -28,7 +28,7 @@ def surroundings(rig: RigConfig, limits: Sequence[MotionLimits]) -> Surroundings
 
 class AskedMotion:
     """The motion that [motion] names. motion: itself. failure: why it no longer counts, with file and line; empty where
-    all is well.
+    all is well. retreat: the way out that it declares, or None.
 
     Raises ValueError naming the key.
     """
@@ -42,7 +42,25 @@ class AskedMotion:
         self._n = len(rig.axes)
         around = surroundings(rig, limits)
         self.motion: Any = self._guard.call("it cannot be made", made, around, **config.parameters)
+        self.retreat: Retreat | None = self._guard.call("", self._declared, around)
         self.failure = ""
+
+    def _declared(self, around: Surroundings) -> Retreat | None:
+        """Raises TypeError or ValueError."""
+        declared = getattr(self.motion, "retreat", None)
+        if declared is None:
+            return None
+        if not isinstance(declared, Retreat):
+            raise TypeError(f"retreat = {declared!r:.60}, expected hil.Retreat")
+        axis, position, direction = declared
+        if axis not in around.axes:
+            raise ValueError(f"retreat.axis = {axis!r:.40}; the axes are {', '.join(around.axes)}")
+        if direction not in (-1, 1):
+            raise ValueError(f"retreat.direction = {direction!r:.40}; allowed: -1 or 1")
+        li = around.limits[list(around.axes).index(axis)]
+        if not li.low <= float(position) <= li.high:
+            raise ValueError(f"retreat.position = {position!r:.40}; allowed: from {li.low:g} to {li.high:g}")
+        return Retreat(axis, float(position), int(direction))
 
     def begin(self, position: Sequence[float]) -> None:
         """From rest at `position`, m; what it failed of before is forgotten."""

@@ -73,6 +73,17 @@ class References(NamedTuple):
     done: bool = False
 
 
+class Retreat(NamedTuple):
+    """The way out of a cell, along one axis of the rig. Before the rig stops, it carries the axis there by itself.
+
+    axis: its name. position: the safe height, m, inside the fence. direction: 1 or -1, the sign of the way in.
+    """
+
+    axis: str
+    position: float
+    direction: int
+
+
 class Motion(ABC):
     """A motion of your own: it decides each tick where to go, by what it sees.
 
@@ -97,7 +108,12 @@ class Motion(ABC):
     What it asks for is held to travel, speed, acceleration and jerk of [axes.NAME.motion]: an axis that is asked for
     more goes there as fast as these allow, and the tick is counted in `limited`. One that raises, answers what is no
     number, or does not answer, ends: the axes come to rest and are held.
+
+    retreat: set it in __init__ where the tip goes into something. The rig then leads the tip out before it stops: after
+    a fault, a stop, or a failure of the motion. It is read once.
     """
+
+    retreat: Retreat | None = None
 
     def __init__(self, rig: Surroundings, **parameters: Any) -> None:  # noqa: B027
         """Every motion is made like this, once for each control cycle."""

@@ -13,13 +13,14 @@ from hil.cycle.state_machine import TORQUE_STATES, State
 
 
 class Reaction(IntEnum):
-    """In order of severity."""
+    """In order of severity. WITHDRAW takes the place of STOP where the tip of a motion is inside (withdrawal.py)."""
 
     COUNT = 0
     BRIDGE = 1
-    STOP = 2
-    ZERO = 3
-    SILENT = 4
+    WITHDRAW = 2
+    STOP = 3
+    ZERO = 4
+    SILENT = 5
 
 
 class Form(Enum):

@@ -123,23 +123,25 @@ function look() {
   view?.look?.(trouble);
 }
 
-/** The latched fault, what was measured against which limit, its cause, and its next step as a button where that is a command. */
+/** The latched fault, and that the tip was left inside: what was measured against which limit, its cause, and its next step as a button where that is a command. */
 function showLatched() {
   const latched = feed.fault || (feed.state === "ESTOP" ? "ESTOP" : "");
   const box = byId("latched"), told = feed.status.latched;
   const event = told && told.name.toUpperCase() === latched ? told : null;
-  const key = `${latched}|${event?.number}|${may("operate")}`;
+  const tip = feed.status.tip ?? "";
+  const key = `${latched}|${event?.number}|${may("operate")}|${tip}`;
   if (box.dataset.key === key) return;
   box.dataset.key = key;
-  box.hidden = !latched;
+  box.hidden = !latched && !tip;
   const reset = el("button", { type: "button", disabled: !may("operate"), onclick: () => command(feed.rig, "reset", tell) });
   reset.append(may("operate") ? "Reset" : "Reset needs the role operate");
-  box.replaceChildren(el("p", {}, event ? headline(event) : latched === "ESTOP" ? "Stopped by E-STOP" : `Fault ${latched}`));
+  const title = event ? headline(event) : latched === "ESTOP" ? "Stopped by E-STOP" : `Fault ${latched}`;
+  box.replaceChildren(...(latched ? [el("p", {}, title)] : []), ...(tip ? [el("p", { className: "next" }, tip)] : []));
   if (event) {
     const words = [measured(event), event.cause && `Cause: ${event.cause}`, `Next: ${event.action || "find out why"}`];
     box.append(...words.filter(Boolean).map((text) => el("p", { className: "next" }, text)));
   }
-  box.append(reset);
+  if (latched) box.append(reset);
 }
 
 setInterval(look, LOOK_MS);

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from hil.control.motion.contract import Motion, Observation, References, Request, Surroundings
+from hil.control.motion.contract import Motion, Observation, References, Request, Retreat, Surroundings
 from hil.control.motion.glide import Glide
 from hil.control.motion.injection.cell_run import CellRun
 from hil.control.motion.injection.senses import Senses
@@ -27,6 +27,7 @@ class CellInjection(Motion):
 
     def __init__(self, rig: Surroundings, **parameters: Any) -> None:
         self._s = settings(rig, parameters)
+        self.retreat = Retreat(self._s.along, self._s.safe, self._s.direction)
         self._period_ns = round(rig.period * 1e9)
         self._period = rig.period
         self._glides = [Glide(limits, self._period_ns) for limits in rig.limits]
