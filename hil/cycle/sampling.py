@@ -24,12 +24,12 @@ class SampleClock:
     """One axis: when its samples were taken, when its next force will act, and which samples can be true.
 
     instant: of the filter's state, ns. latency: from the tick's start to the drive's sampling, averaged, ns. stretch:
-    interval since the last sample in periods, where slots were skipped, else 1.
+    interval since the last sample in periods, where slots were skipped, else 1. trusted: last believed position, m.
     """
 
     __slots__ = (
-        "_average", "_drive", "_inputs", "_period_ns", "_resolution", "_trusted", "_trusted_ns",
-        "instant", "known", "latency", "stretch",
+        "_average", "_drive", "_inputs", "_period_ns", "_resolution", "_trusted_ns",
+        "instant", "known", "latency", "stretch", "trusted",
     )  # fmt: skip
 
     def __init__(self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int = 0) -> None:
@@ -41,7 +41,7 @@ class SampleClock:
         self.instant = self.latency = self._average = 0
         self.known = False  # the latency
         self.stretch = 1.0
-        self._trusted, self._trusted_ns = 0.0, 0  # last believed position, m, and its instant
+        self.trusted, self._trusted_ns = 0.0, 0  # and its instant
 
     def take(
         self,
@@ -74,10 +74,10 @@ class SampleClock:
         else:
             x.sample_interval, self.stretch = period * 1e-9, 1.0
         self.instant = instant
-        if tracked and monitor.implausible(axis, position - self._trusted, (instant - self._trusted_ns) / period):
+        if tracked and monitor.implausible(axis, position - self.trusted, (instant - self._trusted_ns) / period):
             x.fresh = 0.0
             return False
-        x.position = self._trusted = position
+        x.position = self.trusted = position
         self._trusted_ns = instant
         x.fresh = 1.0
         return True

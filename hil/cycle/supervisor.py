@@ -60,7 +60,8 @@ class Supervisor:
 
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
     torque, and none has taken it back. released: while the tip is led out, axes that have the damped stop's force all
-    the same; None: it is not. start_ranges: by axis, where the task may begin, m (rad).
+    the same; None: it is not. way_out: of the rig's motion; None: it declares none. start_ranges: by axis, where the
+    task may begin, m (rad).
     """
 
     def __init__(
@@ -87,8 +88,9 @@ class Supervisor:
         interrupt = rig.motion.interrupt and not rig.law.iterative_learning
         self.goals = GoalDesk(axes, sampling, limits, paths, interrupt, decided)
         retreat = None if decided is None else decided.retreat
-        self._way_out = None if retreat is None else Withdrawal(retreat, rig, limits)
+        self.way_out = None if retreat is None else Withdrawal(retreat, rig, limits)
         self.released: list[bool] | None = None
+        self._went = 0.0  # m/s, velocity of the way out's axis when its torque ended
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
     @property
@@ -99,15 +101,18 @@ class Supervisor:
     @property
     def longest_stop_s(self) -> float:
         """That STOPPING may take, s."""
-        return self._rig.safety.stop_s + (0.0 if self._way_out is None else self._way_out.longest_s)
+        return self._rig.safety.stop_s + (0.0 if self.way_out is None else self.way_out.longest_s)
 
     @property
     def tip(self) -> str:
         """That the tip stays beyond its safe height, and how it comes out, for people; empty where it does not."""
-        way_out = self._way_out
+        way_out = self.way_out
         if way_out is None or self.machine.state in TORQUE_STATES or not self._sampling.tracked:
             return ""
-        return way_out.left() if way_out.beyond(self._axes.measured) else ""
+        axis = way_out.axis
+        seen = bool(self._inbox.fresh[axis])
+        inside = way_out.needed(self._sampling.clocks[axis].trusted, 0.0 if seen else self._went)
+        return way_out.left(seen=seen) if inside else ""
 
     def advance(self, tick: Tick) -> None:
         """Faults first, then exit, the operator, the stop line, and at last what the state itself has reached."""
@@ -147,10 +152,15 @@ class Supervisor:
 
     def _fails_inside(self) -> bool:
         """Whether the motion has failed while the tip is beyond its safe height."""
-        decided, way_out = self.goals.decided, self._way_out
+        decided, way_out = self.goals.decided, self.way_out
         if way_out is None or decided is None or not decided.failure:
             return False
-        return way_out.needed(self._axes.measured, self._axes.ahead_velocity())
+        return self._inside(way_out)
+
+    def _inside(self, way_out: Withdrawal) -> bool:
+        """Whether the tip is beyond its safe height, or on its way there."""
+        axis = way_out.axis
+        return way_out.needed(self._axes.measured[axis], self._axes.ahead_velocity()[axis])
 
     def _path_from(self, position: list[float]) -> Trajectory | None:
         """The task's plan from rest; None where it may not begin there."""
@@ -261,6 +271,8 @@ class Supervisor:
             self.goals.leave()
         if state not in TORQUE_STATES:
             self.enabled = False
+            if self.way_out is not None:
+                self._went = self._axes.ahead_velocity()[self.way_out.axis]
         if state not in (State.ACTIVE, State.HOMING):
             self.commissioning.cancel()
 
@@ -360,19 +372,19 @@ class Supervisor:
 
     def _lead_out(self, tick: Tick) -> None:
         """The tip to its safe height first, where it is beyond it and the axes are under control."""
-        way_out = self._way_out
+        way_out = self.way_out
         if way_out is None or not self.enabled or self.goals.word is MotionWord.NONE:
             return
         way_out.begin()
-        if way_out.needed(self._axes.measured, self._axes.ahead_velocity()) and way_out.sound(self._monitor):
+        if self._inside(way_out) and way_out.sound(self._monitor):
             way_out.due(tick.now_ns, self.goals.withdraw(way_out.axis, way_out.safe, WITHIN_S))
             self.released = way_out.released
 
     def _go_out(self, tick: Tick) -> None:
         """Until the tip is out, or the way out is out of control; the damped stop follows."""
-        way_out = self._way_out
+        way_out = self.way_out
         assert way_out is not None
-        if way_out.over(self._axes.measured, tick.now_ns) or not way_out.sound(self._monitor):
+        if way_out.over(self._axes.measured[way_out.axis], tick.now_ns) or not way_out.sound(self._monitor):
             self.released = None
             self.goals.leave()
             self._stopping_since_ns = tick.now_ns

@@ -2,8 +2,8 @@
 
 Rules:
 - It takes the place of STOP where a motion has declared a way out (hil.Retreat), the drives apply torque, every axis
-  answers, and the tip is beyond the safe height. A fault that names the way out's own axis, or a lost encoder, is for
-  the damped stop at once, also while the tip is on its way.
+  answers, and the tip is beyond the safe height. A fault that names the way out's own axis, a lost encoder and ticks
+  missed in a row are for the damped stop at once, also while the tip is on its way: the law is not to be trusted then.
 - References are the rig's own: a plan within [axes.NAME.motion], from the references in force. No reading is looked at,
   and the motion is asked no more.
 - The other axes come to rest and are held by the law. One that a fault names gets the force of the damped stop.
@@ -26,6 +26,7 @@ from hil.rig.schema import RigConfig
 WITHIN_S: Final = 0.2  # that it takes, where the axis' limits allow: half of what is left after a late detection
 STANDS_OFF: Final = 0.25  # of limits.following_error: an axis that has stopped may be so far from where it was to be
 LATE_S: Final = 0.1  # that the axis may be behind its plan; then the damped stop comes all the same
+_BLIND: Final = 1 << Fault.ENCODER_LOST | 1 << Fault.OVERRUN_BURST  # the law has no samples, or half its rate
 
 
 class Withdrawal:
@@ -45,22 +46,23 @@ class Withdrawal:
         self.released = [False] * len(rig.axes)
         self._due_ns = 0
 
-    def beyond(self, position: Sequence[float]) -> bool:
-        """Whether the tip is beyond its safe height. position: m, by axis."""
-        return (position[self.axis] - self.safe) * self._inwards > self._margin
+    def beyond(self, place: float) -> bool:
+        """Whether the tip is beyond its safe height. place: of the axis, m."""
+        return (place - self.safe) * self._inwards > self._margin
 
-    def needed(self, position: Sequence[float], velocity: Sequence[float]) -> bool:
-        """Whether a damped stop would end beyond it. position, velocity: m and m/s, by axis."""
-        rests = position[self.axis] + velocity[self.axis] * TIME_CONSTANT_S
-        return (rests - self.safe) * self._inwards > self._margin or self.beyond(position)
+    def needed(self, place: float, velocity: float) -> bool:
+        """Whether it is, or would be after a damped stop. velocity: m/s."""
+        return self.beyond(place) or self.beyond(place + velocity * TIME_CONSTANT_S)
 
-    def left(self) -> str:
-        """For people, where the tip stays beyond its safe height: what that means, and commands that lead it out."""
-        rig = self._rig_name
+    def left(self, *, seen: bool) -> str:
+        """For people, where the tip stays beyond its safe height: what that means, and commands that lead it out. seen:
+        the axis answers.
+        """
+        rig, height = self._rig_name, f"its safe height of {self.safe:g}"
+        where = f"is beyond {height}" if seen else f"was last seen beyond {height}, or on its way there"
         return (
-            f"the tip may be in a cell: {self._name} is beyond its safe height of {self.safe:g}{LEAD_OUT}"
-            f"hil command {rig} reset, then hil command {rig} activate-hold, then "
-            f"hil move {rig} {self._name}={self.safe:g}"
+            f"the tip may be in a cell: {self._name} {where}{LEAD_OUT}hil command {rig} reset, then "
+            f"hil command {rig} activate-hold, then hil move {rig} {self._name}={self.safe:g}"
         )
 
     def begin(self) -> None:
@@ -73,7 +75,7 @@ class Withdrawal:
 
     def sound(self, monitor: FaultMonitor) -> bool:
         """Whether the faults of this tick leave the way out in control; axes that they name are released."""
-        if monitor.active >> Fault.ENCODER_LOST & 1:
+        if monitor.active & _BLIND:
             return False
         for found in monitor.evidence:
             armed = monitor.active >> found.fault & 1
@@ -85,11 +87,11 @@ class Withdrawal:
                 self.released[found.axis] = True
         return True
 
-    def over(self, position: Sequence[float], now_ns: int) -> bool:
+    def over(self, place: float, now_ns: int) -> bool:
         """Whether the plan has ended and the tip with it, or has been waited for long enough."""
         if now_ns < self._due_ns:
             return False
-        return not self.beyond(position) or now_ns >= self._due_ns + round(LATE_S * 1e9)
+        return not self.beyond(place) or now_ns >= self._due_ns + round(LATE_S * 1e9)
 
 
 def shared(held: Sequence[float], damped: Sequence[float], released: Sequence[bool]) -> list[float]:

@@ -16,14 +16,17 @@ from hil.rig.file import load_rig
 from hil.rig.shipped import by_name, names
 from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.catalogue import TRIALS
-from hil.studies.fault_campaign.report import blind_lines, document, terminal_table, write_html
+from hil.studies.fault_campaign.happenings import HAPPENINGS
+from hil.studies.fault_campaign.injection import injection_campaign
+from hil.studies.fault_campaign.report import blind_lines, document, led_out_lines, terminal_table, write_html
 
 PAPER = 150  # columns of a table that no terminal bounds
 
 
 def _trials(only: str) -> str:
-    if not any(only in trial.name for trial in TRIALS):
-        raise typer.BadParameter(f"{only!r}: in no trial's name; they are: {', '.join(trial.name for trial in TRIALS)}")
+    known = [*(trial.name for trial in TRIALS), *(happening.name for happening in HAPPENINGS)]
+    if not any(only in name for name in known):
+        raise typer.BadParameter(f"{only!r}: in no trial's name; they are: {', '.join(known)}")
     return only
 
 
@@ -37,6 +40,9 @@ def faults(
     only: Annotated[str, typer.Option(callback=_trials, help="only trials whose names contain this")] = "",
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
     scheduler: Scheduler = "",
+    injection: Annotated[
+        bool, typer.Option("--injection", help="instead: all that may happen in each phase of a cell's injection")
+    ] = False,
     json_target: JsonTarget = "",
     page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
 ) -> None:
@@ -61,7 +67,8 @@ def faults(
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:
         job = bar.add_task("cells", total=None)
-        cells = campaign(
+        found = injection_campaign if injection else campaign
+        cells = found(
             paths,
             stride,
             workers or os.cpu_count() or 1,
@@ -75,7 +82,7 @@ def faults(
     for cell in [cell for cell in cells if not cell.passed][:40]:
         console.print(f"[red]failed[/red] {cell.rig}: {cell.checkpoint} / {cell.trial} / {cell.axis}: {cell.why}")
     seconds = time.perf_counter() - started
-    for line in blind_lines(cells):
+    for line in (*blind_lines(cells), *led_out_lines(cells)):
         console.print(line)
     console.print(f"{outcome['passed']} of {outcome['cells']} cells passed in {seconds:.0f} s")
     if page:

@@ -45,7 +45,7 @@ class Cell:
     """Outcome of one trial at one checkpoint on one axis.
 
     detection_ticks: -1 where nothing was detected. lacking: why the layout cannot tell this fault from the truth, so
-    that less is demanded; empty where it can.
+    that less is demanded; empty where it can. out_ticks: until the tip was led out; -1: it was not.
     """
 
     rig: str
@@ -61,6 +61,7 @@ class Cell:
     peak_force_after: float
     end: str
     lacking: str
+    out_ticks: int = -1
 
 
 def state_ticks(run: CampaignRun) -> int:

@@ -47,6 +47,12 @@ def blind_lines(cells: Sequence[Cell]) -> list[str]:
     ]
 
 
+def led_out_lines(cells: Sequence[Cell]) -> list[str]:
+    """In how many cells the tip was led out, and how long it took at most; nothing where it never was."""
+    took = [cell.out_ticks for cell in cells if cell.out_ticks >= 0]
+    return [f"the tip was led out in {len(took)} cells, in at most {max(took)} ticks"] if took else []
+
+
 def _unique(values: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(values))
 
