@@ -145,22 +145,18 @@ class Supervisor:
         before = self.goals.word
         if before is not MotionWord.NONE and self.released is None:
             self.goals.advance(tick.goals, self._path_from)
-            if before is MotionWord.MOTION and self._fails_inside():
+            decided = self.goals.decided
+            if before is MotionWord.MOTION and decided is not None and decided.failure and self._inside():
                 self._handle(Event.STOP, tick)
         elif tick.goals:
             self.goals.refuse(tick.goals)
 
-    def _fails_inside(self) -> bool:
-        """Whether the motion has failed while the tip is beyond its safe height."""
-        decided, way_out = self.goals.decided, self.way_out
-        if way_out is None or decided is None or not decided.failure:
-            return False
-        return self._inside(way_out)
-
-    def _inside(self, way_out: Withdrawal) -> bool:
+    def _inside(self) -> bool:
         """Whether the tip is beyond its safe height, or on its way there."""
-        axis = way_out.axis
-        return way_out.needed(self._axes.measured[axis], self._axes.ahead_velocity()[axis])
+        way_out = self.way_out
+        if way_out is None:
+            return False
+        return way_out.needed(self._axes.measured[way_out.axis], self._axes.ahead_velocity()[way_out.axis])
 
     def _path_from(self, position: list[float]) -> Trajectory | None:
         """The task's plan from rest; None where it may not begin there."""
@@ -376,7 +372,7 @@ class Supervisor:
         if way_out is None or not self.enabled or self.goals.word is MotionWord.NONE:
             return
         way_out.begin()
-        if self._inside(way_out) and way_out.sound(self._monitor):
+        if self._inside() and way_out.sound(self._monitor):
             way_out.due(tick.now_ns, self.goals.withdraw(way_out.axis, way_out.safe, WITHIN_S))
             self.released = way_out.released
 

@@ -41,7 +41,7 @@ def failed(cells: list[Cell]) -> list[str]:
 
 
 def test_every_reaction_and_eight_anomalies_are_asked_for() -> None:
-    assert {happening.reaction for happening in HAPPENINGS} == set(Reaction) - {Reaction.BRIDGE}
+    assert {happening.reaction for happening in HAPPENINGS} == set(Reaction)
     assert len(ANOMALIES) == 9
     names = [happening.name for happening in HAPPENINGS]
     assert len(set(names)) == len(names)
@@ -88,12 +88,13 @@ BREAKS: dict[str, tuple[Break, str, str]] = {
         lambda m: m.setattr(Supervisor, "tip", property(lambda self: "")), "stop line", "the words say ''"
     ),
     "a motion that fails is held inside": (
-        lambda m: m.setattr(Supervisor, "_fails_inside", lambda self: False), "motion raises", "ended ACTIVE"
+        lambda m: m.setattr(Supervisor, "_inside", lambda self: False), "motion raises", "ended ACTIVE"
     ),
 }  # fmt: skip
 
 
 @pytest.mark.long
+@pytest.mark.replaces_methods
 @pytest.mark.parametrize(("broken", "only", "why"), BREAKS.values(), ids=BREAKS)
 def test_a_broken_way_out_makes_it_fail(broken: Break, only: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     broken(monkeypatch)
@@ -102,6 +103,7 @@ def test_a_broken_way_out_makes_it_fail(broken: Break, only: str, why: str, monk
 
 
 @pytest.mark.long
+@pytest.mark.replaces_methods
 def test_a_valve_that_stays_open_while_the_tip_leaves_makes_it_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = OutputGate.release
     monkeypatch.setattr(OutputGate, "release", lambda self, asked, permitted: honest(self, 1, permitted=True))

@@ -105,6 +105,7 @@ _LED_OUT = (
         "setpoint of another axis jumps", bend(0.02, 0.0), Reaction.WITHDRAW, State.FAULT, (Fault.FOLLOWING_ERROR,),
         across=True,
     ),
+    Happening("encoder silent, 1 tick", axis_frames(FaultKind.DROP, count=1), Reaction.BRIDGE, State.ACTIVE),
     Happening("camera frozen", _sensor(silent, *_CAMERA), Reaction.COUNT, State.ACTIVE, clears=True),
     Happening("recorder lost, as its disk is full", withdrawn("recorder_ok"), Reaction.COUNT, State.ACTIVE),
 )  # fmt: skip
