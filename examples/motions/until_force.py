@@ -6,15 +6,24 @@ import hil
 
 
 class UntilForce(hil.Motion):
-    """Speed in m/s, force in N, acceleration in m/s^2; up: m to go back."""
+    """Speed in m/s, force in N, acceleration in m/s^2; up: m to go back; safe: height to which the rig leads the tip
+    before it stops, m.
+    """
 
     def __init__(
-        self, rig: hil.Surroundings, speed: float = 2e-4, force: float = 1e-4, up: float = 1e-4, bend: float = 1.0
+        self,
+        rig: hil.Surroundings,
+        speed: float = 2e-4,
+        force: float = 1e-4,
+        up: float = 1e-4,
+        bend: float = 1.0,
+        safe: float = 0.0,
     ) -> None:
         if "z" not in rig.axes:
             raise ValueError(f"axes = {list(rig.axes)}: it needs a z")
         self.z, self.period, self.speed, self.force = rig.axes.index("z"), rig.period, speed, force
         self.up, self.bend = up, bend
+        self.retreat = hil.Retreat("z", safe, -1)
 
     def begin(self, position: Sequence[float]) -> None:
         self.place, self.moving, self.touched = list(position), 0.0, False

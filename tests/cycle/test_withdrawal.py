@@ -363,6 +363,23 @@ def test_a_way_out_that_cannot_be_is_refused_by_its_name(parameters: str, words:
         LockstepRun(load_rig(RIG, ("task.kind=hold", INSIDE, f"motion.parameters={parameters}")), RIGS)
 
 
+def test_a_way_out_is_read_once_and_nothing_that_the_motion_does_later_changes_it() -> None:
+    rig = Rig().to(-0.0015)
+    decided = rig.run.cycle.supervisor.goals.decided
+    assert decided is not None
+    decided.motion.retreat = hil.Retreat("z", -0.005, -1)
+    rig.says = [CommandKind.STOP]
+    rig.rests()
+    assert rig.is_out()
+
+
+@pytest.mark.parametrize("declared", [("z", 0.0, -1), "z", 0])
+def test_a_way_out_that_is_none_is_refused(declared: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hil.Motion, "retreat", declared)
+    with pytest.raises(ValueError, match=r"retreat = .*, expected hil.Retreat"):
+        LockstepRun(load_rig(RIG, ("task.kind=hold", INSIDE.replace(":Inside", ":ToAndFro"))), RIGS)
+
+
 def test_the_stop_of_a_slow_axis_is_given_the_time_that_its_way_out_takes() -> None:
     quick = Rig().run.cycle.supervisor.longest_stop_s
     slow = Rig(down, "axes.z.motion.speed=0.002").run.cycle.supervisor.longest_stop_s

@@ -109,6 +109,7 @@ ROOMS = {
         ("hil/page/access.py", "hil/page/guard.py", "hil/page/frames.py", "hil/page/signals.py",
          "hil/page/ring_feed.py"),
         ("tests/page/test_access.py", "tests/page/test_signals.py", "tests/page/test_ring_feed.py", "tests/page"),
+    ),
     "injection": Room(
         ("hil/studies/inject/sheet.py", "hil/studies/inject/requests.py", "hil/operate/check_sensor.py"),
         ("tests/studies/test_inject_batches.py", "tests/operate/test_check_sensor.py"),

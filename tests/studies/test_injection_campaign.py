@@ -5,13 +5,16 @@ that leaves its tip inside, or says nothing of it, makes it fail.
 import os
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import pytest
 
 from hil.control.motion.injection.verdict import Phase
 from hil.cycle.fault_table import Reaction
 from hil.cycle.output_gate import OutputGate
+from hil.cycle.state_machine import State
 from hil.cycle.supervisor import Supervisor
+from hil.cycle.tick import CommandKind
 from hil.cycle.withdrawal import Withdrawal
 from hil.studies.fault_campaign.happenings import HAPPENINGS
 from hil.studies.fault_campaign.injection import (
@@ -21,9 +24,13 @@ from hil.studies.fault_campaign.injection import (
     injection_campaign,
     plan,
     run_injection,
+    with_cell,
 )
 from hil.studies.fault_campaign.matrix import Cell
 from hil.studies.fault_campaign.report import led_out_lines
+from hil.telemetry.recorder import LockstepRecorder
+from hil.virtual.lockstep import LockstepRun
+from hil.virtual.replay import replay_run
 from tests.support.paths import RIGS
 
 RIG = RIGS / "microscope.toml"
@@ -109,6 +116,31 @@ def test_a_valve_that_stays_open_while_the_tip_leaves_makes_it_fail(monkeypatch:
     monkeypatch.setattr(OutputGate, "release", lambda self, asked, permitted: honest(self, 1, permitted=True))
     found = failed(run_injection(chunk("not_pierced", stride=3, only="operator stops")))
     assert any("pulses into what is not pierced" in line for line in found), found
+
+
+@pytest.mark.long
+def test_a_stop_in_a_cell_is_led_out_of_the_same_way_in_a_replay(tmp_path: Path) -> None:
+    rig = with_cell(RIG, GOOD)
+    recorder = LockstepRecorder(tmp_path / "run.mcap", rig, RIG)
+    run = LockstepRun(rig, RIGS, observer=recorder.observe, operator=lambda run, index: _stops_in_the_cell(run))
+    while run.activated_at < 0 or run.cycle.state is not State.READY:
+        run.tick()
+        assert run.index < 2500
+    recorder.close()
+    assert run.stage.dish is not None
+    assert run.stage.dish.cells[0].touched_ns is not None
+    assert run.stage.dish.entered is None
+    report = replay_run(tmp_path / "run.mcap")
+    assert (report.ticks, report.gap_at) == (run.index, None)
+    assert not report.different
+
+
+def _stops_in_the_cell(run: LockstepRun) -> list[CommandKind]:
+    if run.cycle.state is State.READY:
+        return [CommandKind.ACTIVATE] if run.activated_at < 0 else []
+    decided = run.cycle.supervisor.goals.decided
+    assert decided is not None
+    return [CommandKind.STOP] if decided.phase == Phase.ADVANCE else []
 
 
 def test_no_cell_led_out_is_no_line() -> None:
