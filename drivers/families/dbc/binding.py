@@ -90,7 +90,8 @@ def bound_items(binding: DbcBinding) -> Iterator[tuple[str, SignalBinding]]:
 def bound_names(binding: DbcBinding) -> set[str]:
     """Names of all messages that the binding uses."""
     names = {item.message for _, item in bound_items(binding)}
-    names |= {item.message for item in (*binding.start, *binding.stop, *binding.periodic)}
+    names |= {item.message for item in (*binding.start, *binding.stop)}
+    names |= {item.message for item in binding.periodic}
     names |= {item.ask.message for item in binding.read_back}
     names |= set(binding.on_change) | set(binding.remote)
     return {name.partition(".")[0] for name in names}

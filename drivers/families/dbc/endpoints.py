@@ -78,8 +78,8 @@ def _number(database: Database, item: ReadBackBinding, key: str, known: Mapping[
     form = "float" if signal.is_float else "signed" if signal.is_signed else "unsigned"
     if (signal.length, form) != (endpoint.bits, endpoint.form):
         raise LayoutError(
-            f"{key}.endpoint: {item.endpoint} has {endpoint.bits} bits, {endpoint.form}; {item.message}.{item.signal} has "
-            f"{signal.length}, {form}"
+            f"{key}.endpoint: {item.endpoint} has {endpoint.bits} bits, {endpoint.form}; "
+            f"{item.message}.{item.signal} has {signal.length}, {form}"
         )
     signal.multiplexer_ids = [endpoint.number]
     return endpoint.number
