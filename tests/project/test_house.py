@@ -4,6 +4,7 @@ import ast
 import re
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -58,8 +59,13 @@ NO_MODULES = {
 HERE = Path(__file__).relative_to(ROOT).as_posix()
 
 
-def sources() -> Iterator[tuple[str, str]]:
-    """(path, text) of every file that people of this project write."""
+@cache
+def sources() -> tuple[tuple[str, str], ...]:
+    """(path, text) of every file that people of this project write, read once."""
+    return tuple(_read())
+
+
+def _read() -> Iterator[tuple[str, str]]:
     inside = (path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if "__pycache__" not in path.parts)
     for path in sorted([*inside, *ROOT.glob("*.md"), ROOT / "Makefile", ROOT / "pyproject.toml"]):
         name = path.relative_to(ROOT).as_posix()
@@ -71,10 +77,9 @@ def sources() -> Iterator[tuple[str, str]]:
 def found(pattern: re.Pattern[str]) -> list[tuple[str, int, str]]:
     """(file, line number, what matched) of a pattern, in all of them."""
     return [
-        (name, number, match[0])
+        (name, text.count("\n", 0, match.start()) + 1, match[0])
         for name, text in sources()
-        for number, line in enumerate(text.splitlines(), 1)
-        for match in pattern.finditer(line)
+        for match in pattern.finditer(text)
     ]
 
 
