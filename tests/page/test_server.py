@@ -48,8 +48,9 @@ def test_another_origin_is_refused_before_its_code_is_looked_at(
     assert client.post("/pair", json=given, headers={"Origin": origin}).status_code == 403
     assert access.pairings() == []
     assert entries(audit)[-1]["said"].startswith("Origin")
-    with pytest.raises(WebSocketDisconnect), client.websocket_connect(FEED, headers={"Origin": origin}):
+    with pytest.raises(WebSocketDisconnect) as refused, client.websocket_connect(FEED, headers={"Origin": origin}):
         pass
+    assert refused.value.code == 1008  # a policy of ours, RFC 6455 7.4.1
 
 
 def test_a_request_that_changes_something_needs_an_origin(client: TestClient, paired: Paired) -> None:
