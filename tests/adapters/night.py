@@ -27,6 +27,7 @@ from tests.support.paths import RIGS
 
 WINDOW: Final = 1e-6  # m; of theta, rad, ten times that
 BETWEEN_TICKS: Final = 50
+TOLD_EVERY: Final = 500  # moves
 REACH: Final = {"XY": 200.0, "Z": 50.0, "theta": 1000.0}  # of a move's end from the middle, um (urad)
 
 
@@ -85,6 +86,8 @@ def spend(moves: int, seed: int = 1) -> Night:
                 drift = max(drift, abs(float(link.run.true_position[2] - rests_at)))
             for name in gone:
                 left[name] += 1
+            if not (number + 1) % TOLD_EVERY:
+                print(f"{number + 1} moves: {early} early, left {left}, drift {drift * 1e6:.3f} um", flush=True)
         look = mover.status()
         core.reset()
     return Night(moves, early, left, drift, look.fault, link.now_ns() * 1e-9)

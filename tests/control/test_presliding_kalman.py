@@ -233,3 +233,27 @@ def test_at_the_modes_that_gains_are_given_for_they_keep_the_margins_and_give_no
         assert met.phase_deg is not None
         assert 6.0 <= met.gain_db <= 6.5
         assert 30.0 <= met.phase_deg <= 33.0
+
+
+@pytest.mark.parametrize("frequency", [0.0, 200.0])
+def test_what_makes_the_mode_ring_teaches_no_friction(frequency: float) -> None:
+    """Fast short moves: the weights learn nothing of them, and are no less certain afterwards. A rigid axis learns."""
+    law = PreslidingKalman(model(frequency), PERIOD, 10.0)
+    weights = law._weights
+
+    def spread_after(ticks: int, acceleration: float) -> float:
+        for tick in range(ticks):
+            place = 2e-6 * np.sin(0.3 * tick)
+            weights.fed((0.5, 0.5, 0.5, 0.5, 0.5, 0.5), acceleration * (1.0 if tick % 4 < 2 else -1.0))
+            weights.learn(place, 0.0, 1.0, law._moving)
+        return float(weights._spread[0])
+
+    calm = spread_after(2_000, 0.0)
+    assert weights.calm() == 1.0
+    shaken = spread_after(2_000, 10.0)
+    if frequency:
+        assert weights.calm() < 1e-3
+        assert shaken == pytest.approx(calm, rel=0.05)
+    else:
+        assert weights.calm() == 1.0
+        assert shaken != pytest.approx(calm, rel=0.05)

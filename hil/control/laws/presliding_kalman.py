@@ -10,6 +10,7 @@ flexible mode inside the observer; a bias that is found.
   reference moves. Its regressors are the operators on the observed position, as the axis is not where the reference is;
   but measured friction itself is never fed forward, which would be positive feedback with delay.
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
+  While the mode rings d follows it, and nothing is learnt: moves to and fro over one place would add it up.
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
   force acts. It is the tool that follows: the encoder goes ahead of the reference by what the spring bends under its
   acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
@@ -301,7 +302,7 @@ class PreslidingKalman(Law):
         """Put the disturbance where the axis was when it acted."""
         v = self._velocity
         step = at_most(self._table_gain * abs(v), LARGEST_STEP)
-        d = self._observer.d * (select(rests, zeros_like(step), step) * self._open)
+        d = self._observer.d * (select(rests, zeros_like(step), step) * self._open * self._weights.calm())
         place, none = self._position - self._delay * v, zeros_like(d)
         self._forward.add(place, select(v > 0.0, d, none))
         self._backward.add(place, select(v < 0.0, d, none))
