@@ -23,6 +23,7 @@ BENCHES = BENCHES_AT_A_RIG | {
         "lockstep": "How much faster than real time a whole rig runs in lockstep",
         "batch": "Plants times ticks per second of the batch engine",
         "profile": "Where a tick's time goes, function by function",
+        "streams": "Streams of set-points through bad networks, in virtual time",
         "ring": "What telemetry costs the control process, and how far a reader lags",
     }.items()
 }
