@@ -64,7 +64,7 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 test-browser: setup  ## the page in a real browser, with pictures in build/browser (needs Chromium; not in .ci/run)
 	@$(BIN)/python -m pytest -m browser tests/page $(ARGS)
 
-attacks: setup  ## try every attack on a live rig: commands, Zenoh, files, processes (needs root; about five minutes)
+attacks: setup  ## try every attack on a live rig: commands, goals, Zenoh, files, processes (needs root; about six minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
 lint: setup $(TYPES)/.installed  ## ruff, mypy --strict, prose, commit messages; users' programs as mypy and pyright see them

@@ -9,11 +9,11 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.attacks import on_commands, on_files, on_processes, on_zenoh
+from tests.attacks import on_commands, on_files, on_goals, on_processes, on_zenoh
 from tests.attacks.registry import ATTACKS, Result, tried
 from tests.attacks.target import Target
 
-MODULES = (on_zenoh, on_commands, on_processes, on_files)
+MODULES = (on_zenoh, on_commands, on_goals, on_processes, on_files)
 LEAST = 30
 
 

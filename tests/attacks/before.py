@@ -22,6 +22,7 @@ _SOCKET = "commands were Zenoh queries with a token; there was no such socket"
 _TLS = "there were no commands over TLS"
 _ZENOH_TLS = "there was no TLS"
 _PAGE = "there was no stop page and no hil estop"
+_GOALS = "there were no goals: a running rig could not be moved"
 _CAMPAIGN = "control processes were killed and stopped at 200 random moments and held; the others were not tried"
 
 BEFORE = (
@@ -57,6 +58,13 @@ BEFORE = (
     Before("a nonce", "new", _TLS),
     Before("a STOP made", "new", _TLS),
     Before("an impostor", "new", _TLS),
+    Before("another user opens the goal page", "new", _GOALS),
+    Before("100 000 goals", "new", _GOALS),
+    Before("goals ", "new", _GOALS),
+    Before("random bytes all over the goal page", "new", _GOALS),
+    Before("two ", "new", _GOALS),
+    Before("a client that jogs", "new", _GOALS),
+    Before("a flood of goals", "new", _GOALS),
     Before("a second control process", "failed", "reported: refused after it had claimed the core: OVERRUN_LONG"),
     Before("a second emulator", "failed", "it ran beside the first"),
     Before("a second sidecar", "held", "by its code: its endpoint was taken"),

@@ -1,10 +1,10 @@
 """Of every attack it is said what the code before made of it."""
 
-from tests.attacks import on_commands, on_files, on_processes, on_zenoh
+from tests.attacks import on_commands, on_files, on_goals, on_processes, on_zenoh
 from tests.attacks.before import BEFORE, before
 from tests.attacks.registry import ATTACKS
 
-MODULES = (on_commands, on_files, on_processes, on_zenoh)
+MODULES = (on_commands, on_files, on_goals, on_processes, on_zenoh)
 
 
 def test_every_attack_has_its_line_and_every_line_its_attack() -> None:
