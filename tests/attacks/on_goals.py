@@ -314,7 +314,7 @@ def no_numbers(target: Target) -> Iterator[str]:
     with elsewhere(target) as link:
         link.take(by_force=True)
         hostile = [goal(GoalKind.MOVE, value) for value in (float("nan"), float("inf"), -1e308, 9.0)]
-        hostile += [goal(GoalKind.JOG, velocity=float("nan")), goal(GoalKind.JOG, velocity=1e9)]
+        hostile += [goal(GoalKind.JOG, velocity=float("nan")), goal(GoalKind.JOG, velocity=float("-inf"))]
         refused = [link.send(one)[1] for one in hostile]
         assert all(refused), refused
         assert not {MotionWord.MOVE, MotionWord.JOG} & set(watched.ticks()["motion"].tolist())
