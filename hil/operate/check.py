@@ -73,9 +73,7 @@ def check_rig(
     tolerated = min(faults_tolerated(messages, rig.bus.bitrate, rig.bus.data_bitrate) for messages in parts)
     if tolerated >= 0:
         console.print(f"Bus errors that may hit one response without a deadline missed: {tolerated}")
-    if picture:
-        draw_tick(rig, analysis, picture)
-        console.print(f"One worst-case tick: {picture}")
+    show_tick(console, rig, analysis, picture)
     found = problems(rig, rig_file.parent, analysis)
     try:
         infeasible = [*encoder_range_problems(rig, layout), *task_problems(rig), *excursion_problems(rig)]
@@ -218,6 +216,13 @@ def stability_table(report: StabilityReport) -> Table:
 
 def _any_fd(analysis: Analysis) -> bool:
     return any(response.message.fd for response in analysis.responses)
+
+
+def show_tick(console: Console, rig: RigConfig, analysis: Analysis, picture: Path | None) -> None:
+    """Draw it, where that is asked for, and say where."""
+    if picture:
+        draw_tick(rig, analysis, picture)
+        console.print(f"One worst-case tick: {picture}")
 
 
 def draw_tick(rig: RigConfig, analysis: Analysis, target: Path) -> None:
