@@ -148,7 +148,8 @@ class Run:
 
     def summary(self) -> Summary:
         """Figures of the steady window: keys rig, law, ticks, seconds, final_state, faults, steady_from_s, and per axis
-        in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N).
+        in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N). Of a run that ended in FAULT they
+        are those of the time before it.
         """
         ticks = len(self.time)
         first = steady_from(RunData(self.rig, {}, self.columns, pb.Counters(), None, 0, truncated=False))
