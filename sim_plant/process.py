@@ -1,6 +1,6 @@
 """The emulated stage as a process: answers frames as they come, on the monotonic clock.
 
-Physics follows the frames' own time stamps, not the instants at which this process got to run: a stall of the host
+Physics follows the frames' own time stamps, not the instants at which this process got to run. A stall of the host
 delays the answers, but moves no sample and expires no watchdog that a command fed in time.
 
 Commands that come at a steady rate are fetched by the stage's own timer, a little after each is due. A process that

@@ -1,6 +1,7 @@
 """The private directory in which the processes of one user find each other: buses, rings, mailboxes.
 
-Whoever can write there can move the stage, so the directory belongs to one user and nobody else may enter it.
+Every process that can write there can move the stage. So the directory belongs to one user, and nobody else may enter
+it.
 """
 
 import contextlib

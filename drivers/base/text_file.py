@@ -1,7 +1,7 @@
 """Files that somebody else wrote: opened only where they are regular files, and never read beyond a stated size.
 
-Everything that is read by a name which a person or another program gave goes through here, so that a pipe, a device or
-a file of any size is a refusal and not a process that waits or fills the memory.
+Everything that is read by a name which a person or another program gave goes through here. So a pipe, a device or a
+file of any size is a refusal, and not a process that waits or fills the memory.
 """
 
 import os

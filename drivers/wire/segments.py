@@ -1,6 +1,6 @@
 """Several segments in one virtual time, for a rig whose axes are on more than one.
 
-Each is a Wire of its own; only time is common. It passes from event to event of any of them, so that what the segments
+Each is a Wire of its own; only time is common. It passes from event to event of any of them. So what the segments
 share, the stage, sees its frames in the order of their time; of one instant, in the order of the segments.
 """
 

@@ -1,7 +1,7 @@
 """What stands before every request: the right Host, the right Origin, and headers that let no foreign script run.
 
 A page elsewhere can make a browser send requests here (a forged Origin), and a name server elsewhere can make it take
-this machine for another (a forged Host): both are refused before anything else is looked at.
+this machine for another (a forged Host). Both are refused before anything else is looked at.
 """
 
 from collections.abc import Collection

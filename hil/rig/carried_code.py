@@ -2,7 +2,7 @@
 
 A recording is data. Its rig may name a law, an estimator or a frame layout of a user's; nobody who reads a recording
 runs them unasked. What may run is known by the digest of its text: a name or a hash in the file proves nothing, as
-whoever writes the file writes them too.
+the file's author writes them too.
 """
 
 import contextlib

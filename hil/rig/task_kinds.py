@@ -1,7 +1,7 @@
 """Kinds of task by name, and tasks that users bring: programs that give the path, run when the rig is loaded.
 
-Of a user's task the rig keeps the samples (task.samples), as of a file: what plans, moves, replays or travels to other
-processes is the path itself, and no code of the user's runs in a tick.
+Of a user's task the rig keeps the samples (task.samples), as of a file. The path itself is planned, moved, replayed
+and sent to other processes. No code of the user's runs in a tick.
 """
 
 from abc import ABC, abstractmethod

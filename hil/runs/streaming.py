@@ -1,6 +1,6 @@
 """Timed rows of positions as a stream of goals: each is sent a little before it is due, with its speed.
 
-Whoever makes the rows may still be at it: a row is sent once the next one, which its speed needs, is there.
+The program that makes the rows may still be at it: a row is sent once the next one, which its speed needs, is there.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,8 +1,8 @@
 """Recordings of a CAN bus in candump's format and those that python-can reads, whoever wrote them.
 
-python-can's readers trust their file. Here what they are handed is bounded instead: a regular file, lines and blocks no
-longer than any writer makes them, a second for each frame; and whatever a reader raises on bytes of any kind becomes
-one error that names the file. A frame that no bus can carry is an error, too.
+python-can's readers trust their file. Here their input is bounded instead: a regular file, lines and blocks no longer
+than any writer makes them, a second for each frame. Whatever a reader raises on bytes of any kind becomes one error
+that names the file. A frame that no bus can carry is an error, too.
 """
 
 import gzip

@@ -1,7 +1,7 @@
 """Commands to a rig and what became of them: on this machine through its Unix socket, from elsewhere over TLS.
 
 On this machine the verdict is read from the control process' own record in the ring: a sidecar, or whatever has taken
-its place, that says anything else is caught. From elsewhere the reply carries the MAC of whoever holds the secret.
+its place, that says anything else is caught. From elsewhere the reply carries the MAC of the secret's holder.
 """
 
 import contextlib

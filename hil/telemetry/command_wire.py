@@ -1,9 +1,9 @@
 """How commands travel: length-prefixed messages over a Unix socket or TLS, and their authentication.
 
 The sidecar speaks first, with a challenge. A request is answered by a reply that carries the next challenge. From
-elsewhere both carry a MAC (hmac, SHA-256) with the operators' secret over direction, challenge and the message's bytes,
-and so over kind, sequence, nonce and expiry: a message of another connection, another time or the other direction is
-worth nothing. On a Unix socket the kernel says who asks (SO_PEERCRED), and no secret is needed.
+elsewhere both carry a MAC (hmac, SHA-256) with the operators' secret. It is over direction, challenge and the
+message's bytes, and so over kind, sequence, nonce and expiry. A message of another connection, another time or the
+other direction is worth nothing. On a Unix socket the kernel says who asks (SO_PEERCRED), and no secret is needed.
 """
 
 import hmac

@@ -1,8 +1,8 @@
 """Many plants under one rig in one array: the cycle's own arithmetic without frames, faults and states.
 
 A plant's error here equals that of `hil sim` on a rig file with the same [plant], bit for bit, unless a fault stops
-the single run: filter, setpoints, law, force limits, encoder rounding, the command's 32-bit force and the stage are the
-same code, called in the same order. All plants share the task, the sampling instants and the start at rest.
+the single run. Filter, setpoints, law, force limits, encoder rounding, the command's 32-bit force and the stage are
+the same code, called in the same order. All plants share the task, the sampling instants and the start at rest.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
 """A process for code that came with a file: it reads and computes, and that is all.
 
 A child made by fork, under a seccomp filter that knows the system calls of a computation and answers all others with
-EPERM: no network, no file opened for writing, nothing renamed or deleted, no other program, no signal to another
-process, no ioctl of a terminal. Its answer comes through a pipe, as JSON. Seccomp needs no privilege, and containers
-allow it. Landlock, the alternative, is missing from older kernels, and knows no signals before Linux 6.12.
+EPERM. It has no network, no file opened for writing, nothing renamed or deleted, no other program, no signal to
+another process, no ioctl of a terminal. Its answer comes through a pipe, as JSON. Seccomp needs no privilege, and
+containers allow it. Landlock, the alternative, is missing from older kernels, and knows no signals before Linux 6.12.
 """
 
 import ctypes

@@ -1,10 +1,11 @@
 """An emulated CANopen servo drive (CiA 402) in cyclic synchronous torque mode, by any EDS.
 
-The node (canopen_node.py) is the protocol in front of a `ServoDrive`: here are the power state machine and the drive's
-objects. Force, latches and the watchdog on commands stay in the servo, the same as under the other layouts. Without an
-EDS it is the project's own drive, cia402.eds. In any other mode than cyclic synchronous torque it applies no torque:
-loops of the drive's own are not emulated. stopping.py says how it comes to rest; faults that the servo latches (its
-own, its encoder's, the watchdog's) end the torque at once whatever 605Eh says, for the power stage is off.
+The node (canopen_node.py) is the protocol in front of a `ServoDrive`: here are the power state machine and the
+drive's objects. Force, latches and the watchdog on commands stay in the servo, the same as under the other layouts.
+Without an EDS it is the project's own drive, cia402.eds. In any other mode than cyclic synchronous torque it applies
+no torque: loops of the drive's own are not emulated. The module stopping.py says how it comes to rest. Faults that
+the servo latches (its own, its encoder's, the watchdog's) end the torque at once whatever 605Eh says, for the power
+stage is off.
 """
 
 from collections.abc import Callable

@@ -5,8 +5,8 @@ Rules:
   Anything else is ignored: it changes no force, feeds no watchdog and is not answered.
 - The watchdog is armed by the first fresh command and fed by every one after it. When it expires the force is zero at
   that very instant and stays so (latched).
-- A drive fault is latched likewise. Both latches open on a rising edge of the command's reset bit: a fresh command with
-  it clear, then a fresh one with it set. A reset bit that is simply left on does nothing.
+- A drive fault is latched likewise. Both latches open on a rising edge of the command's reset bit: a fresh command
+  with it clear, then a fresh one with it set. A reset bit that is left on does nothing.
 - Expiry also forgets the last sequence number, because the host that comes back may be another process.
 """
 

@@ -8,8 +8,8 @@ Friction is set-valued: its Delta sgn(v) of eq. (2), and a Stribeck peak.
 
 Sgn(0) is the whole interval [-1, 1]: at rest friction balances any net force up to coulomb + stribeck. A step lies on
 one smooth branch, sgn(v) = sign, continued through v = 0, which is what locates the instant of a stop
-(single_axis.py). The usual Stribeck shape exp(-(v/v_s)^2) is replaced by the rational 1 / (1 + (v/v_s)^2): it peaks
-and decays alike, and needs only operations that IEEE 754 defines to the last bit, so that a run is the same on every
+(single_axis.py). The usual Stribeck shape exp(-(v/v_s)^2) is replaced by the rational 1 / (1 + (v/v_s)^2). It peaks
+and decays alike, and needs only operations that IEEE 754 defines to the last bit. So a run is the same on every
 machine.
 
 One source for floats and arrays (number.py).

@@ -1,9 +1,9 @@
 """One layered cell as its tool feels it: depths in, forces out. It knows no axis, no motor and no dish.
 
-Each layer (a membrane) presses back with k u^n of a depth u, of which a share fades when the depth is held: a spring
-u^n in series with a damper, so that the layer gives back less work than it got whatever the tip does. Force or depth
-pierce it. Then its force is gone within the slip time, and the shaft of the pipette rubs in the hole: the membrane is
-dragged along until the friction is reached, inwards, or the adhesion, outwards.
+Each layer (a membrane) presses back with k u^n of a depth u, of which a share fades when the depth is held. It is a
+spring u^n in series with a damper, so that the layer gives back less work than it got whatever the tip does. Force or
+depth pierce it. Then its force is gone within the slip time, and the shaft of the pipette rubs in the hole: the
+membrane is dragged along until the friction is reached, inwards, or the adhesion, outwards.
 
 Only + - * / and roots: a run is the same on every machine. Values and their sources: sim_plant/cell_presets.py.
 """

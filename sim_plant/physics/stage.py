@@ -1,9 +1,9 @@
 """The stage's physics: independent axes, advanced from one change of force to the next.
 
 Between two changes the drives' force is constant. An ideal axis, a mass under set-valued friction, is integrated with
-the classical Runge-Kutta step on pieces of at most 1 ms on which sgn(v) does not change; the instants of stops,
-breakaways and punctures are found to rounding and the integration restarts there, so that nothing chatters at zero
-speed. An axis with more to it (presliding, a mode, a lag, noise) is integrated by dynamics.py, and in pieces of 0.5 ms.
+the classical Runge-Kutta step on pieces of at most 1 ms on which sgn(v) does not change. The instants of stops,
+breakaways and punctures are found to rounding and the integration restarts there. So nothing chatters at zero speed.
+An axis with more to it (presliding, a mode, a lag, noise) is integrated by dynamics.py, and in pieces of 0.5 ms.
 """
 
 from collections.abc import Iterator, Sequence

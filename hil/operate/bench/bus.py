@@ -1,9 +1,9 @@
 """`hil bench bus`: round trip, jitter and loss of this machine's CAN adapter and the drives behind it.
 
 A rig's drives are configured as `hil run` does it, then told zero force, every one disabled, tick by tick. What is
-measured is the time from handing the command frames to the bus to the reception of each drive's answer: stamped by the
-kernel, or, with an adapter that only python-can knows, by a thread that reads. An answer that takes longer than a tick
-is taken for one to the next command, and shows as the tick without an answer it left behind.
+measured is the time from handing the command frames to the bus to the reception of each drive's answer. The kernel
+stamps it, or, with an adapter that only python-can knows, a thread that reads. An answer that takes longer than a
+tick is taken for one to the next command, and shows as the tick without an answer it left behind.
 
 Without a rig, one CANopen node is asked for its device type (1000h) again and again.
 """
