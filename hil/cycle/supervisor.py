@@ -5,8 +5,8 @@ Rules:
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
   ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, ACTIVATE where the task from here would
-  break a limit (hil/analysis/start_ranges.py), RESET while its cause is still there, and all three while an axis
-  moves.
+  break a limit (hil/analysis/start_ranges.py), HOME while the tip is beyond its safe height, as all axes go home
+  together, RESET while its cause is still there, and all three while an axis moves.
   A refused event is counted and has no other effect.
 - An axis that rests beyond its travel has a way back: it may be held there (ACTIVATE_HOLD), with less force
   (limits.return_forces), and goals move it inwards, slowly. What it has come back it does not get again (travel.py).
@@ -188,6 +188,8 @@ class Supervisor:
     def _operate(self, event: Event, tick: Tick) -> bool:
         """An operator's event, after the guards the table cannot express."""
         if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
+            return False
+        if event is Event.HOME and self._inside():
             return False
         if event is Event.ACTIVATE and not self.commands.hold_asked and not self._may_begin_here():
             return False

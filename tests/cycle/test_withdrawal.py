@@ -288,6 +288,9 @@ def test_the_tip_stays_where_nothing_may_move_and_the_words_lead_it_back(
     rig.says = [CommandKind.RESET]
     rig.becomes_ready()
     assert rig.run.cycle.tip == said
+    rig.ticks(300).says = [CommandKind.HOME]
+    rig.ticks(2)
+    assert rig.state is State.READY, "home would take the tip across"
     rig.says = [CommandKind.ACTIVATE_HOLD]
     while rig.words[-1] != MotionWord.HOLD:
         rig.ticks(1)
@@ -297,6 +300,9 @@ def test_the_tip_stays_where_nothing_may_move_and_the_words_lead_it_back(
     rig.says = [CommandKind.STOP]
     rig.rests()
     assert rig.run.cycle.tip == ""
+    rig.ticks(300).says = [CommandKind.HOME]
+    rig.ticks(2)
+    assert rig.state is State.HOMING
     assert rig.words.count(MotionWord.WITHDRAW) == (50 if on_its_way_out else 0)
 
 
