@@ -79,7 +79,7 @@ def test_a_live_batch_has_the_verdicts_of_virtual_time_and_records_its_cells(her
     assert [cell.verdict for cell in told if cell.verdict] == verdicts(live)
 
 
-def test_a_second_terminal_skips_and_aborts_and_the_batch_goes_on_later(here: Path) -> None:
+def test_a_second_terminal_pauses_and_aborts_a_batch(here: Path) -> None:
     target = here / "cells.csv"
     words = ("--grid", "5x5", "--csv", str(target), "--live")
     running = subprocess.Popen(hil(*words), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -90,8 +90,7 @@ def test_a_second_terminal_skips_and_aborts_and_the_batch_goes_on_later(here: Pa
         paused = target.read_text()
         time.sleep(1.5)  # longer than a cell takes
         assert target.read_text() == paused
-        tell("resume")
-        tell("abort")
+        tell("abort")  # from the pause, which lasts however long the other terminal takes to start
         said = running.communicate(timeout=WHILE_S)[0]
     finally:
         if running.poll() is None:
@@ -103,12 +102,6 @@ def test_a_second_terminal_skips_and_aborts_and_the_batch_goes_on_later(here: Pa
     before = verdicts(target)
     assert "none" not in before
     assert 0 < len(before) < 25
-    later = subprocess.run(
-        hil(*words[:4], "--resume"), capture_output=True, text=True, timeout=WHILE_S, check=False,
-    )  # fmt: skip
-    assert later.returncode == 0, later.stdout + later.stderr
-    assert verdicts(target)[: len(before)] == before
-    assert len(verdicts(target)) == 25
 
 
 def test_a_rig_that_does_not_run_cannot_be_asked(here: Path) -> None:

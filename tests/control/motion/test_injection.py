@@ -214,3 +214,17 @@ def test_a_cell_in_which_the_rig_stopped_is_not_touched_again(phase: Phase, verd
     assert [p - TOLD for p in bench.phases if p >= TOLD] == [verdict, Verdict.OK]
     assert len(bench.cells[0].pulses) - before == (50 if verdict is Verdict.OK else 0)
     assert sum(cell.unpierced_pulses for cell in bench.cells) == 0
+
+
+def test_a_pause_lasts_over_a_stop_of_the_rig() -> None:
+    bench = Bench(CellInjection(AROUND, **PARAMETERS), [BenchCell()])
+    for _ in range(20):
+        bench.step()
+    bench.step(Request.PAUSE)
+    bench.restart()
+    for _ in range(500):
+        bench.step()
+    assert bench.phases[-1] == Phase.PAUSED
+    bench.step(Request.RESUME)
+    bench.run()
+    assert [r.verdict for r in bench.motion.results] == [Verdict.OK]

@@ -41,13 +41,15 @@ class CellInjection(Motion):
         self._ending = self._paused = self._aborted = self._untold = False
 
     def begin(self, position: Sequence[float]) -> None:
-        """See Motion. Cells that are over stay so; one that the tip had touched is over by what stopped the rig."""
+        """See Motion. Cells that are over stay so; one that the tip had touched is over by what stopped the rig. A
+        pause lasts until RESUME.
+        """
         for glide, place in zip(self._glides, position, strict=True):
             glide.hold(place)
         if self._run is not None and self._run.touched:
             self.results.append(self._run.interrupted())
             self._untold = True
-        self._run, self._ending, self._paused, self._aborted = None, False, False, False
+        self._run, self._ending, self._aborted = None, False, False
 
     def step(self, seen: Observation) -> References:
         """See Motion."""
