@@ -2,7 +2,7 @@
 
 Rules:
 - The plan in hand ends at rest inside the fence. A new one replaces it, for all axes of its goal or for none, and only
-  where it keeps fence, speed, acceleration and jerk; else the old one goes on and the goal is refused, with a reason.
+  where it keeps fence, speed, acceleration and jerk. Else the old one goes on and the goal is refused, with a reason.
 - A plan begins in the motion of the setpoint in force where the coming force begins to act, and takes effect in the
   frame of the tick that takes the goal.
 - From a path (the task) a goal first stops along the path.

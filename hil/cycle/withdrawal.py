@@ -3,7 +3,7 @@
 Rules:
 - It takes the place of STOP where a motion has declared a way out (hil.Retreat), the drives apply torque, every axis
   answers, and the tip is beyond the safe height. A fault that names the way out's own axis, a lost encoder and ticks
-  missed in a row are for the damped stop at once, also while the tip is on its way: the law is not to be trusted then.
+  missed in a row are for the damped stop at once, also while the tip is on its way. The law is not to be trusted then.
 - References are the rig's own: a plan within [axes.NAME.motion], from the references in force. No reading is looked at,
   and the motion is asked no more.
 - The other axes come to rest and are held by the law. One that a fault names gets the force of the damped stop.

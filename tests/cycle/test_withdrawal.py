@@ -126,6 +126,7 @@ class Rig:
         assert np.abs(np.diff(speeds)).max() <= li.acceleration * PERIOD * 1.01
 
 
+@pytest.mark.requirement(id="SR-8.4")
 def test_an_operators_stop_leads_the_tip_out_at_an_even_pace_and_leaves_no_fault() -> None:
     rig = Rig().to(-0.0015)
     assert int(rig.rows[-1]["outputs"]) == 1
@@ -206,6 +207,7 @@ def test_a_motion_that_never_answers_is_withdrawn_from() -> None:
     assert rig.is_out()
 
 
+@pytest.mark.requirement(id="SR-8.4")
 @pytest.mark.parametrize("channel", range(4))
 def test_a_dead_sensor_leads_the_tip_out_whatever_its_channel(channel: int) -> None:
     """The third channel's number is that of axis z."""
@@ -331,6 +333,7 @@ def test_no_goal_and_no_second_stop_changes_the_way_out() -> None:
     assert abs(rig.run.true_position[X]) < 1e-6
 
 
+@pytest.mark.requirement(id="SR-8.4")
 @pytest.mark.parametrize("seed", range(4))
 def test_from_whatever_a_hostile_motion_has_begun_the_way_out_keeps_every_limit(seed: int) -> None:
     draw = random.Random(seed)

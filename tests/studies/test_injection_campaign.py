@@ -55,6 +55,7 @@ def test_every_reaction_and_eight_anomalies_are_asked_for() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.requirement(id="SR-8.4")
 def test_an_operators_stop_leads_the_tip_out_from_each_of_the_ten_phases() -> None:
     cells = run_injection(chunk(GOOD, only="operator stops"))
     assert failed(cells) == []

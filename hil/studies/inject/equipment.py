@@ -1,7 +1,7 @@
 """What a rig needs beside its axes to inject cells; for a rig that has none of it, the reference equipment.
 
-The figures are those of the issue's specification: a force sensor of 5 uN RMS on the cell's side, a camera of 30 Hz
-whose frames come 50 ms late, a valve, and cells like those of zebrafish embryos. All of it is assumed.
+A force sensor of 5 uN RMS on the cell's side, a camera of 30 Hz whose frames come 50 ms late, a valve, and cells like
+those of zebrafish embryos. All of it is assumed.
 """
 
 import json

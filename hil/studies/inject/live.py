@@ -1,6 +1,6 @@
 """A batch live: a running rig's cells followed tick by tick, and what the operator asks of it.
 
-Followed by the ring that the control process writes, asked by its goal page. Whoever asks holds the lease for that
+The ring that the control process writes shows it, and its goal page takes what is asked. The lease is held for that
 moment alone, so that a second terminal may ask, too.
 """
 
