@@ -211,7 +211,15 @@ class GoalDesk:
             return Refusal.TASK
         if not 0.0 < goal.speed <= 1.0 or not 0 <= goal.due_ns < 1 << 40:
             return Refusal.NOT_FINITE
-        return Refusal.NONE if 0 <= goal.valid_ns <= MOST_JOG_S * 1e9 else Refusal.NOT_FINITE
+        if not 0 <= goal.valid_ns <= MOST_JOG_S * 1e9:
+            return Refusal.NOT_FINITE
+        if goal.kind == GoalKind.MOVE and not goal.flags & RELATIVE and self._beyond(goal, axes):
+            return Refusal.FENCE  # before a task is stopped for it
+        return Refusal.NONE
+
+    def _beyond(self, goal: Goal, axes: list[int]) -> bool:
+        """A place outside the fence."""
+        return any(not self._limits[axis].low <= goal.position[axis] <= self._limits[axis].high for axis in axes)
 
     # the course ---------------------------------------------------------------------------------------------------
 

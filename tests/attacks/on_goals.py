@@ -317,7 +317,8 @@ def no_numbers(target: Target) -> Iterator[str]:
         hostile += [goal(GoalKind.JOG, velocity=float("nan")), goal(GoalKind.JOG, velocity=float("-inf"))]
         refused = [link.send(one)[1] for one in hostile]
         assert all(refused), refused
-        assert not {MotionWord.MOVE, MotionWord.JOG} & set(watched.ticks()["motion"].tolist())
+        words = {MotionWord(word).name for word in watched.ticks()["motion"].tolist()}
+        assert not {"MOVE", "JOG"} & words, words
         yield f"{', '.join(one.name for one in refused)}; {watched.sound()}"
 
 

@@ -175,6 +175,18 @@ def test_a_task_can_be_paused_on_its_way_and_goes_on() -> None:
     assert np.hypot(*held.setpoint[:2]) == pytest.approx(1e-3, rel=1e-6)
 
 
+@pytest.mark.parametrize("place", [9.0, float("nan")])
+def test_a_goal_that_is_refused_leaves_the_task_as_it_runs(place: float) -> None:
+    held = Held(*TASK, hold=False)
+    held.ticks(1_000)
+    assert held.ask(GoalKind.MOVE, place, mask=1) == (Refusal.FENCE if place == 9.0 else Refusal.NOT_FINITE)
+    before = held.setpoint
+    held.ticks(50)
+    assert held.desk.word is MotionWord.TASK
+    assert held.setpoint[:2] != before[:2]
+    assert np.hypot(*held.setpoint[:2]) == pytest.approx(1e-3, rel=1e-6)
+
+
 def test_a_goal_stops_a_task_along_its_path_first() -> None:
     held = Held(*TASK, hold=False)
     held.ticks(1_000)
