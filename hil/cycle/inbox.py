@@ -114,14 +114,14 @@ class Inbox:
     def _accept(self, sample: Sample, sent_sequence: int) -> None:
         axis = sample.axis
         if self._modulus:
-            behind = (sent_sequence - sample.sequence) % self._modulus
+            behind = (sent_sequence - sample.sequence) % self._modulus  # 0: what is due, however old the one before is
             previous = self._last_sequence[axis]
             if previous >= 0:
                 newer = (sample.sequence - previous) % self._modulus
                 if newer == 0:
                     self._repeated(sample)
                     return
-                if newer > self._modulus // 2:
+                if behind and newer > self._modulus // 2:
                     self._stale(axis)
                     return
             if sent_sequence < 0 or behind > self._modulus // 2:

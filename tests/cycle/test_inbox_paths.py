@@ -81,7 +81,8 @@ class PlainInbox:
             previous = self.newest[axis]
             if previous is not None:
                 ahead = (sample.sequence - previous) % self.modulus
-                if ahead == 0 or ahead > half:
+                due = sent >= 0 and (sent - sample.sequence) % self.modulus == 0
+                if ahead == 0 or (ahead > half and not due):
                     taken = self.samples[axis]
                     if not ahead and taken and taken.sequence == sample.sequence and taken != sample:
                         self.fresh[axis] = False
@@ -145,6 +146,8 @@ def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reje
 @example(16, -1, [([(0, 0)], 1, False)] * 3)
 @example(0, 0, [([(0, 0), (0, 0)], 1, False)] * 3)
 @example(16, 5, [([(0, 0)], 0, False), ([(0, 0)], 1, True)])
+@example(16, 0, [([(1, 8)], 1, False), ([(1, 0)], 1, False)])
+@example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 9, ([(0, 0)], 1, False)])
 def test_the_fast_path_and_the_rules_judge_every_history_alike(
     modulus: int, before_wrap: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]
 ) -> None:
