@@ -51,13 +51,13 @@ def read_reference(path: Path, axes: list[str]) -> dict[str, Deviations]:
 
     Raises RigError naming line, column and value.
     """
-    lines = _rows(path)
-    missing = [name for name in (*COLUMNS[:4], REFERENCE) if name not in (lines.fieldnames or ())]
+    rows = _rows(path)
+    missing = [name for name in (*COLUMNS[:4], REFERENCE) if rows and name not in rows[0][1]]
     if missing:
         raise RigError([f"{path}: there is no column {missing[0]}; --out FILE writes {','.join(COLUMNS)}"])
     read: dict[str, dict[tuple[float, str, int], float]] = {}
-    for row in lines:
-        where = f"{path}, line {lines.line_num}"
+    for number, row in rows:
+        where = f"{path}, line {number}"
         axis, direction = (row["axis"] or "").strip(), (row["direction"] or "").strip()
         if axis not in axes:
             raise RigError([f"{where}: axis = {axis!r}: one of {', '.join(axes)}"])
@@ -72,9 +72,11 @@ def read_reference(path: Path, axes: list[str]) -> dict[str, Deviations]:
     return {axis: _arranged(path, axis, readings) for axis, readings in read.items()}
 
 
-def _rows(path: Path) -> "csv.DictReader[str]":
+def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """Each with the number of its line."""
     try:
-        return csv.DictReader(io.StringIO(read_bounded(path, LARGEST_FILE).decode("utf-8-sig"), newline=""))
+        lines = csv.DictReader(io.StringIO(read_bounded(path, LARGEST_FILE).decode("utf-8-sig"), newline=""))
+        return [(lines.line_num, row) for row in lines]
     except OSError as error:
         raise RigError([f"{path}: {error.strerror or error}"]) from None
     except (UnicodeDecodeError, UnsuitableFileError, csv.Error) as error:

@@ -142,6 +142,9 @@ def test_a_file_without_readings_is_told_what_it_lacks(tmp_path: Path) -> None:
     path.write_text("axis,run,direction,target,reference\n")
     with pytest.raises(RigError, match="it has no rows"):
         read_reference(path, ["x"])
+    path.write_text("axis,run,direction,target,reference\nx,1,up,0.0," + "0" * 200_000 + "\n")
+    with pytest.raises(RigError, match="field larger than field limit"):
+        read_reference(path, ["x"])
     with pytest.raises(RigError, match="No such file"):
         read_reference(tmp_path / "none.csv", ["x"])
     assert "nothing moves with --reference" in run("paper", "--live", "--reference", str(path))[1]

@@ -122,7 +122,7 @@ def test_a_valve_that_stays_open_while_the_tip_leaves_makes_it_fail(monkeypatch:
 
 @pytest.mark.long
 def test_a_stop_in_a_cell_is_led_out_of_the_same_way_in_a_replay(tmp_path: Path) -> None:
-    rig = with_cell(RIG, GOOD)
+    (rig,) = with_cell(RIG, [GOOD])
     recorder = LockstepRecorder(tmp_path / "run.mcap", rig, RIG)
     run = LockstepRun(rig, RIGS, observer=recorder.observe, operator=lambda run, index: _stops_in_the_cell(run))
     while run.activated_at < 0 or run.cycle.state is not State.READY:

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.crew import crew, resumed
 from hil.studies.fault_campaign.matrix import Cell, Chunk, displaced, plan_chunks, run_chunk
 from hil.virtual.sim import usable
+
+_Work = TypeVar("_Work")
 
 
 def campaign(
@@ -27,13 +30,28 @@ def campaign(
     work: list[Chunk] = []
     for path in rigs:
         work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride, only=only)
-    total = sum(len(chunk.cells) for chunk in work)
+    return over_processes(run_chunk, work, [len(chunk.cells) for chunk in work], jobs, done, scheduler)
+
+
+def over_processes(
+    run: Callable[[_Work], list[Cell]],
+    work: Sequence[_Work],
+    sizes: Sequence[int],
+    jobs: int,
+    done: Callable[[int, int], None],
+    scheduler: str,
+) -> list[Cell]:
+    """The cells of all work, in its order. sizes: of each piece of work, of which `done` is told the sum so far and the
+    whole.
+    """
     cells: list[Cell] = []
+    so_far, total = 0, sum(sizes)
     # Spawned, not forked: a worker must be single-threaded to fork its cells.
     with crew(jobs, scheduler, "spawn") as hands:
-        for chunk_cells in resumed(hands, run_chunk, work):
-            cells += chunk_cells
-            done(len(cells), total)
+        for size, found in zip(sizes, resumed(hands, run, work), strict=True):
+            cells += found
+            so_far += size
+            done(so_far, total)
     return cells
 
 

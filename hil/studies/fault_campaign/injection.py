@@ -22,7 +22,7 @@ from hil.rig.bus_load import rig_layout
 from hil.rig.file import load_rig
 from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig
-from hil.studies.crew import crew, resumed
+from hil.studies.fault_campaign.campaign import over_processes
 from hil.studies.fault_campaign.checkpoints import CampaignRun
 from hil.studies.fault_campaign.happenings import HAPPENINGS, Happening
 from hil.studies.fault_campaign.matrix import Cell, in_fork
@@ -38,15 +38,15 @@ GOOD = "good cell"
 ANOMALIES = (GOOD, *DRAWN)
 
 
-def with_cell(path: Path, anomaly: str, overrides: Sequence[str] = ()) -> RigConfig:
-    """The rig with one cell of that kind under its tip, and with the reference equipment where it has none of its own.
-    Raises RigError.
+def with_cell(path: Path, anomalies: Sequence[str], overrides: Sequence[str] = ()) -> list[RigConfig]:
+    """The rig with one cell of each of these kinds under its tip, and with the reference equipment where it has none of
+    its own. Raises RigError.
     """
     rig = load_rig(path, overrides)
     spot = tuple(rig.motion.parameters["cells"][0][:2]) if has_equipment(rig) else middle(rig)
     fd = rig_layout(rig, path.parent).fd
-    kind = [] if anomaly == GOOD else [anomaly]
-    return load_rig(path, (*overrides, *words(rig, [spot], 1, 0.0, kind, fd=fd)))
+    kinds = [[] if anomaly == GOOD else [anomaly] for anomaly in anomalies]
+    return [load_rig(path, (*overrides, *words(rig, [spot], 1, 0.0, kind, fd=fd))) for kind in kinds]
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,7 @@ def plan(
     """A chunk for each rig and anomaly. stride: every n-th happening. only: what names of happenings contain."""
     chunks = []
     for path in paths:
-        for anomaly in ANOMALIES:
-            rig = with_cell(path, anomaly, overrides)
+        for anomaly, rig in zip(ANOMALIES, with_cell(path, ANOMALIES, overrides), strict=True):
             chunks.append(
                 InjectionChunk(rig.model_dump_json(), referenced_files(rig, path.parent), anomaly, stride, only)
             )
@@ -107,15 +106,9 @@ def injection_campaign(
     only: str = "",
     scheduler: str = "",
 ) -> list[Cell]:
-    """All of it, as campaign.campaign does its own. done: called with cells of dishes done, and all of them. Raises
-    RigError.
-    """
-    work, cells = plan(rigs, stride=stride, only=only, overrides=overrides), list[Cell]()
-    with crew(jobs, scheduler, "spawn") as hands:  # spawned: a worker must be single-threaded to fork
-        for number, found in enumerate(resumed(hands, run_injection, work), 1):
-            cells += found
-            done(number, len(work))
-    return cells
+    """All of it, as campaign.campaign does its own. done: called with dishes done, and all of them. Raises RigError."""
+    work = plan(rigs, stride=stride, only=only, overrides=overrides)
+    return over_processes(run_injection, work, [1] * len(work), jobs, done, scheduler)
 
 
 def _decided(run: CampaignRun) -> DecidedMotion:

@@ -148,7 +148,7 @@ def follow(live: LiveBatch, signals: Signals, look: Callable[[], object] = lambd
             signals.check()
             look()
         except Interrupted:
-            if any(trouble == _INTERRUPTED for trouble in live.troubles):
+            if _INTERRUPTED in live.troubles:
                 raise
             signals.seen = 0
             live.abort(_INTERRUPTED)

@@ -121,11 +121,11 @@ def read_sheet(path: Path, places: Positions) -> list[Injected]:
         raise RigError([str(error) if isinstance(error, TaskFileError) else f"{path}: no CSV file: {error}"]) from None
     whole = text[: text.rfind("\n") + 1]
     try:
-        rows = list(csv.DictReader(io.StringIO(whole, newline="")))
+        reader = csv.DictReader(io.StringIO(whole, newline=""))
+        rows = list(reader)
     except csv.Error as error:
         raise RigError([f"{path}: no CSV file: {error}"]) from None
-    header = next(csv.reader(io.StringIO(whole, newline="")), [])
-    if missing := [name for name in COLUMNS if name not in header]:
+    if missing := [name for name in COLUMNS if name not in (reader.fieldnames or ())]:
         raise RigError([f"{path}: no column {missing[0]!r}: it is not a file that `hil inject --csv` wrote"])
     found = [_cell(path, number, row, places) for number, row in enumerate(rows, 1)]
     if len(whole) < len(text):  # cut off while it was written: that cell had been begun

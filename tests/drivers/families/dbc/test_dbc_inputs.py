@@ -9,12 +9,12 @@ import pytest
 from drivers.families.dbc.host import STATE_TIMEOUT_NS
 from drivers.frame import Frame
 from drivers.protocols.base import Command, DriveStatus, LayoutError, Sample
-from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
+from tests.support.switch_run import assert_switch_stops
 
 MS = 1_000_000
 FILE = "example_drive.dbc"
@@ -101,12 +101,7 @@ def test_inputs_in_a_message_of_their_own_are_believed_for_half_a_second(tmp_pat
 def test_an_axis_that_runs_onto_a_switch_is_stopped(message: str, direction: int, tmp_path: Path) -> None:
     write_file(tmp_path)
     run = LockstepRun(rig_of(inputs(message), direction=direction, limits={"switches": True}), tmp_path)
-    while not run.cycle.fault:
-        run.tick()
-        assert run.index < 2000
-    assert run.cycle.fault is Fault.LIMIT_SWITCH
-    (evidence,) = run.cycle.monitor.armed_evidence()
-    assert (evidence.axis, evidence.value) == (0, 0.0 if run.true_position[0] < 0 else 1.0)
+    assert_switch_stops(run)
     while run.cycle.state is not State.FAULT:
         run.tick()
 

@@ -9,11 +9,11 @@ from drivers.families.moteus.config import MoteusInput
 from drivers.families.moteus.inputs import Pins
 from drivers.families.moteus.registers import REPLY, Register, Type, Value
 from drivers.protocols.base import INPUTS, DriveStatus, LayoutError
-from hil.cycle.fault_table import Fault
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
+from tests.support.switch_run import assert_switch_stops
 
 WIRED = [{"axis": 0, "input": "limit_low", "pin": 1}, {"axis": 0, "input": "limit_high", "pin": 2}]
 
@@ -31,12 +31,7 @@ def rig_of(inputs: list[dict[str, Any]], direction: int = 1) -> RigConfig:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_an_axis_that_runs_onto_a_switch_is_stopped(direction: int) -> None:
     run = LockstepRun(rig_of(WIRED, direction), RIGS)
-    while not run.cycle.fault:
-        run.tick()
-        assert run.index < 2000
-    assert run.cycle.fault is Fault.LIMIT_SWITCH
-    (evidence,) = run.cycle.monitor.armed_evidence()
-    assert (evidence.axis, evidence.value) == (0, 0.0 if run.true_position[0] < 0 else 1.0)
+    assert_switch_stops(run)
 
 
 @pytest.mark.parametrize(
