@@ -94,6 +94,11 @@ def test_the_patterns_find_names_and_prose_and_spare_ordinary_english() -> None:
         assert not any(pattern.search(text) for pattern, _ in WORDS), text
 
 
+def test_no_merge_was_left_half_done() -> None:
+    at = found(re.compile(r"^(?:<{7}|>{7}) .*", re.MULTILINE))
+    assert not at, listing(at)
+
+
 def test_no_file_is_long() -> None:
     counts = {name: len(text.splitlines()) for name, text in sources()}
     long = sorted(f"{name}: {count}" for name, count in counts.items() if count > MANY_LINES)

@@ -3,9 +3,9 @@
 Written for floats and arrays. The regressors are the operators on the observed position, as the axis is not where its
 reference is; what the innovation shows is the difference to what was fed forward, on the reference.
 
-While the mode rings, an innovation says little of friction: it counts as noise, and the weights then gain no variance
-either. With it, thousands of fast short moves led the finest operator's weight far below zero, one biased innovation at
-a time, and the axis crept by more than 1 um where it rested.
+Where an innovation is biased, as by a mode that rings, thousands of fast short moves can lead the finest weight far
+below zero. Learnt friction would then push behind a reversal, the integral through it would have the wrong sign, and an
+axis at rest would creep. So the stiffness behind a reversal never falls below what it is taken for at the start.
 """
 
 from hil.control.gain import TINIEST
@@ -17,7 +17,7 @@ from hil.control.number import Number, at_least, bounded, copy, zeros_like
 
 WEIGHTS = 7
 RINGING = 2.0  # times what the throw makes the mode swing by: noise to the weights
-SHAKEN = 50.0  # times what a change of the reference's acceleration does, which is known less well
+SHAKEN = 20.0  # times what a change of the reference's acceleration does, which is known less well
 MOST_MASS = 0.5  # of the model's mass: what it may be off by
 
 Deviations = tuple[Number, Number]  # of a weight of friction, N; of the mass, kg
@@ -45,6 +45,7 @@ class FrictionWeights:
         """Nothing is known but the model's Coulomb friction (N), on a coarse operator: what is not known yet is taken
         as soft, and never overshoots. zero: 0 for every axis.
         """
+        self._softest = coulomb * self._slopes[4]  # N/m
         self._channels = [Channel(zero) for _ in range(WEIGHTS)]
         self._known = Channel(zero)
         self._place, self._ringing = zero, zero  # of the axis in its bank; of the mode, m
@@ -112,19 +113,18 @@ class FrictionWeights:
             c[6].innovation(acting[6], motion, gains),
         )  # fmt: skip
         self._acting = self._coming
-        ringing, calm = self._ringing, self.calm()
+        ringing = self._ringing
         self._ringing = ringing * motion.fade + self._shaken * abs(self._acting[6] - acting[6])
         if not anywhere(learn > 0.0):
             return
         noise = self._noise + ringing * ringing
-        friction, mass = self._walk[0] * calm, self._walk[6] * calm
-        walk: Weights = (friction, friction, friction, friction, friction, friction, mass)
-        self._spread, k = learnt(self._spread, r, noise, walk, self._prior, learn)
+        self._spread, k = learnt(self._spread, r, noise, self._walk, self._prior, learn)
         missing = innovation - known
-        self._weights = (
-            w[0] + k[0] * missing, w[1] + k[1] * missing, w[2] + k[2] * missing, w[3] + k[3] * missing,
-            w[4] + k[4] * missing, w[5] + k[5] * missing, bounded(w[6] + k[6] * missing, self._most_mass),
-        )  # fmt: skip
+        w0, w1, w2 = w[0] + k[0] * missing, w[1] + k[1] * missing, w[2] + k[2] * missing
+        w3, w4, w5 = w[3] + k[3] * missing, w[4] + k[4] * missing, w[5] + k[5] * missing
+        short = at_least(self._softest - weighed((w0, w1, w2, w3, w4, w5), slope), 0.0)
+        mass = bounded(w[6] + k[6] * missing, self._most_mass)
+        self._weights = (w0 + short / slope[0], w1, w2, w3, w4, w5, mass)
 
 
 def _variances(deviations: Deviations) -> Weights:
