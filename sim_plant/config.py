@@ -80,7 +80,7 @@ def _is_zero(value: float) -> bool:
     return value == 0.0
 
 
-Measured = Literal["cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error"]
+Measured = Literal["cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error", "dimple"]
 
 
 class EmulatedSensorConfig(Table):
@@ -92,7 +92,8 @@ class EmulatedSensorConfig(Table):
         "cell_force: of the membrane of [[plant.cells]] on the tip, pressing counts as positive; applied_force: of the "
         "axis' drive; position: of the axis' tip; the others need [plant.dish]: tip_force: of its cell on the tip, "
         "pressing positive; cell_shift: way of the cell under the tip from where it was planned; bolus: that of the "
-        "last pulse in the cell under the tip, 1: a full one; tip_error: tip as a camera sees it less the encoder",
+        "last pulse in the cell under the tip, 1: a full one; tip_error: tip as a camera sees it less the encoder; "
+        "dimple: how deep the tip has pressed in a cell that is not pierced",
     )
     axis: str = key(REQUIRED, "axis that it belongs to")
     gain: float = key(1.0, "reading per N (N m) or m (rad)", "1", ge=-1e9, le=1e9)
@@ -350,7 +351,7 @@ class PlantConfig(Table):
 
     @model_validator(mode="after")
     def _dish_fits(self) -> "PlantConfig":
-        needs = ("tip_force", "cell_shift", "bolus", "tip_error")
+        needs = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")
         lacking = [entry for entry in self.sensors if entry.measures in needs and self.dish is None]
         if lacking:
             raise ValueError(f"sensors: measures = {lacking[0].measures!r} of '{lacking[0].sensor}' needs [plant.dish]")

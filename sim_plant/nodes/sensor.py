@@ -19,7 +19,7 @@ from sim_plant.physics.truth import Truth
 
 NEVER_NS = 2**62
 _MOST = 2**31 - 1
-OF_DISH = ("tip_force", "cell_shift", "bolus", "tip_error")  # what only a rig with [plant.dish] has
+OF_DISH = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")  # what only a rig with [plant.dish] has
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,8 @@ class SensorNode:
                 return dish.force
             acceleration = self._filter.slope(stage.tips[1][axis], stage.now_ns)
             return dish.force + dish.direction * entry.tool_mass * acceleration
-        return {"cell_shift": dish.side, "bolus": dish.bolus, "tip_error": dish.tip_error}[entry.measures]
+        seen = {"cell_shift": dish.side, "bolus": dish.bolus, "tip_error": dish.tip_error, "dimple": dish.dimple}
+        return seen[entry.measures]
 
     def _frame(self, shown: Sampled) -> Frame:
         data = (shown.counts % 2**32).to_bytes(4, "little") + (shown.stamp_us % 2**16).to_bytes(2, "little")

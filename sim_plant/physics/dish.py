@@ -176,6 +176,12 @@ class Dish:
         return self.under.moved if self.under else 0.0
 
     @property
+    def dimple(self) -> float:
+        """How deep the tip has pressed in the cell that it is in, m; 0 once it is pierced."""
+        cell = self.entered
+        return max(0.0, cell.model.depth) if cell is not None and cell.pierced_ns is None else 0.0
+
+    @property
     def bolus(self) -> float:
         """Of the last pulse in the cell under the tip; 0 before, and where there is none."""
         if self._open_ns >= 0 and self._pulse[0] is self.under and self.under:

@@ -2,8 +2,10 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 from hil.control.motion.injection.verdict import TOLD, Verdict
 from hil.cycle.state_machine import State
@@ -113,3 +115,36 @@ def test_the_command_prints_the_bars_and_writes_cells(tmp_path: Path, capsys: py
     document = json.loads((tmp_path / "batch.json").read_text())
     assert [cell["verdict"] for cell in document["cells"]] == ["ok", "ok"]
     assert "reference sensors" in capsys.readouterr().out.replace("\n", " ")
+
+
+@pytest.mark.long
+def test_the_same_cells_are_compared_by_every_z_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 4 mm/s: press and ramp stop behind the puncture, position goes on, visual sees it far too late."""
+    from hil.studies.inject.command import inject as command
+
+    command(RIG, grid_text="1x2", compare=True, json_target=str(tmp_path / "compared.json"))
+    document = json.loads((tmp_path / "compared.json").read_text())
+    rows = {row["z_law"]: row for row in document["z_laws"]}
+    assert list(rows) == ["press", "ramp", "impedance", "visual", "position"]
+    assert {row["wrong_pulses"] for row in rows.values()} == {0}
+    assert [row["fault"] for row in rows.values()] == [""] * 5
+    assert max(row["force"][1] for row in rows.values()) <= 1.05 * 1.4e-3
+    felt = max(rows["press"]["further"][1], rows["ramp"]["further"][1])
+    assert felt < 30e-6
+    assert rows["visual"]["further"][0] > 3 * felt
+    assert "4 mm/s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"z_law": "pres"}, "'pres': one of press, ramp"),
+        ({"compare": True, "live": True}, "--json alone"),
+        ({"attach": True, "speed": 1e-3}, "has its own"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(given: dict[str, Any], said: str) -> None:
+    from hil.studies.inject.command import inject as command
+
+    with pytest.raises(typer.BadParameter, match=said):
+        command(RIG, **given)

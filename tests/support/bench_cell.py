@@ -16,8 +16,8 @@ from hil.control.reading import Reading
 PERIOD_NS = 1_000_000
 LINEAR = MotionLimits(0.05, 14.0, 1370.0, -0.006, 0.006)
 AROUND = Surroundings(
-    ["x", "y", "z"], 1e-3, [LINEAR, LINEAR, LINEAR], ["force", "shift", "tip", "bolus"],
-    [5e-6, 1e-6, 1e-6, 0.02], {"valve": 0},
+    ["x", "y", "z"], 1e-3, [LINEAR, LINEAR, LINEAR], ["force", "shift", "tip", "bolus", "dimple"],
+    [5e-6, 1e-6, 1e-6, 0.02, 1e-6], {"valve": 0},
 )  # fmt: skip
 PARAMETERS: dict[str, Any] = {
     "cells": [[0.001, 0.0, -0.002]], "safe": 0.0, "force": "force", "shift": "shift", "tip": "tip", "bolus": "bolus",
@@ -60,9 +60,10 @@ class Bench:
         self._twice = False
         self.tick = 0
         self.peak = 0.0
-        self._camera = (0.0, 0.0, 0.0, -1, 0)  # shift, tip, bolus, sequence, tick of its arrival
-        self._waiting: list[tuple[int, float, float, float]] = []
+        self._camera = (0.0, 0.0, 0.0, 0.0, -1, 0)  # shift, tip, bolus, dimple, sequence, tick of its arrival
+        self._waiting: list[tuple[int, float, float, float, float]] = []
         self.phases: list[int] = []
+        self.places: list[float] = []  # of the tip, m
         self._dead: tuple[float, int] | None = None
         self.answer: References | None = None
         self._origin = 0  # tick in which the motion began
@@ -108,10 +109,16 @@ class Bench:
         """A camera of 30 Hz whose frames come 50 ms after their exposure."""
         cell = self.cells[self._cell]
         if self.tick % 33 == 0 and (cell.camera_until is None or self.tick < cell.camera_until):
-            self._waiting.append((self.tick + 50, cell.shift, cell.tip, self.bolus))
+            self._waiting.append((self.tick + 50, cell.shift, cell.tip, self.bolus, self._dimple()))
         if self._waiting and self._waiting[0][0] <= self.tick:
-            _, shift, tip, bolus = self._waiting.pop(0)
-            self._camera = (shift, tip, bolus, self._camera[3] + 1, self.tick)
+            _, *shown = self._waiting.pop(0)
+            self._camera = (shown[0], shown[1], shown[2], shown[3], self._camera[4] + 1, self.tick)
+
+    def _dimple(self) -> float:
+        """How deep the tip has pressed in a cell that is whole, m."""
+        cell = self.cells[self._cell]
+        is_whole = not cell.gone and self._pierced[self._cell] is None
+        return max(0.0, cell.top - self._past[2][0]) if is_whole else 0.0
 
     def step(self, request: Request = Request.NONE) -> None:
         """One tick. request: of an operator."""
@@ -127,11 +134,11 @@ class Bench:
             else:
                 self._dead = (shown, sequence)
         self._look()
-        shift, tip, bolus, frame, came = self._camera
+        *shown_by_camera, frame, came = self._camera
         readings = [
             Reading(0, shown, 0, sequence, True), *(
                 Reading(k + 1, value, 0, frame % 256 if frame >= 0 else -1, frame >= 0)
-                for k, value in enumerate((shift, tip, bolus))
+                for k, value in enumerate(shown_by_camera)
             )
         ]  # fmt: skip
         ends = [(self.tick - self._origin + 1) * PERIOD_NS] * 3
@@ -139,10 +146,11 @@ class Bench:
             Observation(
                 self.tick - self._origin, ends, [s[0] for s in self.state], [s[1] for s in self.state], self.state,
                 readings,
-                [0, *[self.tick - came] * 3], request,
+                [0, *[self.tick - came] * 4], request,
             )
         )  # fmt: skip
         self.phases.append(self.answer.phase)
+        self.places.append(self.answer.position[2])
         if self.answer.outputs:
             pierced = self._pierced[self._cell] is not None
             cell.unpierced_pulses += not pierced

@@ -1,7 +1,7 @@
 """One axis of a motion, on plans of its own: to a place at a speed, or to rest, from whatever is in force."""
 
 from hil.control.plans.axis_plan import AxisPlan, MotionLimits
-from hil.control.plans.moves import halt, move
+from hil.control.plans.moves import halt, jog, move
 
 _JERK = 1.0 / 1.8  # of the axis' own: a quintic across a change of jerk takes up to 1.75 times as much
 _APART = 1e-10  # m (rad): what is in force is not what was asked for
@@ -34,6 +34,13 @@ class Glide:
         self.target = max(own.low, min(own.high, target))
         share = min(max(speed, abs(state[1])) / own.speed, 1.0)
         self._plan, self._begins_ns = move(*state, self.target, own.slowed(share)), ends_ns - self._period_ns
+
+    def jog(self, ends_ns: int, state: tuple[float, float, float], speed: float, seconds: float) -> None:
+        """On at `speed`, m/s, either way, for so long; then to rest."""
+        own = self._own
+        wanted = max(-own.speed, min(own.speed, speed))
+        self._plan, self._begins_ns = jog(*state, wanted, seconds, own), ends_ns - self._period_ns
+        self.target = self._plan.target
 
     def stop(self, ends_ns: int, state: tuple[float, float, float]) -> None:
         """To rest as quickly as the limits allow."""

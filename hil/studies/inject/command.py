@@ -2,9 +2,9 @@
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
@@ -14,6 +14,7 @@ from hil.cli.options import JsonTarget, Overrides, RigFile
 from hil.cli.output import writable, write_json
 from hil.cli.progress import Steps
 from hil.control.motion.contract import Request
+from hil.control.motion.injection.settings import Z_LAW_NAMES, Settings
 from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import refuse_unschedulable, rig_layout
 from hil.rig.file import load_rig
@@ -49,6 +50,15 @@ def inject(
         float, typer.Option(min=0.0, max=1.0, help="share of cells that are not as they should be")
     ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="of the emulated dish")] = 1,
+    z_law: Annotated[
+        str, typer.Option("--z-law", metavar="NAME", help=f"how the tip goes in: {', '.join(Z_LAW_NAMES)}")
+    ] = "",
+    speed: Annotated[
+        float, typer.Option(min=0.0, max=0.05, help="of search and press, m/s; 0: as the rig or the equipment has it")
+    ] = 0.0,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="the same cells by every z_law, in one table; virtual time")
+    ] = False,
     live: Annotated[bool, typer.Option("--live", help="on an emulated stage in real time, as hil demo")] = False,
     attach: Annotated[
         bool, typer.Option("--attach", help="follow the batch of the rig of that name that runs")
@@ -81,6 +91,8 @@ def inject(
         _tell(rig_file, tell)
         return
     _check_together(live=live, attach=attach, judge=judge, resume=resume, csv_target=csv_target)
+    alone = not (live or attach or resume or judge or ask or csv_target or report_target or z_law)
+    _check_ways(z_law, speed, attach=attach, mixed=compare and not alone)
     script = [declared(text) for text in ask or ()]
     console = Console(stderr=json_target == "-")
     if attach:
@@ -95,7 +107,15 @@ def inject(
     if len(done) == len(places):
         console.print(f"All {len(done)} cells of {csv_target} are over.")
         return
-    plan = _planned(rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies)
+    how = {**({"seek_speed": speed, "press_speed": speed} if speed else {}), **({"z_law": z_law} if z_law else {})}
+
+    def planned(changes: dict[str, Any]) -> Plan:
+        return _planned(rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies, {**how, **changes})
+
+    if compare:
+        _compare(planned, json_target, console)
+        return
+    plan = planned({})
     if plan.assumed:
         console.print("The rig names no motion for cells: with the reference sensors, valve and dish, all assumed.")
     if done:
@@ -125,13 +145,23 @@ def _check_together(*, live: bool, attach: bool, judge: bool, resume: bool, csv_
         raise typer.BadParameter("that rig has its cells already", param_hint="--attach")
 
 
+def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
+    """The same, of how the tip goes in. mixed: --compare with what it has no use for."""
+    if attach and (speed or z_law):
+        raise typer.BadParameter("the rig that runs has its own", param_hint="--speed, --z-law")
+    if mixed:
+        raise typer.BadParameter("goes with cells, anomalies, seed, speed and --json alone", param_hint="--compare")
+    if z_law and z_law not in Z_LAW_NAMES:
+        raise typer.BadParameter(f"{z_law!r:.40}: one of {', '.join(Z_LAW_NAMES)}", param_hint="--z-law")
+
+
 def _planned(
     rig: RigConfig, rig_file: Path, overrides: tuple[str, ...], places: Positions, done: list[Injected], seed: int,
-    anomalies: float,
+    anomalies: float, how: dict[str, Any],
 ) -> Plan:  # fmt: skip
     """The rig with these cells under its tip; its layout is built once."""
     layout = rig_layout(rig, rig_file.parent)
-    chosen = (*overrides, *words(rig, places, seed, anomalies, fd=layout.fd))
+    chosen = (*overrides, *words(rig, places, seed, anomalies, fd=layout.fd, how=how))
     if done:
         chosen = (*chosen, f"motion.parameters.first={len(done) + 1}")
     changed = load_rig(rig_file, chosen)
@@ -143,6 +173,28 @@ def _planned(
         raise RigError(refused)
     layout = refuse_unschedulable(changed, rig_file.parent, layout)
     return Plan(changed, rig_file, chosen, layout, places, done, not has_equipment(rig))
+
+
+def _compare(planned: Callable[[dict[str, Any]], Plan], json_target: str, console: Console) -> None:
+    """Exit status 1 where a batch did not end."""
+    from hil.studies.inject.compare import compared, compared_document, show_compared
+
+    plan = planned({})
+    with Steps("z_law", len(Z_LAW_NAMES), console) as steps:
+
+        def batch_of(name: str) -> Batch:
+            plan = planned({"z_law": name})
+            batch = inject_batch(plan.rig, plan.rig_file.parent, layout=plan.layout)
+            steps.advance(text=name)
+            return batch
+
+        rows = compared(batch_of)
+    given = plan.rig.motion.parameters.get("press_speed", Settings.press_speed)
+    show_compared(console, rows, f"{given * 1e3:g} mm/s")
+    if json_target:
+        write_json({"z_laws": compared_document(rows), "press_speed": given}, json_target)
+    if any(row.fault for row in rows):
+        sys.exit(1)
 
 
 def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:

@@ -5,7 +5,7 @@ those of zebrafish embryos. All of it is assumed.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ _SENSORS = {
     "tip": f'{{can_id=0x3F3, unit="m", scale=1e-9, noise=7e-7, range=[-0.5, 0.5], {_SLOW}}}',
     "bolus": f'{{can_id=0x3F4, unit="1", scale=1e-6, noise=0.02, range=[-100.0, 100.0], {_SLOW}}}',
 }
+_DIMPLE = f'{{can_id=0x3F5, unit="m", scale=1e-9, noise=7e-7, range=[-0.5, 0.5], {_SLOW}}}'
 _MEASURED = {"shift": "cell_shift", "tip": "tip_error", "bolus": "bolus"}
 _NAMES = 'force="force", shift="shift", tip="tip", bolus="bolus", valve="valve"'
 
@@ -75,10 +76,11 @@ def has_equipment(rig: RigConfig) -> bool:
 
 
 def words(
-    rig: RigConfig, places: Positions, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool
-) -> list[str]:
+    rig: RigConfig, places: Positions, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool,
+    how: Mapping[str, Any] | None = None,
+) -> list[str]:  # fmt: skip
     """The overrides that put these cells under the rig's tip. share: of cells that are not as they should be;
-    anomalies: of the first ones, by word. fd: the rig's bus has CAN FD frames.
+    anomalies: of the first ones, by word. fd: the rig's bus has CAN FD frames. how: more of [motion.parameters].
     """
     li = motion_limits(rig)[rig.axis_names.index("z")]
     own = rig.motion.parameters
@@ -90,19 +92,25 @@ def words(
         dish["anomalies"] = list(anomalies)
     found = ["plant.cells=[]", *(f"plant.dish.{key}={json.dumps(value)}" for key, value in dish.items())]
     if has_equipment(rig):
-        return [*found, f"motion.parameters.cells={json.dumps(cells)}"]
+        more = [f"motion.parameters.{key}={json.dumps(value)}" for key, value in (how or {}).items()]
+        return [*found, f"motion.parameters.cells={json.dumps(cells)}", *more]
+    seen, sensors, given = dict(_MEASURED), dict(_SENSORS), dict(how or {})
+    if given.get("z_law") == "visual":
+        given["dimple"] = seen["dimple"] = "dimple"
+        sensors["dimple"] = _DIMPLE
     measured = [
         f"{{sensor='{name}', measures='{what}', axis='z', frame_s=0.0333333333, delay=0.05}}"
-        for name, what in _MEASURED.items()
+        for name, what in seen.items()
     ]
+    more = [f", {key}={json.dumps(value)}" for key, value in given.items()]
     return [
         *found,
         "task.kind=hold",
         "plant.dish.flow=20.0",
-        *(f"sensors.{name}={table}" for name, table in _SENSORS.items()),
-        *(f"sensors.{name}.fd={str(fd).lower()}" for name in _SENSORS),
+        *(f"sensors.{name}={table}" for name, table in sensors.items()),
+        *(f"sensors.{name}.fd={str(fd).lower()}" for name in sensors),
         f"plant.sensors=[{{sensor='force', measures='tip_force', axis='z'}}, {', '.join(measured)}]",
         "outputs.valve={can_id=0x3E0, bit=0, longest_s=0.2}",
         "motion.name=cells",
-        f"motion.parameters={{cells={json.dumps(cells)}, safe={top + ABOVE}, {_NAMES}}}",
+        f"motion.parameters={{cells={json.dumps(cells)}, safe={top + ABOVE}, {_NAMES}{''.join(more)}}}",
     ]

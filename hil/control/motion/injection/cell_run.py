@@ -5,7 +5,7 @@
 | approach | at rest above the cell; the camera sees the tip where the encoder has it | broken |
 | tare | 64 samples | |
 | seek | the force rises: contact | no cell, rolled |
-| press | the force drops: puncture | not pierced: at the force limit, or at the deepest place |
+| press | puncture, as the z_law sees it | not pierced: at the force limit, or at the deepest place |
 | freeze, advance | at the depth of deposit | double: the force drops once more |
 | pulse, confirm | a frame exposed 100 ms after the pulse shows the bolus | clogged, camera frozen; rolled: no pulse |
 | withdraw, lift | at the safe height, the force at zero | stuck |
@@ -19,16 +19,12 @@ from math import sqrt
 
 from hil.control.motion.contract import Observation
 from hil.control.motion.glide import Glide
-from hil.control.motion.injection.detectors import Contact, Puncture, Slope
+from hil.control.motion.injection.detectors import Slope
 from hil.control.motion.injection.senses import Senses
 from hil.control.motion.injection.settings import Settings
 from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
+from hil.control.motion.injection.z_laws import z_law
 
-CONTACT_DRIFT = 0.75  # of the noise
-CONTACT_SUM = 9.0  # exceeded by noise alone once in about e^(2 * 0.75 * 9) samples: one approach in some thousands
-DROP_TICKS = 10  # in which the force falls
-DROP_SHARE = 0.3
-DROP_NOISE = 7.0
 SLIP_TICKS = 6  # until the force of a pierced membrane is gone
 SLOPE_TICKS = 12
 LOOK_AHEAD_TICKS = 4  # from a sample to the place where the tip can be made to stop: two of delay, two of braking
@@ -51,8 +47,7 @@ class CellRun:
         self._s, self._senses, self._z, self._axis = settings, senses, glide, axis
         self._period = period
         self._top = settings.cells[number][2]
-        self._contact = Contact(CONTACT_DRIFT, CONTACT_SUM)
-        self._puncture = Puncture(DROP_TICKS, DROP_SHARE, DROP_NOISE * senses.noise)
+        self._law = z_law(settings, senses, glide, axis, period)
         self._slope = Slope(SLOPE_TICKS)
         self._since = self._decided = 0
         self._zeros: list[float] = []
@@ -145,59 +140,64 @@ class CellRun:
 
     def _tare(self, seen: Observation) -> None:
         if self._senses.tared():
-            self._contact.restart()
             self._go(Phase.SEEK, seen)
-            self._to(seen, self._top + self._s.direction * self._s.deepest, self._s.seek_speed)
+            self._law.search(seen, self._top)
         elif self._senses.dead:
             self.decide(Verdict.SENSOR_DEAD, "the force sensor shows nothing new", seen)
 
     def _seek(self, seen: Observation) -> None:
-        senses = self._senses
-        if senses.fresh and self._contact.take(senses.force / senses.noise):
-            self.result.found, self.result.found_s = senses.place, seen.tick * self._period
-            back = self._contact.onset * self._s.seek_speed * self._period
-            self.result.contact = senses.place - self._s.direction * back
-            self._puncture.restart()
+        self._law.step(seen)
+        contact = self._law.touch()
+        if contact is not None:
+            self.result.found, self.result.found_s = self._senses.place, seen.tick * self._period
+            self.result.contact = contact
             self._slope.restart()
             self._go(Phase.PRESS, seen)
-            self._to(seen, self.result.contact + self._s.direction * self._s.deepest, self._s.press_speed)
-        elif self._rests(seen):
-            self.decide(Verdict.NO_CELL, "no force down to the deepest place", seen)
+            self._law.press(seen, contact)
+        elif self._senses.force > self._s.force_limit:
+            self.decide(Verdict.NOT_PIERCED, "the force limit, before a touch was seen", seen)
+        elif self._law.rests(seen):
+            self.decide(Verdict.NO_CELL, "no touch down to the deepest place", seen)
 
     def _press(self, seen: Observation) -> None:
         senses = self._senses
+        self._law.step(seen)
+        if self._law.pierces():
+            self._pierced(seen)
+            return
         if senses.fresh:
             self._slope.take(senses.place, senses.force)
-            if self._puncture.take(senses.force):
-                self._pierced(seen)
-                return
             ahead = self._slope.value * LOOK_AHEAD_TICKS * self._s.direction * self._s.press_speed * self._period
             if senses.force + max(ahead, 0.0) > self._s.force_limit:
                 self.decide(Verdict.NOT_PIERCED, "the force limit", seen)
                 return
-        if self._rests(seen):
+        if self._law.rests(seen):
             self.decide(Verdict.NOT_PIERCED, "the deepest place", seen)
 
     def _pierced(self, seen: Observation) -> None:
         result = self.result
-        result.pierced, result.pierced_force = self._senses.place, self._puncture.peak
+        result.pierced, result.pierced_force = self._senses.place, self._law.force
         result.pierced_s = seen.tick * self._period
         result.pierced_speed = abs(seen.velocity[self._axis])
-        self._z.stop(seen.ends_ns[self._axis], seen.reference[self._axis])
+        if self._law.stops:
+            self._z.stop(seen.ends_ns[self._axis], seen.reference[self._axis])
         self._go(Phase.FREEZE, seen)
 
     def _freeze(self, seen: Observation) -> None:
         """The tip runs on while it stops: far enough, at times, for the other side of the cell."""
+        if not self._law.stops:
+            self._law.step(seen)
         if seen.tick - self._since == SLIP_TICKS:
-            self._puncture.restart()
+            self._law.forget()
         if seen.tick - self._since > SLIP_TICKS and self._pierces_again(seen):
             return
-        if self._elapsed(seen) < self._s.freeze_s or not self._rests(seen):
+        at_rest = self._rests(seen) if self._law.stops else self._law.rests(seen)
+        if self._elapsed(seen) < self._s.freeze_s or not at_rest:
             return
         self.result.rested = seen.position[self._axis]
         self._go(Phase.ADVANCE, seen)
         depth = (self._z.target - self.result.contact) * self._s.direction
-        if depth < self._s.deposit:
+        if self._law.stops and depth < self._s.deposit:
             self._to(seen, self.result.contact + self._s.direction * self._s.deposit, self._s.press_speed)
 
     def _advance(self, seen: Observation) -> None:
@@ -210,7 +210,7 @@ class CellRun:
             self._go(Phase.PULSE, seen)
 
     def _pierces_again(self, seen: Observation) -> bool:
-        if self._senses.fresh and self._puncture.take(self._senses.force):
+        if self._law.pierces():
             self.decide(Verdict.DOUBLE, "the force dropped a second time", seen)
             return True
         return False

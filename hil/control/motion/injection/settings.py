@@ -7,6 +7,7 @@ from typing import Any
 from hil.control.motion.contract import Surroundings
 
 Range = tuple[float, float]
+Z_LAW_NAMES = ("press", "ramp", "impedance", "visual", "position")  # what each does is in z_laws.py
 _RANGES: dict[str, Range] = {
     "start_above": (1e-6, 0.01),
     "transfer_speed": (1e-5, 1.0),
@@ -18,6 +19,9 @@ _RANGES: dict[str, Range] = {
     "force_limit": (1e-9, 1.0),
     "puncture_force": (0.0, 1.0),
     "pull_limit": (1e-9, 1.0),
+    "force_rate": (1e-9, 10.0),
+    "admittance": (1e-6, 1e3),
+    "stiffness": (1e-3, 1e6),
     "freeze_s": (0.0, 1.0),
     "pulse_s": (0.001, 10.0),
     "dwell_s": (0.0, 60.0),
@@ -35,12 +39,13 @@ class Settings:
     """Lengths in m, forces in N, times in s, speeds in m/s.
 
     cells: rows of place across (two axes) and of the cell's top along the axis of injection. first: number of the one
-    that it begins with, from 1 on; those before it are over. safe: height of the way
-    from cell to cell. start_above: above the expected top, where the search begins. deposit, deepest: behind the first
-    touch. force_limit: most force on the cell. puncture_force: that is expected, for `hil
-    check` alone; 0: not known. pull_limit: of withdrawal. camera_latency_s: from exposure to the first
-    bit of its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where
-    there is none; what they would show is then unknown.
+    that it begins with, from 1 on; those before it are over. safe: height of the way from cell to cell. start_above:
+    above the expected top, where the search begins. deposit, deepest: behind the first touch; deposit counts from the
+    expected top where z_law is impedance or position. z_law: a key of z_laws.py. force_rate: N/s, and admittance:
+    N s/m, of ramp. stiffness: N/m, of impedance. force_limit: most force on the cell. puncture_force: that is expected,
+    for `hil check` alone; 0: not known. pull_limit: of withdrawal. camera_latency_s: from exposure to the first bit of
+    its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where there is
+    none; what they would show is then unknown.
     """
 
     cells: Sequence[Sequence[float]]
@@ -59,6 +64,10 @@ class Settings:
     force_limit: float = 1.4e-3
     puncture_force: float = 0.0
     pull_limit: float = 3e-4
+    z_law: str = "press"
+    force_rate: float = 0.02
+    admittance: float = 0.15
+    stiffness: float = 10.0
     freeze_s: float = 0.012
     pulse_s: float = 0.05
     dwell_s: float = 0.25
@@ -72,6 +81,7 @@ class Settings:
     shift: str = ""
     tip: str = ""
     bolus: str = ""
+    dimple: str = ""
     valve: str = ""
 
 
@@ -97,11 +107,16 @@ def settings(rig: Surroundings, parameters: dict[str, Any]) -> Settings:
 def _check_names(rig: Surroundings, made: Settings) -> None:
     for name, value, there in (
         ("along", made.along, rig.axes), ("force", made.force, rig.sensors), ("shift", made.shift, rig.sensors),
-        ("tip", made.tip, rig.sensors), ("bolus", made.bolus, rig.sensors), ("valve", made.valve, rig.outputs),
+        ("tip", made.tip, rig.sensors), ("bolus", made.bolus, rig.sensors), ("dimple", made.dimple, rig.sensors),
+        ("valve", made.valve, rig.outputs),
     ):  # fmt: skip
-        optional = name in ("shift", "tip", "bolus", "valve")
+        optional = name in ("shift", "tip", "bolus", "dimple", "valve")
         if value not in there and not (optional and value == ""):
             raise ValueError(f"motion.parameters.{name} = {value!r:.40}; the rig has {', '.join(there) or 'none'}")
+    if made.z_law not in Z_LAW_NAMES:
+        raise ValueError(f"motion.parameters.z_law = {made.z_law!r:.40}; allowed: {', '.join(Z_LAW_NAMES)}")
+    if made.z_law == "visual" and not made.dimple:
+        raise ValueError("motion.parameters.dimple = '': z_law = 'visual' needs a sensor of the cell's dimple")
     if len(made.across) != 2 or any(name not in rig.axes or name == made.along for name in made.across):
         raise ValueError(f"motion.parameters.across = {list(made.across)!r:.60}; allowed: two other axes of the rig")
     if made.direction not in (-1, 1):
