@@ -90,6 +90,12 @@ class Access:
             raise PairingError(f"no such code: read the codes on the rig's machine, cat {self.codes_file}")
         self._wrong = 0
         role, *_ = found
+        secret, pairing = self.admit(name, role)
+        self.renew(role)
+        return secret, pairing
+
+    def admit(self, name: str, role: Role) -> tuple[str, Pairing]:
+        """Pair without a code, as whoever owns the folder may: a program's secret. Raises PairingError, OSError."""
         secret = secrets.token_urlsafe(32)
         with self._locked():
             known = self.pairings()
@@ -97,7 +103,6 @@ class Access:
                 raise PairingError(f"{MOST} browsers are paired: revoke one, hil page --revoke NAME")
             pairing = Pairing(_free_name(name, known), role, _digest(secret), time.time())
             self._write([*known, pairing])
-        self.renew(role)
         return secret, pairing
 
     def pairing_of(self, secret: str | None) -> Pairing | None:

@@ -3,6 +3,7 @@
 import contextlib
 import ipaddress
 import os
+import shlex
 import socket
 import ssl
 import sys
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.page.access import Access, spelt
+from hil.page.access import Access, Role, spelt
 
 if TYPE_CHECKING:
     from uvicorn import Config
@@ -49,17 +50,27 @@ def page(
     runs: Annotated[Path, typer.Option(metavar="FOLDER", help="the folder of the runs")] = Path("runs"),
     paired: Annotated[bool, typer.Option("--paired", help="list the paired browsers, and end")] = False,
     revoke: Annotated[str, typer.Option(metavar="NAME", help="take a browser's rights away, and end")] = "",
+    metrics: Annotated[bool, typer.Option("--metrics", help="answer /metrics too, in OpenMetrics")] = False,
+    token: Annotated[
+        str, typer.Option(metavar="NAME", help="print a secret for a program that reads /metrics, and end")
+    ] = "",
 ) -> None:
     """Show rigs in a browser until Ctrl-C. A browser is paired once, by a code that this command prints.
 
     Exit status 69: no port, or the server is not installed; 1: --revoke names no paired browser.
     """
     access = Access(state_folder(), port)
+    if token:
+        secret, pairing = access.admit(token, Role.WATCH)
+        print(f"{pairing.name} may watch, until hil page --revoke {shlex.quote(pairing.name)}", file=sys.stderr)
+        print(secret)
+        return
     if paired or revoke:
         _administer(access, revoke)
         return
+    place = Place(port, bind, tuple(host or ()), certificate, key)
     try:
-        config = configured(access, Place(port, bind, tuple(host or ()), certificate, key), rigs or [], runs)
+        config = configured(access, place, rigs or [], runs, metrics=metrics)
     except ImportError:
         print(_NOT_INSTALLED, file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
@@ -101,12 +112,12 @@ def state_folder() -> Path:
     return (Path(service) if service else home) / "page"
 
 
-def configured(access: Access, place: Place, rigs: list[str], runs: Path) -> "Config":
+def configured(access: Access, place: Place, rigs: list[str], runs: Path, *, metrics: bool = False) -> "Config":
     """The server. Raises ImportError where it is not installed, typer.BadParameter for what cannot be served."""
     from uvicorn import Config
 
     from hil.page.audit import Audit
-    from hil.page.server import PageServer, make_app
+    from hil.page.server import Exposition, PageServer, make_app
 
     certificate, key = place.certificate, place.key
     secure = certificate is not None
@@ -116,7 +127,13 @@ def configured(access: Access, place: Place, rigs: list[str], runs: Path) -> "Co
     if certificate and key:
         _refuse_unusable(certificate, key)
     audit = Audit(access.folder / "audit.jsonl")
-    server = PageServer(access, audit, rigs, runs, cookie=f"hil_page_{place.port}", secure=secure)
+    exposition: Exposition | None = None
+    if metrics:
+        from hil.page import metrics as figures
+
+        exposition = figures.exposition
+    cookie = f"hil_page_{place.port}"
+    server = PageServer(access, audit, rigs, runs, cookie=cookie, secure=secure, exposition=exposition)
     return Config(
         make_app(server, audit, hosts, secure=secure),
         log_level="warning",

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Awaitable, Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
@@ -17,6 +17,14 @@ from hil.page.sidecar_feed import SidecarFeed
 TURN_S: Final = 0.04
 WAITING: Final = 50  # messages for a viewer that does not take them: two seconds
 MOST_CHOSEN: Final = 8  # signals of which a viewer may have every tick
+HEARD_S: Final = 1.0  # a status older than that is none
+
+
+class Heard(NamedTuple):
+    """status: as the page has it (hil/page/words.py); empty: the sidecar is not heard. axes: kind by name."""
+
+    status: dict[str, Any]
+    axes: dict[str, str]
 
 
 class Viewer:
@@ -151,6 +159,11 @@ class Hub:
         }
         found: dict[str, Any] = clean(described)
         return found
+
+    def heard(self) -> Heard:
+        """What is known now, without a viewer."""
+        status = self.sidecar.status if self.sidecar.age_s < HEARD_S else {}
+        return Heard(status, {axis["name"]: axis["kind"] for axis in self.description()["axes"]})
 
     async def close(self) -> None:
         """Let go of everything."""

@@ -20,12 +20,14 @@ from hil.cycle.tick import CommandKind
 from hil.page.access import Access, Pairing, PairingError, Role
 from hil.page.audit import Audit
 from hil.page.guard import Guard
-from hil.page.hub import Hub, Viewer
+from hil.page.hub import Heard, Hub, Viewer
 from hil.page.rig_facts import rig_facts, runs_in
 from hil.page.ring_feed import running_rigs
 from hil.page.stopping import ask, emergency_stop
 
 STATIC: Final = Path(__file__).with_name("static")
+METRICS: Final = "/metrics"
+Exposition = Callable[[dict[str, Heard]], tuple[bytes, str]]
 LARGEST: Final = 4096  # bytes of a request
 VIEWERS: Final = 32
 CHECKED_S: Final = 0.2  # how often an open page's rights are looked at
@@ -42,19 +44,24 @@ class RefusedError(Exception):
 
 
 class PageServer:
-    """rigs: names of those that are shown; empty: all that run here. cookie: its name. secure: over TLS."""
+    """rigs: names of those that are shown; empty: all that run here. cookie: its name. secure: over TLS. exposition:
+    makes the answer to /metrics and its media type; None: nobody may ask for it.
+    """
 
     def __init__(
-        self, access: Access, audit: Audit, rigs: Sequence[str], runs: Path, *, cookie: str, secure: bool
-    ) -> None:
+        self, access: Access, audit: Audit, rigs: Sequence[str], runs: Path, *, cookie: str, secure: bool,
+        exposition: Exposition | None = None,
+    ) -> None:  # fmt: skip
         self._access, self._audit = access, audit
         self._named, self._runs = tuple(rigs), runs
-        self._cookie, self._secure = cookie, secure
+        self._cookie, self._secure, self._exposition = cookie, secure, exposition
         self.hubs: dict[str, Hub] = {}
 
     def routes(self) -> list[BaseRoute]:
         """All there is to ask for."""
+        more = [Route(METRICS, self._answer(self._scrape), methods=["GET"])] if self._exposition else []
         return [
+            *more,
             Route("/", self._answer(self._front), methods=["GET"]),
             Route("/pair", self._answer(self._pair), methods=["POST"]),
             Route("/leave", self._answer(self._leave), methods=["POST"]),
@@ -91,6 +98,9 @@ class PageServer:
         )
 
     def _pairing(self, request: HTTPConnection) -> Pairing | None:
+        scheme, _, secret = request.headers.get("Authorization", "").partition(" ")
+        if self._exposition and request.url.path == METRICS and scheme.lower() == "bearer":
+            return self._access.pairing_of(secret.strip())  # a program's: it looks at figures, and no more
         return self._access.pairing_of(request.cookies.get(self._cookie))
 
     def _may(self, request: HTTPConnection, role: Role) -> Pairing:
@@ -149,6 +159,12 @@ class PageServer:
         self._may(request, Role.WATCH)
         hub = self._hub(self._rig(request))
         return JSONResponse(await asyncio.to_thread(rig_facts, hub.ring.metadata))
+
+    async def _scrape(self, request: Request) -> Response:
+        assert self._exposition is not None
+        self._may(request, Role.WATCH)
+        text, media_type = self._exposition({name: self._hub(name).heard() for name in self.rigs()})
+        return Response(text, media_type=media_type)
 
     async def _estop(self, request: Request) -> Response:
         self._may(request, Role.STOP)
