@@ -20,7 +20,11 @@ from hil.rig.provenance import control_path
 from tests.support.paths import ROOT
 
 KINDS = ("unit", "lockstep", "live-local")
-_WHOLE_LOOPS = ("hil.virtual.lockstep", "hil.studies.fault_campaign")  # what brings virtual time into a test's module
+_WHOLE_LOOPS = (  # what brings virtual time into a module of tests
+    "hil.virtual.lockstep",
+    "hil.studies.fault_campaign",
+    "tests.support.tip",
+)
 
 # What runs the same code in either build, and so once: these read files, sources and tables, or compute on arrays,
 # which the build leaves to the interpreter (deploy/compiled/build.py). Each with the files that do need the build.
