@@ -53,7 +53,8 @@ ROOMS = {
         ("hil/control/trajectories", "hil/control/setpoints.py"),
         ("tests/control/test_rows.py",
          "tests/control/test_trajectories.py", "tests/control/test_setpoints.py", "tests/control/test_fitted_spline.py",
-         "tests/control/test_blends.py", "tests/control/test_task_paths.py", "tests/live/test_task_file.py",
+         "tests/control/test_blends.py", "tests/control/test_task_paths.py", "tests/control/test_path_files.py",
+         "tests/live/test_task_file.py",
          *_RUNS, *_LOCKSTEP),
     ),
     "plans": Room(("hil/control/plans",), ("tests/control/plans",)),
@@ -117,7 +118,7 @@ ROOMS = {
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
         ("tests/rig", "tests/drivers/bus_load", "tests/operate/test_new.py", _PAGES,
-         "tests/control/test_task_paths.py", *_RUNS,
+         "tests/control/test_path_files.py", "tests/control/test_task_paths.py", *_RUNS,
          "tests/drivers/protocols/test_mounting.py", "tests/drivers/families/cia402/test_drive_profiles.py"),
     ),
 }  # fmt: skip
