@@ -1,13 +1,16 @@
 """What every test may lean on: the two rig files, invariants on every tick, private runtime folders."""
 
+import gc
+import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
+from drivers.base.runtime import runtime_dir
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
@@ -28,14 +31,31 @@ __all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configur
 settings.register_profile("repository", deadline=None, derandomize=True)
 settings.load_profile("repository")
 
+_RUNTIME_NUMBERS = itertools.count()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Thousands of tests and their modules live as long as the process: no search for garbage goes through them."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
 
 @pytest.fixture(autouse=True)
-def private_runtime_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """No test meets another's local bus, ring or mailbox."""
-    folder = tmp_path / "run"
-    folder.mkdir(mode=0o700)
+def runtime_of_its_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test meets another's local bus, ring or mailbox. A process that needs the folder makes it."""
+    folder = tmp_path_factory.getbasetemp() / f"run-{next(_RUNTIME_NUMBERS)}"
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(folder))
-    return folder
+
+
+@pytest.fixture
+def private_runtime_dir(runtime_of_its_own: None) -> Path:
+    """The runtime folder of this test, made."""
+    return runtime_dir()
 
 
 @pytest.fixture

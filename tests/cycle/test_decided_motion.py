@@ -23,6 +23,7 @@ from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from tests.support import told_motion
 from tests.support.paths import RIGS
+from tests.support.records import kept
 
 RIG = RIGS / "microscope-ideal.toml"
 TOLD = Path(told_motion.__file__)
@@ -41,7 +42,7 @@ class Decided:
         self.accelerations: list[list[float]] = []
 
         def observe(tick: object, frames: object, result: Any) -> None:
-            self.rows.append(result.record.copy())
+            self.rows.append(kept(result.record))
             self.frames = result.frames
             self.accelerations.append([x.end.acceleration for x in self.run.cycle.inputs])
 

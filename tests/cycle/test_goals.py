@@ -17,6 +17,7 @@ from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from tests.support.paths import RIGS
+from tests.support.records import kept
 
 RIG = RIGS / "microscope-ideal.toml"
 MS = 1_000_000
@@ -33,7 +34,7 @@ class Held:
         self.observer = observer
 
         def observe(tick: object, frames: object, result: object) -> None:
-            self.records.append(result.record.copy())  # type: ignore[attr-defined]
+            self.records.append(kept(result.record))  # type: ignore[attr-defined]
             self.accelerations.append([x.end.acceleration for x in self.run.cycle.inputs])
             if self.observer:
                 self.observer(tick, frames, result)

@@ -24,6 +24,7 @@ from hil.virtual.lockstep import LockstepRun
 from sim_plant.scenario.language import Scenario
 from tests.drivers.bus.test_port import Cable
 from tests.support.paths import ROOT
+from tests.support.records import kept
 
 PAPER = ROOT / "deploy" / "rigs" / "paper.toml"
 PERIOD = 1_000_000
@@ -237,7 +238,7 @@ def test_the_loop_does_what_lockstep_does_with_the_same_ticks(tmp_path, monkeypa
 
     def observe(tick, frames, result):
         ticks.append((tick, list(frames)))
-        results.append((list(result.frames), result.record.copy()))
+        results.append((list(result.frames), kept(result.record)))
 
     rig = load_rig(PAPER, ["timing.realtime=false", "timing.allow_degraded=true", "bus.interface=local"])
     run = LockstepRun(
@@ -255,7 +256,7 @@ def test_the_loop_does_what_lockstep_does_with_the_same_ticks(tmp_path, monkeypa
         loop.pacer = loop._port = loop._mailbox = script
         loop._realtime_ok = True
         ring, append = loop._ring, loop._ring.append
-        monkeypatch.setattr(ring, "append", lambda record: (records.append(record.copy()), append(record)))
+        monkeypatch.setattr(ring, "append", lambda record: (records.append(kept(record)), append(record)))
         for _ in range(len(ticks)):
             loop._tick()
             loop.ticks += 1

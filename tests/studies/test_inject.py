@@ -15,6 +15,7 @@ from hil.studies.inject.equipment import grid, read_positions
 from hil.studies.inject.judge import judged, quantile, wilson
 from hil.virtual.lockstep import LockstepRun
 from tests.support.cells import RIG, RIGS, equipped
+from tests.support.records import kept
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_a_puncture_is_known_within_5_ms_and_the_tip_stops_within_7_ms_of_its_wa
 def test_the_record_tells_phase_cell_verdict_and_valve() -> None:
     rig = equipped(2)
     rows = []
-    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(result.record.copy()))
+    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(kept(result.record)))
     while run.cycle.supervisor.goals.decided.runs or not rows or rows[-1]["motion"] in (0, 7):  # type: ignore[union-attr]
         run.tick()
         assert run.index < 5000

@@ -1,10 +1,26 @@
-"""Records with numbers of one's choice in them, for tests of whatever reads them."""
+"""Records of ticks for tests: kept for later, or with numbers of one's choice in them."""
 
 from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hil.cycle.axes import MotionFilter, axis_inputs  # in the compiled build, those that a rig's cycle works with
 from hil.cycle.record_builder import RecordBuilder
 from hil.cycle.tick import PortCounters, Tick
+
+Records = NDArray[np.void]
+
+
+def kept(record: np.void) -> np.void:
+    """A copy, by its bytes: 1 us. numpy's own copy goes through every field, and takes a sixth of a tick."""
+    copy: np.void = np.frombuffer(bytearray(record.tobytes()), record.dtype)[0]
+    return copy
+
+
+def table(records: Sequence[np.void]) -> Records:
+    """Records one after the other as an array, (n,)."""
+    return np.frombuffer(bytearray().join(record.tobytes() for record in records), records[0].dtype)
 
 
 def put_tick(builder: RecordBuilder, tick: Tick, state: int, *, task_ns: int = -1, faults_active: int = 0) -> None:

@@ -18,6 +18,7 @@ from hil.rig.file import load_rig
 from hil.virtual.lockstep import LockstepRun
 from tests.support import told_motion
 from tests.support.paths import RIGS
+from tests.support.records import kept
 
 RIG = RIGS / "microscope-ideal.toml"
 INSIDE = f"motion.name={Path(told_motion.__file__)}:Inside"
@@ -47,7 +48,7 @@ class TipRun:
         self._events = events_of(self.rig)
 
         def observe(tick: object, frames: object, result: Any) -> None:
-            self.rows.append(result.record.copy())
+            self.rows.append(kept(result.record))
             self.told += self._events.observe(self.run.cycle, result.record)
 
         self.run = LockstepRun(self.rig, RIGS, observer=observe, operator=lambda run, tick: self._say())

@@ -12,6 +12,7 @@ from hil.rig.schema import RigConfig
 from hil.telemetry.cell_watch import FIELDS, MOST_POINTS, CellWatch, Told, Trace
 from hil.virtual.lockstep import LockstepRun
 from tests.support.cells import RIGS, equipped
+from tests.support.records import kept, table
 
 KINDS = ("", "no_cell", "not_pierced", "clogged")
 
@@ -21,14 +22,14 @@ def ran() -> tuple[RigConfig, np.ndarray, list[CellResult]]:
     """The records of a batch, and the motion's own results."""
     rig = equipped(4, anomalies=KINDS)
     rows: list[np.void] = []
-    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(result.record.copy()))
+    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(kept(result.record)))
     decided = run.cycle.supervisor.goals.decided
     assert decided is not None
     while decided.runs or len(decided.motion.results) < len(KINDS):
         run.tick()
         assert run.index < 8000
     run.tick()
-    return rig, np.array(rows, RECORD), decided.motion.results
+    return rig, table(rows), decided.motion.results
 
 
 def told_by(rig: RigConfig, records: np.ndarray, size: int, **more: Any) -> tuple[list[Told], CellWatch]:

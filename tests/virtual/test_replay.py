@@ -26,6 +26,7 @@ from hil.virtual.replay_command import _show_replay
 from hil.virtual.sim import simulate
 from tests.support.earlier_layout import Change, unchanged, write_earlier
 from tests.support.paths import ROOT
+from tests.support.records import kept, table
 
 RIG_FILE = ROOT / "deploy" / "rigs" / "microscope-ideal.toml"
 SECONDS = 1.2
@@ -45,11 +46,11 @@ def both(rig: RigConfig, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 
     def observe(tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
         recorder.observe(tick, frames, result)
-        records.append(result.record.copy())
+        records.append(kept(result.record))
 
     simulate(rig, RIG_FILE.parent, SECONDS, observer=observe)
     recorder.close()
-    return path, np.array(records)
+    return path, table(records)
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from hil.virtual.replay import replay_run
 from sim_plant.scenario.language import Scenario
 from tests.support.judged import analysed
 from tests.support.paths import RIGS
+from tests.support.records import kept
 
 FORCE = 'sensors.force={can_id=0x3F1, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}'
 # Punctured at 0.86 mN; the sensor's amplifier shows the fall within 3 ms.
@@ -40,7 +41,7 @@ class Kept:
         self.run = LockstepRun(rig, RIGS, observer=self._observe, scenario=scenario)
 
     def _observe(self, tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
-        self.rows.append(result.record.copy())
+        self.rows.append(kept(result.record))
 
     def ticks(self, count: int) -> "Kept":
         for _ in range(count):

@@ -24,6 +24,7 @@ from sim_plant.config import PlantError
 from sim_plant.scenario.language import KINDS, FaultConfig, Scenario
 from tests.golden.golden import sha256
 from tests.support.paths import RIGS
+from tests.support.records import kept, table
 
 TICKS = 400
 RIGS_OF_STORIES: dict[str, tuple[str, list[str]]] = {
@@ -144,7 +145,7 @@ def tell_and_latched(story: str) -> tuple[list[str], set[Fault]]:
         return [*asked, CommandKind.HEARTBEAT] if index % 30 == 0 else asked
 
     def observe(tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
-        records.append(result.record.copy())
+        records.append(kept(result.record))
         told.extend(stream.observe(run.cycle, result.record))
         latched.add(run.cycle.fault)
 
@@ -171,7 +172,7 @@ def tell_and_latched(story: str) -> tuple[list[str], set[Fault]]:
         "orders: " + ", ".join(f"{order.name} at tick {tick}" for tick, order in sorted(orders.items())),
         f"ticks lost: {', '.join(held_up) or 'none'}",
         *map(_line, told),
-        *_ends(np.array(records), rig.axis_names),
+        *_ends(table(records), rig.axis_names),
         f"sha256 of all frames: {run.trace_sha256[:16]}",
     ]
     return lines, latched - {Fault.NONE}
