@@ -14,6 +14,7 @@ from drivers.base.runtime import runtime_dir
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.virtual.invariants import Invariants
+from tests.support.command_line import CommandLine, command_line
 from tests.support.lanes import (
     pytest_addoption,
     pytest_collection_modifyitems,
@@ -56,6 +57,12 @@ def runtime_of_its_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: py
 def private_runtime_dir(runtime_of_its_own: None) -> Path:
     """The runtime folder of this test, made."""
     return runtime_dir()
+
+
+@pytest.fixture
+def hil_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> CommandLine:
+    """`hil WORDS` in this process."""
+    return command_line(capsys, monkeypatch)
 
 
 @pytest.fixture

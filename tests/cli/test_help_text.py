@@ -9,12 +9,9 @@ import typer
 
 from hil.cli.app import COMMANDS, build_app, run
 from hil.cli.help_text import present_spelling
+from tests.support.command_line import CommandLine
 
 NAMES = [name for group in COMMANDS.values() for name in group if name != "run"]  # run parses its own arguments
-
-
-def hil(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "hil", *words], capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -34,14 +31,14 @@ def test_help_shows_every_bracket_of_its_texts(
 
 
 def test_the_first_screen_says_what_hil_is_and_has_every_command_in_a_group() -> None:
-    text = hil("--help").stdout
+    text = subprocess.run([sys.executable, "-m", "hil", "--help"], capture_output=True, text=True, check=True).stdout
     assert "controls a cell-injection stage" in text
     assert [group for group in COMMANDS if f"─ {group} ─" not in text] == []
     assert [name for group in COMMANDS.values() for name in group if f"│ {name} " not in text] == []
 
 
-def test_types_are_words() -> None:
-    text = hil("sweep", "--help").stdout
+def test_types_are_words(hil_here: CommandLine) -> None:
+    text = hil_here("sweep", "--help").stdout
     assert "NUMBER from 1 to" in text
     assert not re.search(r"<(int|float|str|path|bool|list)", text)
 
@@ -67,11 +64,11 @@ def test_json_without_a_file_is_standard_output(words: list[str], taken: list[st
     assert present_spelling(words) == (taken, [])
 
 
-def test_a_misspelt_name_gets_the_nearest_one() -> None:
-    assert "Did you mean 'check'?" in hil("chek", "paper").stderr
-    assert hil("check", "microscop").stderr == "hil: microscop: no such file; did you mean microscope?\n"
+def test_a_misspelt_name_gets_the_nearest_one(hil_here: CommandLine) -> None:
+    assert "Did you mean 'check'?" in hil_here("chek", "paper").stderr
+    assert hil_here("check", "microscop").stderr == "hil: microscop: no such file; did you mean microscope?\n"
 
 
-def test_rigs_lists_what_can_stand_for_a_rig() -> None:
-    text = hil("rigs").stdout
+def test_rigs_lists_what_can_stand_for_a_rig(hil_here: CommandLine) -> None:
+    text = hil_here("rigs").stdout
     assert re.search(r"^microscope +x y z theta +1000 Hz +stage_fd +presliding-kalman", text, re.MULTILINE)

@@ -15,6 +15,7 @@ from hil.cli.output import PICTURES
 from hil.live.runtime_paths import known_sidecars
 from hil.rig.file import load_rig
 from hil.studies.tune.search import write_gains
+from tests.support.command_line import CommandLine
 from tests.support.paths import ROOT
 
 PAPER = ROOT / "deploy" / "rigs" / "paper.toml"
@@ -65,21 +66,28 @@ def test_every_picture_that_is_not_refused_can_be_drawn(tmp_path: Path) -> None:
         Figure(figsize=(1, 1)).savefig(tmp_path / f"x{suffix.upper()}")
 
 
-def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path, hil_here: CommandLine) -> None:
     (tmp_path / "file").touch()
-    command = [sys.executable, "-m", "hil", "sweep", str(PAPER), "--plants", "1", "--out", str(tmp_path / "file/in")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    result = hil_here("sweep", str(PAPER), "--plants", "1", "--out", str(tmp_path / "file/in"))
     assert result.returncode == EXIT_FILE
     assert result.stderr == f"hil: {tmp_path}/file/in: Not a directory\n"
 
 
-@pytest.mark.parametrize(
-    "words", [["monitor", "--once"], ["command", str(PAPER), "stop"], ["sidecar", str(PAPER)], ["blackbox", str(PAPER)]]
-)
-def test_a_runtime_directory_that_cannot_be_made_is_named_in_one_line(tmp_path: Path, words: list[str]) -> None:
+@pytest.mark.parametrize("words", [["monitor", "--once"], ["command", str(PAPER), "stop"], ["blackbox", str(PAPER)]])
+def test_a_runtime_directory_that_cannot_be_made_is_named_in_one_line(
+    tmp_path: Path, words: list[str], hil_here: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "file/in/it"))
+    result = hil_here(*words)
+    assert result.returncode == EXIT_UNAVAILABLE
+    assert result.stderr == f"hil: runtime directory {tmp_path}/file/in/it: Not a directory; set HIL_RUNTIME_DIR\n"
+
+
+def test_nor_does_a_sidecar_begin_without_one(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     result = subprocess.run(
-        [sys.executable, "-m", "hil", *words],
+        [sys.executable, "-m", "hil", "sidecar", str(PAPER)],
         env={**os.environ, "HIL_RUNTIME_DIR": str(tmp_path / "file/in/it")},
         capture_output=True,
         text=True,

@@ -14,6 +14,7 @@ from hil.runs import listed
 from hil.runs.facts import facts_of
 from hil.runs.kept import kept_run, kept_runs
 from hil.runs.summary import load_run, summarise
+from tests.support.command_line import CommandLine
 from tests.support.listed import EVIL, command, documents, known, put
 from tests.support.paths import ROOT
 
@@ -169,10 +170,10 @@ def test_names_from_a_disk_do_not_command_a_terminal(runs: Path, recording: Path
     assert len(json.loads(command("--json", "-").stdout)) == 2
 
 
-def test_a_folder_without_runs_and_none_at_all(runs: Path) -> None:
+def test_a_folder_without_runs_and_none_at_all(runs: Path, hil_here: CommandLine) -> None:
     assert command().output == "0 runs in runs\n"
     runs.rmdir()
-    done = subprocess.run([sys.executable, "-m", "hil", "runs"], capture_output=True, text=True, check=False)
+    done = hil_here("runs")
     assert (done.returncode, done.stderr) == (74, "hil: runs/: no run here; make one: hil demo\n")
 
 

@@ -1,13 +1,12 @@
 """Notes on runs: where they go, what is refused, and what a damaged one costs."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from hil.runs.kept import kept_run
 from hil.runs.note import LONGEST, Note, note_of, write_note
+from tests.support.command_line import CommandLine
 from tests.support.listed import EVIL, command, documents, put
 
 
@@ -62,8 +61,6 @@ def test_a_damaged_note_is_said(text: str, runs: Path, recording: Path) -> None:
     assert done.exit_code == 74
 
 
-def test_a_note_on_what_is_no_run_is_refused(runs: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "runs", "note", "runs", "x"], capture_output=True, text=True, check=False
-    )
+def test_a_note_on_what_is_no_run_is_refused(runs: Path, hil_here: CommandLine) -> None:
+    done = hil_here("runs", "note", "runs", "x")
     assert (done.returncode, done.stderr) == (74, "hil: runs: no run.mcap or blackbox.mcap of a run\n")

@@ -1,8 +1,6 @@
 """Replay: the same frames in give the same torque frames out, byte for byte; and any difference is found."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +22,7 @@ from hil.telemetry.tick_schema import TickSchema
 from hil.virtual.replay import Replayed, exact_motion, replay_run
 from hil.virtual.replay_command import _show_replay
 from hil.virtual.sim import simulate
+from tests.support.command_line import CommandLine
 from tests.support.earlier_layout import Change, unchanged, write_earlier
 from tests.support.paths import ROOT
 from tests.support.records import kept, table
@@ -113,9 +112,11 @@ def test_a_changed_sample_changes_the_torque(both: tuple[Path, np.ndarray], tmp_
     assert replay_run(rewritten(both, tmp_path / "x.mcap", shift)).different > 0
 
 
-def test_a_replay_that_compared_nothing_says_so_and_fails(both: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+def test_a_replay_that_compared_nothing_says_so_and_fails(
+    both: tuple[Path, np.ndarray], tmp_path: Path, hil_here: CommandLine
+) -> None:
     empty = rewritten(both, tmp_path / "empty.mcap", lambda message, number: None)
-    done = subprocess.run([sys.executable, "-m", "hil", "replay", str(empty)], capture_output=True, text=True, cwd=ROOT)
+    done = hil_here("replay", str(empty))
     assert done.returncode == 1
     assert "nothing was compared" in done.stdout
     assert "every torque frame is the same" not in done.stdout
@@ -161,21 +162,23 @@ def test_a_recording_with_any_bit_wrong_is_replayed_up_to_there_or_refused_but_n
 
 @pytest.mark.parametrize(("digit", "other"), [(b'"bandwidth": [0.2573', b"4"), (b'"rate_hz": 1000.0', b"2")])
 def test_a_rig_with_one_digit_changed_is_refused_and_not_blamed_on_the_cycle(
-    both: tuple[Path, np.ndarray], tmp_path: Path, digit: bytes, other: bytes
+    both: tuple[Path, np.ndarray], tmp_path: Path, digit: bytes, other: bytes, hil_here: CommandLine
 ) -> None:
     described = json.dumps(Recording(both[0]).metadata).encode()
     assert digit in described
     path = tmp_path / "edited.mcap"
     write_earlier(path, json.loads(described.replace(digit, digit[:-1] + other, 1)), both[1])
-    result = hil("replay", str(path))
+    result = hil_here("replay", str(path))
     assert result.returncode == 1
     assert result.stderr.startswith(f"hil replay: {path}: its rig does not have the hash that was recorded with it")
 
 
-def test_one_damaged_description_of_two_is_told_and_costs_nothing(recording: Path, tmp_path: Path) -> None:
+def test_one_damaged_description_of_two_is_told_and_costs_nothing(
+    recording: Path, tmp_path: Path, hil_here: CommandLine
+) -> None:
     path = tmp_path / "flipped.mcap"
     path.write_bytes(recording.read_bytes().replace(b'"rate_hz": 1000.0', b'"rate_hz": 2000.0', 1))
-    result = hil("replay", str(path))
+    result = hil_here("replay", str(path))
     assert result.returncode == 1
     assert "1200 ticks" in result.stdout
     assert "the file is damaged" in result.stdout
@@ -244,22 +247,18 @@ def test_another_law_is_shown_by_what_it_would_have_asked_for(recording: Path) -
 
 
 @pytest.mark.long
-def test_the_command_writes_its_report_and_its_exit_status_tells(recording: Path, tmp_path: Path) -> None:
-    result = hil("replay", str(recording), "--json", "-")
+def test_the_command_writes_its_report_and_its_exit_status_tells(
+    recording: Path, tmp_path: Path, hil_here: CommandLine
+) -> None:
+    result = hil_here("replay", str(recording), "--json", "-")
     report = json.loads(result.stdout)
     assert (result.returncode, report["ticks"], report["different"]) == (0, 1200, 0)
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"nothing")
-    result = hil("replay", str(bad))
+    result = hil_here("replay", str(bad))
     assert result.returncode == 1
     assert "bad.mcap: not a recording" in result.stderr
     assert "Traceback" not in result.stderr
-
-
-def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "hil", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
-    )
 
 
 def test_a_summary_is_made_of_what_was_recorded(recording: Path, rig: RigConfig) -> None:
