@@ -40,6 +40,14 @@ class PlantError(ArithmeticError):
     """Numbers in [plant] that are valid one by one but whose motion cannot be integrated."""
 
 
+def diverged(at_ns: int) -> PlantError:
+    """Of a stage whose motion is no number any more."""
+    return PlantError(
+        f"[plant]: at {at_ns * 1e-9:.3f} s the emulated motion is no longer finite; its masses, friction, "
+        "ripple or forces lie beyond what can be integrated in steps of a millisecond"
+    )
+
+
 class CellConfig(Table):
     """[[plant.cells]]: a membrane in front of the pipette, F = stiffness * depth^3 until it is pierced."""
 

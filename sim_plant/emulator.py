@@ -4,7 +4,7 @@ At the reception of a command frame all drives sample their encoders, answer, an
 forces.
 """
 
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from heapq import heappop, heappush
 from pathlib import Path
@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.config import BusConfig, DrivesConfig
-from drivers.frame import SEGMENT, Frame, on_segment, segment_of
+from drivers.frame import SEGMENT, Frame, segment_of
 from drivers.protocols.base import Command, DriveStatus, Reject, Sample
 from drivers.protocols.mounting import Mounting, is_straight
 from drivers.protocols.segments import segments_of
-from sim_plant.config import PlantConfig, PlantError
-from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings
-from sim_plant.drives.servo import NEVER_NS, ServoDrive, Switches
+from sim_plant.config import PlantConfig, diverged
+from sim_plant.drives.installed import SPOKEN, DriveNode, installed_drives, installed_mountings, installed_servos
+from sim_plant.drives.lines import AllBut, Lines
+from sim_plant.drives.servo import NEVER_NS
 from sim_plant.drives.sides import drives_side
 from sim_plant.nodes.output import OutputNode
 from sim_plant.nodes.sensor import SensorNode
@@ -28,20 +29,9 @@ from sim_plant.physics.stage import Truth, per_axis_array
 from sim_plant.user_stage import stage_of
 
 Array = NDArray[np.float64]
-FrameTap = Callable[[int, Frame], Iterable[Frame]]  # (axis, its frame) -> what it sends instead
 
 _BRAKE = int(DriveStatus.BRAKE)
 _LONGEST_NS = 100_000_000  # of one integration: what `position` has to make up for stays bounded
-
-
-class AllBut:
-    """An acceptance filter that lets all identifiers through but those in `ids` at the time, of which `shared` pass."""
-
-    def __init__(self, ids: Container[int], shared: Container[int]) -> None:
-        self._ids, self._shared = ids, shared
-
-    def __contains__(self, can_id: object) -> bool:
-        return can_id not in self._ids or can_id in self._shared
 
 
 class EmulatedStage:
@@ -79,13 +69,11 @@ class EmulatedStage:
         if self._mountings:
             rated_force = [force / mounting.gear for force, mounting in zip(rated_force, mountings, strict=True)]
         self.axis_names = list(axis_names)
-        self.now_ns = start_ns
-        self._physics_ns = start_ns
+        self.now_ns = self._physics_ns = start_ns
         self.commands = 0
         self.rejected: dict[Reject, int] = dict.fromkeys(Reject, 0)
-        self.frame_taps: list[FrameTap] = []
-        self._segments = [axes for axes, _ in segments_of(bus, n_axes)]
-        self._segment_numbers = [number for number, axes in enumerate(self._segments) for _ in axes]
+        self._lines = Lines(axis_names, [axes for axes, _ in segments_of(bus, n_axes)])
+        self.frame_taps = self._lines.taps
         nodes = bus.protocol in SPOKEN.values() or plant.drive is not None
         self._protocol = None if nodes else drives_side(bus, n_axes, rated_force, base_dir)
         self._frames_of = getattr(self._protocol, "frames_of", self._feedback_alone)
@@ -98,39 +86,23 @@ class EmulatedStage:
         self.dish = Dish(plant.dish, axis_names) if plant.dish else None
         self.outputs = list(outputs)
         self._output_ids = {node.output_id: node for node in outputs}
-        self.drives = self._make_drives(plant, drives or DrivesConfig(), rated_force)
-        for entry in plant.switches:
-            self.drives[self.axis_names.index(entry.axis)].switches = Switches(
-                **entry.model_dump(exclude={"axis"}, exclude_none=True)
-            )
+        modulus = int(getattr(self._protocol, "sequence_modulus", 0))
+        self.drives = installed_servos(plant, drives or DrivesConfig(), axis_names, rated_force, modulus)
         positions = [partial(self._position_at_drive, axis) for axis in range(n_axes)]
         self._nodes = installed_drives(bus, plant.drive, base_dir, self.drives, positions, start_ns) if nodes else []
         self.fd = bool(getattr(self._protocol, "fd", False)) or True in [node.fd for node in self._nodes]
         self._brake_force = per_axis_array("plant.brake_force", plant.brake_force, n_axes).tolist()
-        self._jam = [0.0] * n_axes
-        self._push = [0.0] * n_axes
-        self._force = [0.0] * n_axes
+        self._jam, self._push, self._force = [0.0] * n_axes, [0.0] * n_axes, [0.0] * n_axes
         self.sampled = self._stage.positions, self._stage.velocities
         self.sensors = list(sensors)
-        self._senders: dict[int, str] = {sensor.can_id: sensor.name for sensor in sensors}
+        self._lines.senders.update({sensor.can_id: sensor.name for sensor in sensors})
         shared = frozenset(node.node_id for node in self._nodes if getattr(node, "answers_as_asked", False))
-        self.acceptance = AllBut(self._senders, shared)
+        self.acceptance = AllBut(self._lines.senders, shared)
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._planned = 0
         self._clamp: list[float] = []
         self._deadline_ns = NEVER_NS
         self._update()
-
-    def _make_drives(self, plant: PlantConfig, config: DrivesConfig, rated_force: Sequence[float]) -> list[ServoDrive]:
-        n_axes = len(self.axis_names)
-        resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
-        brake = per_axis_array("drives.brake", config.brake, n_axes).astype(bool).tolist()
-        modulus = int(getattr(self._protocol, "sequence_modulus", 0))
-        watchdog_ns = round(config.watchdog_s * 1e9)
-        return [
-            ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
-            for axis in range(n_axes)
-        ]
 
     # what is true ----------------------------------------------------------------------------------------------------
 
@@ -265,7 +237,7 @@ class EmulatedStage:
         if sampling:
             self._run_physics()
             self._note_sampling_of(sampling)
-        frames = [f for node in self._nodes for f in self._from_axis(node.servo.axis, node.advance(self.now_ns))]
+        frames = [f for node in self._nodes for f in self._lines.leaving(node.servo.axis, node.advance(self.now_ns))]
         if sampling:
             self._update()  # a drive may have entered operation
         return [*frames, *self._from_sensors()] if self.sensors else frames
@@ -279,17 +251,11 @@ class EmulatedStage:
                 else:
                     self.dish.advance(self._stage, self._physics_ns, self.now_ns - self._physics_ns, self._force)
             except (ValueError, OverflowError):  # a sine or a rounding of what is no number any more
-                raise self._diverged() from None
+                raise diverged(self.now_ns) from None
             total = sum(self._stage.positions)
             if total - total != 0.0:
-                raise self._diverged()
+                raise diverged(self.now_ns)
             self._physics_ns = self.now_ns
-
-    def _diverged(self) -> PlantError:
-        return PlantError(
-            f"[plant]: at {self.now_ns * 1e-9:.3f} s the emulated motion is no longer finite; its masses, friction, "
-            "ripple or forces lie beyond what can be integrated in steps of a millisecond"
-        )
 
     def _update(self) -> None:
         """Carry the drives' forces, brakes and deadlines over to physics."""
@@ -362,23 +328,16 @@ class EmulatedStage:
         if isinstance(command, Reject):
             self.rejected[command] += 1
             if command is Reject.INVALID_VALUE:  # it arrived intact and asks for the impossible: the host is broken
-                return self._fail(self._on_segment(frame), frame.timestamp_ns)
+                return self._fail(self._lines.reached_by(frame), frame.timestamp_ns)
             return []
         due = self.advance(frame.timestamp_ns)
         self._run_physics()
-        answers = self._obey(command, self._on_segment(frame))
+        answers = self._obey(command, self._lines.reached_by(frame))
         return [*due, *answers] if due else answers
-
-    def _on_segment(self, frame: Frame) -> range:
-        """The axes whose drives a frame comes to."""
-        if len(self._segments) == 1:
-            return self._segments[0]
-        segment = segment_of(frame)
-        return self._segments[segment] if segment < len(self._segments) else range(0)
 
     def sender_of(self, answer: Frame) -> str:
         """Name of the axis whose drive, or of the sensor that, sent this answer."""
-        return self._senders[answer.can_id]
+        return self._lines.senders[answer.can_id]
 
     def _fail(self, axes: range, now_ns: int) -> list[Frame]:
         due = self.advance(now_ns)
@@ -391,7 +350,7 @@ class EmulatedStage:
     def _obey(self, command: Command, axes: range) -> list[Frame]:
         now_ns = self.now_ns
         if len(axes) == len(self.drives):
-            self._note_sampling()
+            self.sampled = self._stage.positions, self._stage.velocities
         else:
             self._note_sampling_of(axes)
         positions = self._stage.readings()
@@ -404,7 +363,7 @@ class EmulatedStage:
             drive = self.drives[axis]
             if drive.on_command(forces[axis], bool(enable >> axis & 1), reset, sequence, now_ns):
                 sample = drive.sample(positions[axis], now_ns)
-                answers += self._from_axis(axis, frames_of(sample))
+                answers += self._lines.leaving(axis, frames_of(sample))
                 self.commands += axis == 0
         self._update()
         return answers
@@ -414,10 +373,10 @@ class EmulatedStage:
         self._run_physics()
         heard = Frame(frame.can_id, frame.data, frame.flags & ~SEGMENT, self.now_ns)
         obeyed_ns, sampled_ns = self.drives[0].last_command_ns, [node.sampled_ns for node in self._nodes]
-        axes = self._on_segment(frame)
+        axes = self._lines.reached_by(frame)
         for node in self._nodes:
             if node.servo.axis in axes:
-                answers += self._from_axis(node.servo.axis, node.on_frame(heard))
+                answers += self._lines.leaving(node.servo.axis, node.on_frame(heard))
         self.commands += self.drives[0].last_command_ns != obeyed_ns
         # Also at a SYNC whose torques were lost
         sampling = [
@@ -433,22 +392,9 @@ class EmulatedStage:
         assert self._protocol is not None
         return [self._protocol.encode_feedback(sample)]
 
-    def _note_sampling(self) -> None:
-        self.sampled = self._stage.positions, self._stage.velocities
-
     def _note_sampling_of(self, axes: Sequence[int]) -> None:
         """Of drives that sample each in its own time."""
         positions, velocities = list(self.sampled[0]), list(self.sampled[1])
         for axis in axes:
             positions[axis], velocities[axis] = self._stage.positions[axis], self._stage.velocities[axis]
         self.sampled = positions, velocities
-
-    def _from_axis(self, axis: int, frames: Iterable[Frame]) -> Iterable[Frame]:
-        """What leaves the drive in place of these frames."""
-        for tap in self.frame_taps:
-            frames = [changed for frame in frames for changed in tap(axis, frame)]
-        if len(self._segments) > 1:
-            frames = [on_segment(frame, self._segment_numbers[axis]) for frame in frames]
-        for frame in frames:
-            self._senders[frame.can_id] = self.axis_names[axis]
-        return frames

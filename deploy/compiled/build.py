@@ -70,7 +70,7 @@ drivers/protocols: base checksum common sampling_clock
 drivers/sensors: base hil_frame
 drivers/wire: node segment wire
 sim_plant: emulator
-sim_plant/drives: servo stage
+sim_plant/drives: lines servo stage
 sim_plant/physics: exact_trigonometry noise
 """
 

@@ -6,11 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from drivers.config import LAYOUT_KIND, BusConfig
+from drivers.config import LAYOUT_KIND, BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols.mounting import Mounting
-from sim_plant.config import EmulatedDriveConfig
-from sim_plant.drives.servo import ServoDrive
+from sim_plant.config import EmulatedDriveConfig, PlantConfig
+from sim_plant.drives.servo import ServoDrive, Switches
+from sim_plant.physics.stage import per_axis_array
 
 Position = Callable[[], float]
 MIT = ("damiao", "cubemars", "robstride")
@@ -48,6 +49,28 @@ def installed_mountings(config: EmulatedDriveConfig | None, n_axes: int) -> list
         if count != n_axes and not (name == "nodes" and not count):
             raise ValueError(f"plant.drive.{name} has {count} values for {n_axes} axes")
     return [Mounting(1 if turn > 0 else -1, 2.0 * math.pi / abs(turn), 0) for turn in config.turn]
+
+
+def installed_servos(
+    plant: PlantConfig, config: DrivesConfig, axis_names: Sequence[str], rated_force: Sequence[float], modulus: int
+) -> list[ServoDrive]:
+    """What every drive is inside, in bus order, with its limit switches.
+
+    rated_force: N per axis. modulus: of the layout's sequence number; 0: it has none. Raises ValueError where a list
+    does not fit the axes.
+    """
+    n_axes = len(axis_names)
+    resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
+    brake = per_axis_array("drives.brake", config.brake, n_axes).astype(bool).tolist()
+    watchdog_ns = round(config.watchdog_s * 1e9)
+    servos = [
+        ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
+        for axis in range(n_axes)
+    ]
+    for entry in plant.switches:
+        switches = Switches(**entry.model_dump(exclude={"axis"}, exclude_none=True))
+        servos[list(axis_names).index(entry.axis)].switches = switches
+    return servos
 
 
 def installed_drives(
