@@ -3,7 +3,7 @@
 from drivers.protocols.base import DriveStatus
 from hil.analysis.feasibility import FORCE_MARGIN, travel_margin
 from hil.control.plans.axis_plan import MotionLimits
-from hil.cycle.fault_monitor import AxisLimits
+from hil.cycle.fault_evidence import AxisLimits
 from hil.cycle.gate import ForceLimits
 from hil.rig.layout import LIMITS
 from hil.rig.schema import RigConfig

@@ -21,7 +21,7 @@ from mypy_extensions import i64
 from drivers.frame import Frame
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws.base import LawInputs
-from hil.cycle.fault_monitor import Evidence
+from hil.cycle.fault_evidence import Evidence
 from hil.cycle.goal import Goal
 from hil.cycle.record import (
     COMMAND,

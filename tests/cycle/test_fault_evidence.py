@@ -7,7 +7,8 @@ import pytest
 
 from drivers.bus.counters import BusState
 from drivers.protocols.base import DriveStatus
-from hil.cycle.fault_monitor import NO_ACK_TICKS, Evidence
+from hil.cycle.fault_evidence import Evidence
+from hil.cycle.fault_monitor import NO_ACK_TICKS
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
 from hil.cycle.state_machine import State

@@ -17,7 +17,8 @@ from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, Sample
 from hil.cycle import fault_monitor
-from hil.cycle.fault_monitor import AxisLimits, FaultMonitor
+from hil.cycle.fault_evidence import AxisLimits
+from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import State

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.frame import Frame
-from hil.cycle.fault_monitor import Evidence
+from hil.cycle.fault_evidence import Evidence
 from hil.cycle.record import (
     MAX_COMMANDS,
     MAX_EVIDENCE,

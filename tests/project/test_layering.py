@@ -47,8 +47,8 @@ FILES = {
     ),
     "cycle": (
         "step supervisor withdrawal goal_desk decided_motion commissioning axes record_builder limits damped_stop "
-        "sampling drive_clock reading_faults fault_monitor rest_watch travel oscillation fault_table inbox readings "
-        "record gate output_gate command_desk state_machine tick goal"
+        "sampling drive_clock reading_faults fault_monitor rest_watch travel oscillation fault_evidence fault_table "
+        "inbox readings record gate output_gate command_desk state_machine tick goal"
     ),
 }
 # A law that looks at all axes at once is one on arrays, in the compiled build too: there, hil/floats has every other
