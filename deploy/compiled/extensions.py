@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from mypyc.build import mypycify
-from setuptools import setup
+from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 # The same bits as the interpreter's: no multiplication and addition fused into one rounding, as compilers do unasked
 # where the processor can (arm64), no instructions beyond the architecture's base, no -ffast-math. What no other library
 # may replace, the compiler may put in place of its call.
 FLAGS = ["-ffp-contract=off", "-g0", "-fvisibility=hidden"]
+NATIVE = "drivers.native.path"  # written in C
 _HOW = (Path(__file__), Path(__file__).resolve().parents[2] / "requirements.lock")  # what changes every object
 
 
@@ -55,6 +56,7 @@ def main() -> None:
     extensions = mypycify(options, opt_level="2", multi_file=True)
     for extension in extensions:
         extension.extra_compile_args = extension.extra_compile_args + FLAGS  # a list that all of them share
+    extensions.append(Extension(NATIVE, [NATIVE.replace(".", "/") + ".c"], extra_compile_args=["-O2", *FLAGS]))
     setup(
         name="hil-compiled", packages=[], py_modules=[], ext_modules=extensions, cmdclass={"build_ext": SideBySide},
         script_args=["-q", "build_ext", "--inplace"],

@@ -11,15 +11,14 @@ from typing import Final
 from drivers.bus.recvmmsg import (
     CONTROL_BYTES,
     CONTROL_LENGTH_AT,
-    DONT_WAIT,
     FLAGS_GAP,
     HEADER_BYTES,
     SLOTS,
     MessageMemory,
-    failed,
-    recvmmsg,
+    receive,
 )
 from drivers.frame import CANFD_MTU, ECHO, ERROR, FD, FD_LENGTHS, Frame
+from drivers.native import path as native
 
 Result = tuple[int, int, int]
 Contents = tuple[int, int, int, int, bytes, int, int, int, int]
@@ -67,9 +66,12 @@ class ReceiveBlock:
     def __init__(self, size: int) -> None:
         """size: of the messages that the fast path is for, CAN_MTU or CANFD_MTU."""
         self._mark = FD if size == CANFD_MTU else 0
+        self._size = size
         self.count = 0  # messages received last
-        self._memory = memory = MessageMemory(CANFD_MTU, size)  # kept: `address` leads to all of it
-        self._recvmmsg, self._address = recvmmsg, memory.address
+        self._memory = memory = MessageMemory(CANFD_MTU, size)  # kept: `target` leads to all of it
+        self._receive, self._target = receive, memory.target
+        self._headers, self._slots = memory.headers, memory.slots
+        self._native: Callable[..., list[Frame] | None] | None = native.frames if native else None
         # Everything by the number of messages, so that a tick cuts nothing out of anything.
         self._parts: list[Parts] = []
         for count in range(SLOTS + 1):
@@ -90,8 +92,7 @@ class ReceiveBlock:
     def receive(self, fd: int) -> int:
         """Take up to SLOTS queued messages; how many. Raises OSError as recvmsg(2) does, but returns 0 for none."""
         self.count = 0
-        count = self._recvmmsg(fd, self._address, SLOTS, DONT_WAIT, None)
-        self.count = count if count >= 0 else failed()
+        self.count = self._receive(fd, self._target, SLOTS)
         return self.count
 
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
@@ -106,6 +107,15 @@ class ReceiveBlock:
         count = self.receive(fd)
         if not 0 < count < SLOTS:
             return None if count else []
+        if self._native is None:
+            return self._plain_frames(count, offset_ns, earliest_ns, latest_ns)
+        return self._native(
+            self._headers, self._slots, count, Frame, self._size, self._head, self._flags,
+            offset_ns, earliest_ns, latest_ns,
+        )  # fmt: skip
+
+    def _plain_frames(self, count: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
+        """The same in Python: of `count` messages, which are in the memory."""
         used, plain, fresh, slots = self._parts[count]
         if used.tobytes() != plain or latest_ns - earliest_ns >= _SECOND:  # one comparison is quicker than parsing
             return None

@@ -12,6 +12,8 @@ import struct
 from collections.abc import Callable
 from typing import Any, Final
 
+from drivers.native import path as native
+
 SLOTS: Final = 32  # messages per system call
 
 SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; Python's socket module has no names for these two
@@ -46,24 +48,31 @@ CONTROL_LENGTH_AT: Final = _MsgHdr.control_length.offset
 FLAGS_GAP: Final = _MMsgHdr.received.offset - _MsgHdr.flags.offset - ctypes.sizeof(ctypes.c_int)
 
 DONT_WAIT: Final = int(socket.MSG_DONTWAIT)
-# Called as recvmmsg(fd, memory.address, SLOTS, DONT_WAIT, None): how many messages came; below 0: see `failed`.
 # PyDLL keeps the GIL: the call never waits, and handing the GIL over costs more than it takes.
-recvmmsg: Final[Callable[[int, Any, int, int, None], int]] = ctypes.PyDLL(None, use_errno=True).recvmmsg
-recvmmsg.restype = ctypes.c_int  # type: ignore[attr-defined]  # no argtypes: plain ints pass quicker than converted ones
+_recvmmsg: Final[Callable[[int, Any, int, int, None], int]] = ctypes.PyDLL(None, use_errno=True).recvmmsg
+_recvmmsg.restype = ctypes.c_int  # type: ignore[attr-defined]  # no argtypes: plain ints pass quicker than converted ones
 
 
-def failed() -> int:
-    """After a recvmmsg that returned less than 0: 0 where nothing was queued. Raises OSError as recvmsg(2) does."""
+def _receive(fd: int, target: Any, slots: int) -> int:
+    """Take up to `slots` messages into a memory's `target`; how many. Raises OSError as recvmsg(2) does, but returns 0
+    for none.
+    """
+    count = _recvmmsg(fd, target, slots, DONT_WAIT, None)
+    if count >= 0:
+        return count
     number = ctypes.get_errno()
     if number != errno.EAGAIN:
         raise OSError(number, os.strerror(number))
     return 0
 
 
+receive: Final[Callable[[int, Any, int], int]] = native.receive if native else _receive
+
+
 class MessageMemory:
     """Room for SLOTS messages of at most `frame_bytes`, each with CONTROL_BYTES for control messages behind it.
 
-    address: to give to recvmmsg, as long as this object lives. headers, slots: the bytes of all headers (HEADER_BYTES
+    target: to give to `receive`, as long as this object lives. headers, slots: the bytes of all headers (HEADER_BYTES
     each) and of all messages. fresh: what the headers must be before each call, as the kernel overwrites control_length
     and flags. plain: what they are after a call that filled every slot with a message of `size` bytes and a time stamp,
     and had nothing else to tell.
@@ -83,8 +92,9 @@ class MessageMemory:
             header.iov_length = 1
             header.control = frame + frame_bytes
             header.control_length = CONTROL_BYTES
-        self.address = ctypes.byref(self._headers)  # quicker to pass than a c_void_p
         self.headers = memoryview(self._headers).cast("B")
+        # quicker to pass than a c_void_p
+        self.target: Any = self.headers if native else ctypes.byref(self._headers)
         self.slots = memoryview(self._memory).cast("B")
         self.fresh = bytes(self.headers)
         for index in range(SLOTS):

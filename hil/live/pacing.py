@@ -22,6 +22,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from drivers.native import path as native
+
 KEEP_WITHIN = 0.5  # of a period: a slot is kept when its tick starts this soon after its deadline
 WOKEN_IN_TIME: Final = 9  # wakes for each one that comes later than it was allowed for
 AHEAD_STEP_NS: Final = 20  # 10 us more are followed within sixty late wakes, 10 us less within five hundred timely ones
@@ -129,6 +131,9 @@ def sleeper(*, alone: bool = False) -> Callable[[int], None]:
     alone: this process has no other thread, so the interpreter's lock is kept while asleep: taking it again would only
     lie between the wake and the tick. Signals end the sleep all the same.
     """
+    if native:
+        native_sleep: Callable[[int], None] = native.sleep_alone if alone else native.sleep_until
+        return native_sleep
     call = (ctypes.PyDLL if alone else ctypes.CDLL)(None).clock_nanosleep
     call.restype = ctypes.c_int  # no argtypes: plain ints are passed as C ints, which is quicker than converters
     until = (ctypes.c_long * 2)()  # struct timespec

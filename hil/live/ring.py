@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from drivers.base.runtime import open_private
 from drivers.base.shared_map import map_shared, shortened, unmap
+from drivers.native import copy
 from hil.cycle.record import FRAME, MAX_RECEIVED, RECORD, RECORD_SIZE
 from hil.live.file_lock import is_locked, try_lock, unlock
 from hil.live.mapped_file import Closing, lay_out, replaced
@@ -113,7 +114,7 @@ class RingWriter(Closing):
         # Slots beyond the frames received keep what they held; readers go by n_received.
         used = self._sources[self._counts[_N_RECEIVED]]
         start = self._offset
-        self._slots[start : start + len(used)] = used
+        copy(self._slots, start, used)
         start += RECORD_SIZE
         self._offset = start if start < self._size else 0
         self.written += 1

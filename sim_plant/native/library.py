@@ -20,11 +20,12 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from drivers.native import OFF  # in the environment, set to 0: compute in Python all the same
+
 SOURCES = ("arithmetic.h", "dynamics.h", "kernel.c")
 # No multiplication and addition in one rounding, no -ffast-math: the bits of Python. A root sets no errno.
 FLAGS = ("-O2", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
-OFF = "HIL_NATIVE"  # in the environment, set to 0: compute in Python all the same
 LONGEST_BUILD_S = 120.0
 
 _HERE = Path(__file__).resolve().parent

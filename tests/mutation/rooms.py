@@ -80,7 +80,9 @@ ROOMS = {
         ("tests/live/test_ring.py", "tests/live/test_mailbox.py", "tests/live/test_loop.py", "tests/live",
          "tests/telemetry/test_commands.py", "tests/telemetry/test_sidecar.py"),
     ),
-    "bus": Room(("drivers/bus",), ("tests/drivers/bus", "tests/drivers/base/test_runtime.py")),
+    "bus": Room(
+        ("drivers/bus",), ("tests/drivers/bus", "tests/drivers/base/test_runtime.py", "tests/drivers/test_native.py")
+    ),
     "layouts": Room(
         ("drivers/protocols", "drivers/families", "drivers/frame.py", "drivers/frame_length.py"),
         ("tests/drivers/test_frame.py", "tests/drivers/test_frame_length.py",

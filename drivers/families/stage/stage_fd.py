@@ -13,6 +13,7 @@ from zlib import crc32 as _crc32
 from drivers.config import Wiring
 from drivers.families.stage.common import StageLayout, cyclic_messages
 from drivers.frame import BRS, FD, Frame
+from drivers.native import path as native
 from drivers.protocols.base import EVERY_STATUS, Command, Message, Reject, Sample
 from drivers.protocols.common import MAX_AXES, check_force, reject_id
 
@@ -32,6 +33,31 @@ _WRAP: Final = 1 << 32  # sample_time, ns
 _HALF: Final = 1 << 31
 crc32: Final = _crc32
 _SINGLE = Struct("<f")
+
+
+def _plain_feedback(data: bytes, can_id: int, received_ns: int) -> tuple[int, int, int, int] | None:
+    """Position, status, sequence and stamp in the bytes of a feedback frame; None: its checksum is wrong. The stamp is
+    the one within 2^31 ns of received_ns.
+    """
+    if crc32(data, can_id) != RESIDUE:
+        return None
+    position, stamp, status, sequence, _ = FEEDBACK.unpack(data)
+    earliest = received_ns - _HALF
+    return position, status, sequence, earliest + (stamp - earliest) % _WRAP
+
+
+def _plain_command(can_id: int, a: float, b: float, c: float, d: float, sequence: int, flags: int) -> bytes:
+    """The bytes of a command frame, of four forces in N or N m and a sequence number of 16 bits."""
+    data = COMMAND.pack(a, b, c, d, sequence, flags, 0)[:COMMAND_CHECKED]
+    return data + crc32(data, can_id).to_bytes(4, "little")
+
+
+_feedback: Final[Callable[[bytes, int, int], tuple[int, int, int, int] | None]] = (
+    native.feedback if native else _plain_feedback
+)
+_command: Final[Callable[[int, float, float, float, float, int, int], bytes]] = (
+    native.command if native else _plain_command
+)
 
 
 class _Layout(StageLayout):
@@ -59,8 +85,6 @@ class StageFdHost(_Layout):
         super().__init__(wiring)
         n_axes, rated_force = wiring.n_axes, wiring.rated_force
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
-        self._unpack_feedback: Callable[[bytes], tuple[int, int, int, int, int]] = FEEDBACK.unpack
-        self._pack_command = COMMAND.pack
         self._padding = (0.0,) * (MAX_AXES - n_axes)
 
     def decode(self, frame: Frame) -> Sample | Reject:
@@ -74,13 +98,13 @@ class StageFdHost(_Layout):
             return Reject.WRONG_FORMAT
         if len(data) != FEEDBACK_LENGTH:
             return Reject.WRONG_LENGTH
-        if crc32(data, can_id) != RESIDUE:
+        fields = _feedback(data, can_id, received)
+        if fields is None:
             return Reject.BAD_CHECKSUM
-        position, stamp, status, sequence, _ = self._unpack_feedback(data)
+        position, status, sequence, stamp_ns = fields
         if status > EVERY_STATUS:
             return Reject.INVALID_VALUE
-        earliest = received - _HALF
-        return Sample(axis, position, status, sequence, earliest + (stamp - earliest) % _WRAP)
+        return Sample(axis, position, status, sequence, stamp_ns)
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
@@ -89,8 +113,7 @@ class StageFdHost(_Layout):
         if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
             check_force((a, b, c, d), self._rated)  # says which
         flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
-        data = self._pack_command(a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags, 0)[:COMMAND_CHECKED]
-        data += crc32(data, self._command_id).to_bytes(4, "little")
+        data = _command(self._command_id, a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags)
         return [Frame(self._command_id, data, FD | BRS)]
 
     def messages(self, period_ns: int) -> list[Message]:

@@ -83,7 +83,7 @@ def feed(monkeypatch: pytest.MonkeyPatch, port: Port, packets: list[Any]) -> Non
             receive_block._CONTENTS.pack_into(slots, number * (CANFD_MTU + CONTROL_BYTES), *contents)
         return len(packets)
 
-    monkeypatch.setattr(port._block, "_recvmmsg", bring)
+    monkeypatch.setattr(port._block, "_receive", bring)
 
 
 def test_a_drain_empties_the_socket_oldest_first(port: Port, cable: Cable) -> None:
@@ -129,7 +129,7 @@ def test_the_fast_path_never_mistakes_the_second(stamp: int, age: int, window: i
     used[:] = plain
     latest = stamp + age - offset
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(block, "_recvmmsg", lambda *_: 1)
+        patch.setattr(block, "_receive", lambda *_: 1)
         frames = block.frames(0, offset, latest - window, latest)
     if 0 <= age <= window < 10**9 and stamp // 10**9 == (stamp + age) // 10**9:
         assert frames == [FEEDBACK._replace(timestamp_ns=microsecond(stamp - offset))]
@@ -253,7 +253,7 @@ def test_going_down_shows_in_a_read_as_well(port: Port, cable: Cable, monkeypatc
     def read(*_: int) -> None:
         raise OSError(errno.ENETDOWN, "Network is down")
 
-    monkeypatch.setattr(port._block, "_recvmmsg", read)
+    monkeypatch.setattr(port._block, "_receive", read)
     assert drain(port) == []
     assert port.counters() == PortCounters(down=1, state=BusState.DOWN)
 

@@ -1,0 +1,367 @@
+/* What a live tick does with its frames, in C: drivers/native/__init__.py says when it is used.
+ *
+ * Every function has a twin in Python, which says what it means: receive_block.py, stage_fd.py, pacing.py,
+ * record_builder.py. tests/drivers/test_native.py holds them equal. */
+#define _GNU_SOURCE
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <errno.h>
+#include <stdint.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <time.h>
+
+enum { SECOND = 1000000000, STAMP = 1000, DATA_AT = 8, MOST_DATA = 64, FRAME_BYTES = 72, CONTROL_BYTES = 64 };
+enum { SLOT_BYTES = FRAME_BYTES + CONTROL_BYTES, STAMPED = CMSG_SPACE(sizeof(struct timespec)) };
+enum { FEEDBACK = 16, COMMAND = 24, RECORDED = 80 };
+#define ERROR_FLAG 0x20000000u
+
+static uint32_t crc_table[256];
+
+static void make_crc_table(void) {
+    for (uint32_t n = 0; n < 256; n++) {
+        uint32_t c = n;
+        for (int bit = 0; bit < 8; bit++) {
+            c = c & 1 ? 0xEDB88320u ^ c >> 1 : c >> 1;
+        }
+        crc_table[n] = c;
+    }
+}
+
+static uint32_t crc32_of(const uint8_t *data, size_t length, uint32_t begin) {
+    uint32_t c = ~begin;
+    for (size_t i = 0; i < length; i++) {
+        c = crc_table[(c ^ data[i]) & 0xFF] ^ c >> 8;
+    }
+    return ~c;
+}
+
+static uint32_t read_u32(const uint8_t *at) {
+    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+}
+
+static uint16_t read_u16(const uint8_t *at) { return (uint16_t)(at[0] | at[1] << 8); }
+
+static void put_u16(uint8_t *at, uint16_t value) { at[0] = (uint8_t)value, at[1] = (uint8_t)(value >> 8); }
+
+static void put_u32(uint8_t *at, uint32_t value) { put_u16(at, (uint16_t)value), put_u16(at + 2, (uint16_t)(value >> 16)); }
+
+/* As Python's %: the sign of the divisor. */
+static int64_t modulo(int64_t value, int64_t divisor) {
+    int64_t rest = value % divisor;
+    return rest < 0 ? rest + divisor : rest;
+}
+
+static int expects(const char *name, Py_ssize_t given, Py_ssize_t wanted) {
+    if (given != wanted) {
+        PyErr_Format(PyExc_TypeError, "%s() takes %zd arguments, %zd given", name, wanted, given);
+        return 0;
+    }
+    return 1;
+}
+
+/* n integers from args on; 0 with an exception where one is none. */
+static int integers(PyObject *const *args, int n, int64_t *into) {
+    for (int i = 0; i < n; i++) {
+        into[i] = PyLong_AsLongLong(args[i]);
+        if (into[i] == -1 && PyErr_Occurred()) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static PyObject *too_small(const char *name) {
+    PyErr_Format(PyExc_ValueError, "%s(): the memory is too small", name);
+    return NULL;
+}
+
+/* receive(fd, headers, slots) -> count: recvmmsg(2) without waiting; 0: nothing was queued. Raises OSError. */
+static PyObject *receive(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t fd, slots;
+    Py_buffer headers;
+    if (!expects("receive", n, 3) || !integers(args, 1, &fd) || !integers(args + 2, 1, &slots) ||
+        PyObject_GetBuffer(args[1], &headers, PyBUF_WRITABLE)) {
+        return NULL;
+    }
+    struct mmsghdr *into = headers.buf;
+    int fits = 0 <= slots && slots <= headers.len / (Py_ssize_t)sizeof *into;
+    PyBuffer_Release(&headers); /* its owner keeps the memory */
+    if (!fits) {
+        return too_small("receive");
+    }
+    int count = recvmmsg((int)fd, into, (unsigned)slots, MSG_DONTWAIT, NULL);
+    if (count < 0) {
+        return errno == EAGAIN ? PyLong_FromLong(0) : PyErr_SetFromErrno(PyExc_OSError);
+    }
+    return PyLong_FromLong(count);
+}
+
+/* One frame of the class `type`, a NamedTuple of four. Steals `data`. */
+static PyObject *frame(PyTypeObject *type, uint32_t can_id, PyObject *data, PyObject *flags, int64_t stamp) {
+    PyObject *made = type->tp_alloc(type, 4), *id = PyLong_FromUnsignedLong(can_id), *at = PyLong_FromLongLong(stamp);
+    if (made == NULL || data == NULL || id == NULL || at == NULL) {
+        Py_XDECREF(made), Py_XDECREF(data), Py_XDECREF(id), Py_XDECREF(at);
+        return NULL;
+    }
+    PyTuple_SET_ITEM(made, 0, id);
+    PyTuple_SET_ITEM(made, 1, data);
+    PyTuple_SET_ITEM(made, 2, Py_NewRef(flags));
+    PyTuple_SET_ITEM(made, 3, at);
+    return made;
+}
+
+static int is_plain(const struct mmsghdr *header, int64_t size) {
+    return header->msg_hdr.msg_controllen == STAMPED && header->msg_hdr.msg_flags == 0 && header->msg_len == size;
+}
+
+/* The frames of `count` messages; Py_None: they are for the slow path. */
+static PyObject *frames_of(struct mmsghdr *headers, const uint8_t *slots, int64_t count, PyTypeObject *type,
+                           int64_t size, int64_t head, PyObject *flags, int64_t offset, int64_t earliest,
+                           int64_t latest) {
+    if (latest - earliest >= SECOND) {
+        Py_RETURN_NONE;
+    }
+    int64_t last = modulo(latest + offset, SECOND), first = last - (latest - earliest), base = latest - last;
+    for (int64_t i = 0; i < count; i++) {
+        const uint8_t *slot = slots + i * SLOT_BYTES;
+        const struct timespec *arrived = (const struct timespec *)(slot + FRAME_BYTES + CMSG_LEN(0));
+        if (!is_plain(&headers[i], size) || read_u16(slot + 4) != head || arrived->tv_nsec < first ||
+            arrived->tv_nsec > last || read_u32(slot) & ERROR_FLAG) {
+            Py_RETURN_NONE;
+        }
+    }
+    PyObject *frames = PyList_New(count);
+    for (int64_t i = 0; frames != NULL && i < count; i++) {
+        const uint8_t *slot = slots + i * SLOT_BYTES;
+        const struct timespec *arrived = (const struct timespec *)(slot + FRAME_BYTES + CMSG_LEN(0));
+        int64_t stamp = base + arrived->tv_nsec;
+        PyObject *data = PyBytes_FromStringAndSize((const char *)slot + DATA_AT, slot[4]);
+        PyObject *made = frame(type, read_u32(slot), data, flags, stamp - modulo(stamp, STAMP));
+        if (made == NULL) {
+            Py_CLEAR(frames);
+        } else {
+            PyList_SET_ITEM(frames, i, made);
+        }
+    }
+    for (int64_t i = 0; frames != NULL && i < count; i++) {
+        headers[i].msg_hdr.msg_controllen = CONTROL_BYTES;
+        headers[i].msg_len = 0;
+    }
+    return frames;
+}
+
+/* frames(headers, slots, count, Frame, size, head, flags, offset_ns, earliest_ns, latest_ns) -> list or None */
+static PyObject *frames(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t count, of_frame[2], times[3];
+    Py_buffer headers, slots;
+    if (!expects("frames", n, 10) || !integers(args + 2, 1, &count) || !integers(args + 4, 2, of_frame) ||
+        !integers(args + 7, 3, times) || PyObject_GetBuffer(args[0], &headers, PyBUF_WRITABLE)) {
+        return NULL;
+    }
+    PyObject *found = NULL;
+    if (PyObject_GetBuffer(args[1], &slots, PyBUF_SIMPLE) == 0) {
+        if (!PyType_Check(args[3]) || !PyType_IsSubtype((PyTypeObject *)args[3], &PyTuple_Type)) {
+            PyErr_SetString(PyExc_TypeError, "frames(): the class of a frame is a tuple");
+        } else if (count < 0 || headers.len < count * (Py_ssize_t)sizeof(struct mmsghdr) ||
+                   slots.len < count * SLOT_BYTES || (of_frame[1] & 0xFF) > MOST_DATA) {
+            too_small("frames");
+        } else {
+            found = frames_of(headers.buf, slots.buf, count, (PyTypeObject *)args[3], of_frame[0], of_frame[1],
+                              args[6], times[0], times[1], times[2]);
+        }
+        PyBuffer_Release(&slots);
+    }
+    PyBuffer_Release(&headers);
+    return found;
+}
+
+/* feedback(data, can_id, received_ns) -> (position, status, sequence, stamp_ns), or None for a wrong checksum */
+static PyObject *feedback(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t given[2];
+    if (!expects("feedback", n, 3) || !integers(args + 1, 2, given)) {
+        return NULL;
+    }
+    if (!PyBytes_Check(args[0]) || PyBytes_GET_SIZE(args[0]) != FEEDBACK) {
+        return too_small("feedback");
+    }
+    const uint8_t *data = (const uint8_t *)PyBytes_AS_STRING(args[0]);
+    if (crc32_of(data, FEEDBACK - 4, (uint32_t)given[0]) != read_u32(data + FEEDBACK - 4)) {
+        Py_RETURN_NONE;
+    }
+    int64_t earliest = given[1] - ((int64_t)1 << 31);
+    int64_t stamp = earliest + (int64_t)(uint32_t)(read_u32(data + 4) - (uint64_t)earliest);
+    PyObject *made = PyTuple_New(4);
+    PyObject *fields[4] = {PyLong_FromLong((int32_t)read_u32(data)), PyLong_FromLong(read_u16(data + 8)),
+                           PyLong_FromLong(read_u16(data + 10)), PyLong_FromLongLong(stamp)};
+    int whole = made != NULL;
+    for (int i = 0; i < 4; i++) {
+        whole = whole && fields[i] != NULL;
+    }
+    for (int i = 0; i < 4; i++) {
+        if (whole) {
+            PyTuple_SET_ITEM(made, i, fields[i]);
+        } else {
+            Py_XDECREF(fields[i]);
+        }
+    }
+    if (!whole) {
+        Py_CLEAR(made);
+    }
+    return made;
+}
+
+/* command(can_id, force_0, force_1, force_2, force_3, sequence, flags) -> the 24 bytes of a command frame */
+static PyObject *command(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t can_id, counts[2];
+    uint8_t data[COMMAND];
+    if (!expects("command", n, 7) || !integers(args, 1, &can_id) || !integers(args + 5, 2, counts)) {
+        return NULL;
+    }
+    for (int axis = 0; axis < 4; axis++) {
+        double force = PyFloat_AsDouble(args[1 + axis]);
+        if (force == -1.0 && PyErr_Occurred()) {
+            return NULL;
+        }
+        float single = (float)force;
+        uint32_t bits;
+        memcpy(&bits, &single, sizeof bits);
+        put_u32(data + 4 * axis, bits);
+    }
+    put_u16(data + 16, (uint16_t)counts[0]);
+    put_u16(data + 18, (uint16_t)counts[1]);
+    put_u32(data + COMMAND - 4, crc32_of(data, COMMAND - 4, (uint32_t)can_id));
+    return PyBytes_FromStringAndSize((const char *)data, COMMAND);
+}
+
+/* One frame as a record keeps it, RECORDED bytes; 0 with an exception where it is none. */
+static int keep(uint8_t *at, PyObject *frame) {
+    if (!PyTuple_Check(frame) || PyTuple_GET_SIZE(frame) != 4 || !PyBytes_Check(PyTuple_GET_ITEM(frame, 1))) {
+        PyErr_SetString(PyExc_TypeError, "keep(): no frame");
+        return 0;
+    }
+    PyObject *data = PyTuple_GET_ITEM(frame, 1);
+    Py_ssize_t length = PyBytes_GET_SIZE(data);
+    int64_t can_id = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 0));
+    int64_t flags = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 2));
+    int64_t stamp = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 3));
+    if (PyErr_Occurred()) {
+        return 0;
+    }
+    if (length > MOST_DATA) {
+        too_small("keep");
+        return 0;
+    }
+    int64_t head = can_id | (int64_t)length << 32 | flags << 40;
+    memcpy(at, &stamp, 8);
+    memcpy(at + 8, &head, 8);
+    memcpy(at + 16, PyBytes_AS_STRING(data), (size_t)length);
+    memset(at + 16 + length, 0, (size_t)(MOST_DATA - length));
+    return 1;
+}
+
+/* keep_frames(memory, begin, frames): a list of frames into a record's memory, from byte `begin` on */
+static PyObject *keep_frames(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t begin;
+    Py_buffer memory;
+    if (!expects("keep_frames", n, 3) || !integers(args + 1, 1, &begin)) {
+        return NULL;
+    }
+    PyObject *frames = PySequence_Fast(args[2], "keep_frames(): no list of frames");
+    if (frames == NULL || PyObject_GetBuffer(args[0], &memory, PyBUF_WRITABLE)) {
+        Py_XDECREF(frames);
+        return NULL;
+    }
+    Py_ssize_t count = PySequence_Fast_GET_SIZE(frames);
+    int whole = 0 <= begin && count <= (memory.len - begin) / RECORDED;
+    if (!whole) {
+        too_small("keep_frames");
+    }
+    for (Py_ssize_t i = 0; whole && i < count; i++) {
+        whole = keep((uint8_t *)memory.buf + begin + i * RECORDED, PySequence_Fast_GET_ITEM(frames, i));
+    }
+    PyBuffer_Release(&memory);
+    Py_DECREF(frames);
+    if (!whole) {
+        return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+/* copy(to, begin, source): the bytes of `source` into `to`, from byte `begin` on */
+static PyObject *copy(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t begin;
+    Py_buffer to, source;
+    if (!expects("copy", n, 3) || !integers(args + 1, 1, &begin) || PyObject_GetBuffer(args[0], &to, PyBUF_WRITABLE)) {
+        return NULL;
+    }
+    int whole = 0;
+    if (PyObject_GetBuffer(args[2], &source, PyBUF_SIMPLE) == 0) {
+        whole = 0 <= begin && source.len <= to.len - begin;
+        if (whole) {
+            memcpy((uint8_t *)to.buf + begin, source.buf, (size_t)source.len);
+        } else {
+            too_small("copy");
+        }
+        PyBuffer_Release(&source);
+    }
+    PyBuffer_Release(&to);
+    if (!whole) {
+        return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+static PyObject *sleep_to(PyObject *deadline, int alone) {
+    int64_t until_ns;
+    if (!integers(&deadline, 1, &until_ns)) {
+        return NULL;
+    }
+    struct timespec until = {until_ns / SECOND, until_ns % SECOND};
+    for (;;) {
+        int result;
+        if (alone) {
+            result = clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
+        } else {
+            Py_BEGIN_ALLOW_THREADS;
+            result = clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
+            Py_END_ALLOW_THREADS;
+        }
+        if (result == 0) {
+            Py_RETURN_NONE;
+        }
+        if (result != EINTR) {
+            errno = result;
+            return PyErr_SetFromErrnoWithFilename(PyExc_OSError, "clock_nanosleep");
+        }
+        if (PyErr_CheckSignals() < 0) {
+            return NULL;
+        }
+    }
+}
+
+/* sleep_until(deadline_ns), and the same without letting another thread of this process run meanwhile */
+static PyObject *sleep_until(PyObject *Py_UNUSED(module), PyObject *deadline) { return sleep_to(deadline, 0); }
+
+static PyObject *sleep_alone(PyObject *Py_UNUSED(module), PyObject *deadline) { return sleep_to(deadline, 1); }
+
+#define FAST(function) {#function, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, NULL}
+
+static PyMethodDef methods[] = {
+    FAST(receive),
+    FAST(frames),
+    FAST(feedback),
+    FAST(command),
+    FAST(keep_frames),
+    FAST(copy),
+    {"sleep_until", sleep_until, METH_O, NULL},
+    {"sleep_alone", sleep_alone, METH_O, NULL},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "path", NULL, -1, methods, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit_path(void) {
+    make_crc_table();
+    return PyModule_Create(&definition);
+}
