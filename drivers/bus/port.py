@@ -49,6 +49,7 @@ _, _, _REFUSED, _OVERFLOW, _DISCARDED, _ERRORS, _NO_ACK, _BUS_OFF, _RESTARTED, _
 # Used in every tick; compiled code reads a Final faster than a global.
 _RECEIVED: Final[int] = PortCounters._fields.index("received")
 _SENT: Final[int] = PortCounters._fields.index("sent")
+_make_counters: Final[Callable[..., PortCounters]] = tuple.__new__  # what PortCounters._make ends in, in every tick
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
 
@@ -256,7 +257,7 @@ class Port:
 
     def counters(self) -> PortCounters:
         """Everything counted since the port was opened, and the bus' state."""
-        return PortCounters._make(self._counts)
+        return _make_counters(PortCounters, self._counts)
 
     def rebind(self) -> bool:
         """Open the bus anew, after it went down or its adapter was unplugged; True when it can be used again.

@@ -21,9 +21,9 @@ where: Callable[[Any, Any, Any], Any] = np.where
 
 def zeros_like(value: Number) -> Number:
     """0 for every axis that the value has."""
-    if isinstance(value, np.ndarray):
-        return np.zeros_like(value)
-    return 0.0
+    if isinstance(value, float):
+        return 0.0
+    return np.zeros_like(value) if isinstance(value, np.ndarray) else 0.0
 
 
 def full_like(value: Number, fill: Number) -> Number:

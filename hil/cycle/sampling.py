@@ -159,9 +159,8 @@ class Sampling:
         inbox, inputs, instants, starts, tracked = self._inbox, self._inputs, self.instants, self.starts, self.tracked
         samples, arrived, answered = inbox.samples, inbox.fresh, 0.0
         received = inbox.received_ns
-        if self._one_command and True in arrived:  # all sample before the first of the answers comes
-            first = min([at for at, fresh in zip(received, arrived, strict=True) if fresh])
-            received = [first] * len(samples)
+        if self._one_command:  # all sample before the first of the answers comes
+            received = _first_of(received, arrived)
         for axis, clock in enumerate(self.clocks):
             sample = samples[axis]
             if arrived[axis] and sample is not None:
@@ -185,3 +184,12 @@ class Sampling:
             self.starts[axis] = start = now_ns + acts_ns
             self._inputs[axis].ahead = max(0, start - self.instants[axis]) * 1e-9
             self.shares[axis] = min(max(clock.latency - acts_ns, 0), period) / period
+
+
+def _first_of(received: list[int], arrived: list[bool]) -> list[int]:
+    """For every axis the earliest instant at which an answer came; `received` itself where none did."""
+    first, found = 0, False
+    for axis, fresh in enumerate(arrived):  # in compiled code a third of what min() of a list costs
+        if fresh and (not found or received[axis] < first):
+            first, found = received[axis], True
+    return [first] * len(received) if found else received
