@@ -22,7 +22,7 @@ from hil.cycle.state_machine import SILENT_STATES, TABLE, TORQUE_STATES, Event, 
 from hil.events.table import KINDS
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
-from hil.rig.reference import Table, json_schema, tables
+from hil.rig.reference import WRITTEN, Table, as_json, in_schema, json_schema, tables
 from hil.rig.schema import LawConfig
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 from hil.telemetry.viewer_layouts import lichtblick, plotjuggler
@@ -322,6 +322,7 @@ def main() -> None:
     (folder / "safety-case.md").write_text(safety_case_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
+    WRITTEN.write_text(as_json(in_schema()), encoding="utf-8")
     for path, text in viewer_files().items():
         path.write_text(text, encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")

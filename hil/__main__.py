@@ -14,6 +14,8 @@ def main() -> None:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
+        if sys.argv[1:2] == ["explain"] and len(sys.argv) <= 3 and _explained("".join(sys.argv[2:])):
+            return
         if sys.argv[1:2] == ["run"]:  # the control process: it has no use for a command-line library in its memory
             from hil.live.run import main as run
 
@@ -23,6 +25,18 @@ def main() -> None:
         run_command()
     except KeyboardInterrupt:
         sys.exit(130)  # 128 + SIGINT, as where a command has begun
+
+
+def _explained(key: str) -> bool:
+    """Print what a key means, in the time that loading the command line would take; False: there is no such key."""
+    from hil.rig.key_text import key_text
+    from hil.rig.reference import UnknownKeyError
+
+    try:
+        print(key_text(key))
+    except UnknownKeyError:
+        return False
+    return True
 
 
 if __name__ == "__main__":  # worker processes read this file too

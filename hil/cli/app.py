@@ -2,7 +2,6 @@
 
 import os
 import sys
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -100,6 +99,8 @@ def run_directly(context: typer.Context) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # with all that reads e-mail: a quarter of what this module takes
+
         print(f"hil {version('hil')}, control path {control_path()}")
         raise typer.Exit
 

@@ -3,7 +3,6 @@
 from typing import Any
 
 import typer
-from rich.markup import escape
 
 FORMER_SPELLINGS = {"--output": "--out", "--jobs": "--workers"}  # of 0.1.0; taken for one more version
 PRINT_JSON = {"doctor", "events"}  # commands whose --json takes no file
@@ -18,7 +17,9 @@ def in_words(command: Any) -> Any:
     for below in getattr(command, "commands", {}).values():
         in_words(below)
     for parameter in [*command.params, command.get_help_option(typer.Context(command))]:
-        if parameter.help:
+        if parameter.help and "[" in parameter.help:
+            from rich.markup import escape  # which half of all commands have no use for
+
             parameter.help = escape(parameter.help)
         if parameter.param_type_name == "option" and parameter.metavar is None:
             parameter.metavar = _word(parameter)

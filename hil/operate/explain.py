@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from hil.rig.reference import ANY_AXIS, Key, Table, UnknownKeyError, tables
-from hil.rig.reference import explain as look_up
+from hil.rig.key_text import key_text
+from hil.rig.reference import ANY_AXIS, UnknownKeyError, tables
 
 
 def _completions(incomplete: str) -> list[str]:
@@ -25,27 +25,7 @@ def explain(
     ] = "",
 ) -> None:
     """What a key of the rig file means. A table lists its keys; without an argument: the tables."""
-    if not path:
-        for table in tables():
-            print(f"{table.path or 'the file itself':20}  {table.description.partition(']: ')[2] or table.description}")
-        return
     try:
-        key, found = look_up(path)
+        print(key_text(path))
     except UnknownKeyError as error:
         raise typer.BadParameter(str(error)) from None
-    if key:
-        print(_described(key))
-    if found:
-        print(_listed(found))
-
-
-def _described(key: Key) -> str:
-    rows = {"type": key.kind, "unit": key.unit, "allowed": key.allowed, "default": key.default}
-    return "\n".join([f"{key.path}: {key.description}", *(f"  {name:8} {text}" for name, text in rows.items() if text)])
-
-
-def _listed(table: Table) -> str:
-    names = [key.path.rpartition(".")[2] for key in table.keys]
-    width = max(map(len, names))
-    rows = [f"  {name:{width}}  {key.description}" for name, key in zip(names, table.keys, strict=True)]
-    return "\n".join([table.description, *rows])

@@ -4,8 +4,6 @@ import sys
 import warnings
 from typing import Any
 
-from drivers.base.toml_file import shown
-
 MOVED = ("brake", "watchdog_s")  # from [plant] to [drives]
 
 
@@ -75,4 +73,6 @@ def _line(former: str, name: str, value: Any) -> str:
 
 
 def _toml(value: Any) -> str:
+    from drivers.base.toml_file import shown  # which every command would load
+
     return shown(value).lower() if isinstance(value, bool | list) else shown(value)

@@ -18,6 +18,7 @@ from docs.make_pages import (
 from hil.control.law_registry import law_class
 from hil.cycle.fault_table import ROWS, Fault
 from hil.rig.law_names import LAWS
+from hil.rig.reference import WRITTEN, as_json, in_schema
 from hil.rig.schema import LawConfig
 from tests.support.paths import ROOT
 
@@ -31,6 +32,7 @@ def test_the_pages_are_up_to_date() -> None:
     assert (FOLDER / "answers.md").read_text() == answers_page(), RENEW
     assert (FOLDER / "rig-file.md").read_text() == rig_file_page(), RENEW
     assert SCHEMA.read_text() == rig_schema(), RENEW
+    assert WRITTEN.read_text(encoding="utf-8") == as_json(in_schema()), RENEW
     assert (FOLDER / "laws.md").read_text() == laws_page(), RENEW
 
 

@@ -168,6 +168,19 @@ def test_the_cycle_comes_without_command_line_telemetry_and_can_libraries() -> N
     assert unwanted(loaded("import hil.cycle.step"), (*LUGGAGE, *NOT_THEIRS, "hil.live", "argparse")) == []
 
 
+def test_a_key_is_explained_without_the_schema_and_without_a_command_line_library() -> None:
+    names = loaded("import sys; sys.argv[1:] = ['explain', 'law.name']; from hil.__main__ import main; main()")
+    assert "hil.rig.key_text" in names
+    assert unwanted(names, ("typer", "rich", "pydantic", "numpy", "hil.rig.schema", "sim_plant")) == []
+    assert len(names) < 130
+
+
+def test_the_version_of_a_package_is_looked_up_by_who_asks_for_it() -> None:
+    assert (
+        unwanted(loaded("import hil.cli.app"), ("importlib.metadata", "email", "rich.markup", "hil.rig.schema")) == []
+    )
+
+
 RUN_SHORTLY = """
 import sys
 sys.argv[1:] = ["run", "deploy/rigs/paper.toml", "--ticks", "20", "--set", "timing.realtime=false",
