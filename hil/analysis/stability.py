@@ -7,7 +7,6 @@ has to come back from. Friction is left out: what it does to a loop is
 damp it. The same around the axis a stage really has is in loop_corners.py.
 """
 
-import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.analysis.pulse_loop import DECAYED, GROWN, pulse_and_kick, pulse_response
+from hil.control.estimator.gains import keep_design
 from hil.control.laws.base import Array
 from hil.rig.schema import RigConfig, RigError
 
@@ -293,13 +293,14 @@ def _stable_columns(motion: Array) -> Array:
 
 def _lowest_rates(rig: RigConfig, motion: Array) -> list[float]:
     """Per axis; every rate tried serves all axes. motion: at the rig's own rate, (ticks, n_axes)."""
-    importlib.import_module("hil.control.estimator.filterpy_design")  # once: every rate needs a filter of its own
     tried = {rig.rate_hz: _stable_columns(motion[:REALISED])}
 
     def stable(axis: int, rate: float) -> bool:
         if rate not in tried:
             try:
-                tried[rate] = _stable_axes(rig.model_copy(update={"rate_hz": rate}))
+                at_rate = rig.model_copy(update={"rate_hz": rate})
+                keep_design(at_rate)
+                tried[rate] = _stable_axes(at_rate)
             except ValueError:  # a law or an estimator of users that refuses such a rate
                 tried[rate] = np.zeros(len(rig.axes), dtype=bool)
         return bool(tried[rate][axis])

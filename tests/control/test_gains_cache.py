@@ -60,6 +60,26 @@ def test_the_second_process_has_the_first_ones_design(paper: RigConfig, director
     assert json.loads(first) == [gains.tolist(), variance.tolist()]
 
 
+LOWEST_RATE = """
+import sys
+from pathlib import Path
+from hil.analysis.stability import check_stability
+from hil.rig.file import load_rig
+report = check_stability(load_rig(Path(sys.argv[1])), lowest_rate=True)
+print([axis.lowest_stable_rate_hz for axis in report.axes.values()], "filterpy" in sys.modules)
+"""
+
+
+@pytest.mark.long
+def test_who_asks_for_lowest_rates_again_needs_no_filterpy(directory: Path) -> None:
+    """Every rate tried needs a filter of its own: filterpy is loaded for all of them once, and then for none."""
+    words = [sys.executable, "-c", LOWEST_RATE, str(RIG)]
+    first, second = (subprocess.run(words, capture_output=True, text=True, check=True).stdout.split("]") for _ in "12")
+    assert first[1].split() == ["True"]
+    assert second == [first[0], " False\n"]
+    assert len(list(directory.iterdir())) > 1
+
+
 def test_an_entry_serves_the_same_parameters_alone() -> None:
     assert load(PARAMETERS) is None
     store(PARAMETERS, DESIGN)

@@ -5,6 +5,7 @@ friction at the setpoint's velocity. The gains are filterpy's (hil/control/estim
 test holds the two filters equal.
 """
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -70,6 +71,18 @@ def _design_in_child(parameters: str) -> list[Any]:
     designed = list(json.loads(child.stdout))
     store(parameters, designed)
     return designed
+
+
+def keep_design(rig: RigConfig) -> None:
+    """Design the rig's filter in this process and cache it, unless it is cached: for many rigs one after another, as
+    `design_gains` starts a process for each. A filter that has no steady gains is left to it.
+    """
+    parameters = json.dumps(filter_parameters(rig))
+    if load(parameters) is None:
+        from hil.control.estimator.filterpy_design import design
+
+        with contextlib.suppress(ArithmeticError, ValueError):
+            store(parameters, design(json.loads(parameters)))
 
 
 def design_gains(rig: RigConfig) -> tuple[Array, Array]:
