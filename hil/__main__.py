@@ -5,26 +5,39 @@ import sys
 
 
 def main() -> None:
-    """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports."""
+    """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports.
+
+    Exit status 74: what was left to print could not be written, as on a full disk.
+    """
     try:
-        if len(sys.argv) == 3 and sys.argv[1] == "estop" and not sys.argv[2].startswith("-"):
-            from hil.operate.estop import stop_rig
+        from hil.cli.streams import leave, open_standard_streams
 
-            sys.exit(stop_rig(sys.argv[2]))  # before the command line is loaded: see there
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):
-                stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
-        if sys.argv[1:2] == ["explain"] and len(sys.argv) <= 3 and _explained("".join(sys.argv[2:])):
-            return
-        if sys.argv[1:2] == ["run"]:  # the control process: it has no use for a command-line library in its memory
-            from hil.live.run import main as run
-
-            run(sys.argv[2:])
-        from hil.cli.app import main as run_command
-
-        run_command()
+        open_standard_streams()
+        try:
+            _command()
+        finally:
+            leave()
     except KeyboardInterrupt:
         sys.exit(130)  # 128 + SIGINT, as where a command has begun
+
+
+def _command() -> None:
+    if len(sys.argv) == 3 and sys.argv[1] == "estop" and not sys.argv[2].startswith("-"):
+        from hil.operate.estop import stop_rig
+
+        sys.exit(stop_rig(sys.argv[2]))  # before the command line is loaded: see there
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that has no such letter gets a question mark
+    if sys.argv[1:2] == ["explain"] and len(sys.argv) <= 3 and _explained("".join(sys.argv[2:])):
+        return
+    if sys.argv[1:2] == ["run"]:  # the control process: it has no use for a command-line library in its memory
+        from hil.live.run import main as run
+
+        run(sys.argv[2:])
+    from hil.cli.app import main as run_command
+
+    run_command()
 
 
 def _explained(key: str) -> bool:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from drivers.base.named_file import naming
 from drivers.base.runtime import make_private, open_private, runtime_dir
 from drivers.base.shared_map import map_shared
 from drivers.config import CHANNEL_NAME, CHANNEL_RULE
@@ -87,7 +88,12 @@ def address(path: Path) -> Iterator[str]:
         os.close(fd)
 
 
-def shared_count(lock: int) -> memoryview:
-    """The number in the channel's lock file, shared with every other member; lives as long as it is referred to."""
-    os.ftruncate(lock, COUNT_BYTES)
+def shared_count(lock: int, directory: Path) -> memoryview:
+    """The number in the channel's lock file, shared with every other member; lives as long as it is referred to.
+
+    Its block is there: else a full file system would be a SIGBUS at the first frame. Raises OSError that names
+    `directory`.
+    """
+    with naming(directory):
+        os.posix_fallocate(lock, 0, COUNT_BYTES)
     return memoryview(map_shared(lock, COUNT_BYTES)).cast("Q")

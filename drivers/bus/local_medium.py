@@ -82,7 +82,7 @@ class LocalMedium:
 
     def _join(self, directory: Path) -> None:
         with locked(directory) as lock:
-            self._joined = shared_count(lock)
+            self._joined = shared_count(lock, directory)
             for path in sorted(directory.glob(LISTENING_SOCKETS)):
                 self._connect(path)
             self._listen(directory)

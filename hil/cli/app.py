@@ -9,6 +9,7 @@ import typer
 from hil.cli.commands import Entry, add_commands, first_word, load
 from hil.cli.failures import failure
 from hil.cli.help_text import in_words, present_spelling
+from hil.cli.streams import say
 from hil.rig.control_path import control_path
 from hil.rig.former_keys import show_former_keys
 
@@ -149,5 +150,5 @@ def run(app: typer.Typer) -> None:
     except Exception as error:
         status, lines = failure(error)
         for line in lines:
-            print(line, file=sys.stderr)
+            say(line)
         sys.exit(status)

@@ -1,7 +1,12 @@
 """What is printed, and with which exit status, where a command fails by what its user gave it."""
 
+import errno
+
 from drivers.base.text_file import printable
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
+from hil.cli.streams import unwritable_output
+
+_OF_THIS_COMPUTER = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE, errno.ENFILE)
 
 
 def failure(error: Exception) -> tuple[int, list[str]]:
@@ -23,6 +28,10 @@ def failure(error: Exception) -> tuple[int, list[str]]:
         return EXIT_UNAVAILABLE, _lines(error)
     if isinstance(error, OSError) and error.filename is not None:
         return EXIT_FILE, _lines(f"{error.filename}: {error.strerror}")
+    if isinstance(error, OSError) and error.errno in _OF_THIS_COMPUTER:
+        return EXIT_FILE, _lines(unwritable_output("\n") or error.strerror)
+    if isinstance(error, MemoryError):
+        return EXIT_UNAVAILABLE, _lines("not enough memory; `ulimit -v` and `free -m` say how much there is")
     raise error
 
 

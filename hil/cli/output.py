@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from drivers.base.named_file import naming
 from hil.rig.plant_notes import plant_notes
 from hil.rig.schema import RigConfig
 
@@ -47,7 +48,8 @@ def replace_text(path: Path, text: str) -> None:
     place = path.resolve()  # replace what a symbolic link points to, not the link
     draft = place.with_name(f"{place.name}.{os.getpid()}.new")
     try:
-        draft.write_text(text, encoding="utf-8")
+        with naming(place):
+            draft.write_text(text, encoding="utf-8")
         old = place.stat()
         with contextlib.suppress(OSError):  # only root may change the owner; otherwise this user owns it
             os.chown(draft, old.st_uid, old.st_gid)
@@ -64,7 +66,8 @@ def write_json(document: Any, target: str) -> None:
     if target == "-":
         sys.stdout.write(text)
     else:
-        Path(target).write_text(text, encoding="utf-8")
+        with naming(target):
+            Path(target).write_text(text, encoding="utf-8")
 
 
 def _without_nan(value: Any) -> Any:

@@ -61,7 +61,10 @@ def identify(
             console.print(f"hil: {write}: {error.strerror}", markup=False)
             raise typer.Exit(EXIT_FILE) from None
         console.print(f"written to {write}; next: hil check {write}", markup=False, soft_wrap=True)
-    elif not write:
+    elif write:
+        console.print(f"{write} is not written: no value of the model was found", markup=False, soft_wrap=True)
+        raise typer.Exit(EXIT_REFUSED)
+    else:
         console.print(
             f"next: hil identify {rig} --write NEW.toml, then hil check NEW.toml", markup=False, soft_wrap=True
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from drivers.base.named_file import naming
 from hil.analysis.positioning import positioning
 from hil.cli.output import metres
 from hil.cli.pictures import STYLE, UNITS
@@ -36,4 +37,5 @@ def accuracy_picture(path: Path, found: Mapping[str, Deviations], kinds: Mapping
             panel.legend(title="approached; bars: 2 s")
         figure.suptitle(title)
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
+        with naming(path):
+            figure.savefig(path, dpi=110)

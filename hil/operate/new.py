@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from drivers.base.named_file import naming
 from hil.rig.scaffold import LAYOUTS, AxisSketch, Sketch, rig_text
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.tables import AXIS_NAME, MAX_AXES
@@ -61,7 +62,7 @@ def new(
         if path.exists():
             raise typer.BadParameter(f"{path}: exists already; it is left as it is")
     for path, text in written.items():
-        with path.open("x", encoding="utf-8") as stream:
+        with naming(path), path.open("x", encoding="utf-8") as stream:
             stream.write(text)
         print(f"written: {path}")
     print(f"{sketch.rate_hz:g} Hz on {chosen}. Next: hil check {file}; hil sim {file}; hil demo {file}")

@@ -108,7 +108,7 @@ def state_folder() -> Path:
     else ~/.local/state/hil.
     """
     service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    home = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "hil"
+    home = Path(os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")) / "hil"
     return (Path(service) if service else home) / "page"
 
 

@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from drivers.base.named_file import naming
+
 LARGEST = 2**26  # bytes
 
 
@@ -17,7 +19,8 @@ class LearntFileError(ValueError):
 
 def write_learnt_file(path: Path, rig_name: str, learnt_on: str, state: dict[str, list[float]]) -> None:
     """state: by axis, as its law gives it. Raises OSError."""
-    path.write_text(json.dumps({"rig": rig_name, "rig_hash": learnt_on, "state": state}) + "\n", encoding="utf-8")
+    with naming(path):
+        path.write_text(json.dumps({"rig": rig_name, "rig_hash": learnt_on, "state": state}) + "\n", encoding="utf-8")
 
 
 def read_learnt_file(path: Path, axes: list[str]) -> tuple[str, list[list[float]]]:

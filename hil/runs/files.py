@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.base.named_file import naming
 from drivers.base.text_file import UnsuitableFileError, open_untrusted
 from drivers.base.toml_file import short
 from hil.rig.file import build_rig
@@ -27,7 +28,7 @@ _FREELY = 2**26  # bytes that the columns may take whatever the size of the file
 def write_csv(path: Path, table: Table) -> None:
     """A header line and a line a tick; numbers with all their digits, NaN as nothing. Raises OSError."""
     rows = zip(*(values.tolist() for values in table.values()), strict=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with naming(path), path.open("w", encoding="utf-8", newline="") as file:
         lines = csv.writer(file, lineterminator="\n")
         lines.writerow(table)
         lines.writerows([_cell(value) for value in row] for row in rows)
@@ -41,7 +42,8 @@ def write_npz(path: Path, rig: RigConfig, columns: Columns, true: NDArray[np.flo
     """All columns with their types and the rig: what `read_npz` takes. Raises OSError."""
     arrays: dict[str, Any] = {**columns} | ({} if true is None else {_TRUE: true})
     arrays[_RIG] = np.frombuffer(json.dumps(rig.model_dump(mode="json")).encode(), dtype=np.uint8)
-    np.savez_compressed(path, **arrays)
+    with naming(path):
+        np.savez_compressed(path, **arrays)
 
 
 def read_npz(path: Path) -> tuple[RigConfig, Columns, NDArray[np.float64] | None]:

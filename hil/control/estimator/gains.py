@@ -65,6 +65,7 @@ def _design_in_child(parameters: str) -> list[Any]:
         capture_output=True,
         text=True,
         check=False,
+        start_new_session=True,  # a Ctrl-C is for the command, which may go on; here it would read as a bad model
     )
     if child.returncode != 0:
         raise ValueError(_NO_GAINS + "".join(child.stderr.strip().splitlines()[-1:]))

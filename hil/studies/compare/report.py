@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.base.named_file import naming
 from hil.rig.schema import RigConfig
 
 Row = dict[str, Any]
@@ -126,5 +127,6 @@ def draw(path: Path, rig: RigConfig, rows: Sequence[Row]) -> None:
     figure.legend(handles, names, loc="outside right upper", fontsize=8)
     figure.suptitle(f"{rig.name}, {rig.rate_hz:g} Hz")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    with naming(path):
+        figure.savefig(path, dpi=120)
     pyplot.close(figure)

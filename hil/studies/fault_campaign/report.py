@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
+from drivers.base.named_file import naming
 from hil.studies.fault_campaign.matrix import Cell
 
 
@@ -124,7 +125,8 @@ def write_html(cells: Sequence[Cell], path: Path) -> None:
         f"Grey: nothing to detect, nothing happened. Sand: the layout cannot tell the fault from the truth.</p>"
         f"<table><tr><th></th>{head}</tr>{''.join(rows)}</table>"
     )
-    path.write_text(page, encoding="utf-8")
+    with naming(path):
+        path.write_text(page, encoding="utf-8")
 
 
 def _square(cells: Sequence[Cell]) -> str:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.base.named_file import naming
 from hil.studies.paper.experiment import Job, Run
 from hil.studies.paper.problem import circle
 
@@ -63,7 +64,8 @@ def draw(runs: Mapping[Job, Run], directory: Path) -> list[tuple[Figure, Path]]:
         present = [(curve, run) for curve, run in curves if run is not None]
         if len(present) == len(curves):
             path = directory / f"figure_{figure.number:02d}.png"
-            path.write_bytes(_picture(figure, present))
+            with naming(path):
+                path.write_bytes(_picture(figure, present))
             drawn.append((figure, path))
     return drawn
 

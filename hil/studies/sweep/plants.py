@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
+from drivers.base.named_file import naming
 from drivers.families import layouts, sides_of
 from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
@@ -157,7 +158,8 @@ def save_worst(
         modernise(document)
         _bring_up_to(document, plant_rig(rig, seed, number, hard))
         path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
-        path.write_text(tomlkit.dumps(document), encoding="utf-8")
+        with naming(path):
+            path.write_text(tomlkit.dumps(document), encoding="utf-8")
         paths.append(path)
     return paths
 
@@ -202,7 +204,8 @@ def plot(path: Path, rig: RigConfig, figures: Figures) -> None:
     axes[0].set_ylabel("share of plants at or below")
     axes[0].legend()
     figure.suptitle(f"{rig.name}, {rig.law.name}: {len(figures.max_error)} plants")
-    figure.savefig(path, dpi=120)
+    with naming(path):
+        figure.savefig(path, dpi=120)
     pyplot.close(figure)
 
 
