@@ -1,7 +1,5 @@
 """`hil install` and `hil uninstall`: put systemd units, network files and a rig file in place, and remove them."""
 
-import hashlib
-import json
 import os
 import re
 import shutil
@@ -14,24 +12,28 @@ from typing import Annotated
 import tomlkit
 import typer
 
+from drivers.base.named_file import naming
 from drivers.config import KERNEL_INTERFACES, BusConfig
+from hil.operate.installed import (
+    RIGS,
+    Files,
+    InstallError,
+    Links,
+    masked_units,
+    put,
+    read_manifest,
+    refuse_foreign,
+    remove,
+    remove_all,
+)
 from hil.rig.brought import named_files
 from hil.rig.file import build_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.shipped import shipped
 
-MANIFEST = "etc/hil/installed.json"
-RIGS = "etc/hil/rigs"
-CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, computed again where they are missing
 _UNITS = ("hil-control@.service", "hil-sidecar@.service", "hil-emulator@.service", "hil-page.service", "hil.target")
+_PER_RIG = ("hil-control", "hil-sidecar", "hil-emulator")
 _PACKAGED_TARGET = "usr/lib/systemd/system/hil.target"
-
-Files = dict[str, str]  # path relative to the root -> content
-Links = dict[str, str]  # path relative to the root -> what the symbolic link says
-
-
-class InstallError(Exception):
-    """What cannot be installed, and what to do instead."""
 
 
 def escape(name: str) -> str:
@@ -138,36 +140,6 @@ def rig_files(rig: RigConfig, *, fd: bool, emulator: bool) -> Files:
     return {**network_files(rig.bus, fd=fd), **files}
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _read_manifest(root: Path) -> dict[str, str]:
-    path = root / MANIFEST
-    try:
-        entries: dict[str, str] = json.loads(path.read_text()) if path.exists() else {}
-    except (OSError, ValueError) as error:
-        raise InstallError(f"{path}: {error}") from None
-    return entries
-
-
-def _write(root: Path, files: Files, links: Links, manifest: dict[str, str]) -> None:
-    for relative, content in files.items():
-        path = root / relative
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content)
-        manifest[relative] = _digest(content)
-    for relative, target in links.items():
-        path = root / relative
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)
-        path.symlink_to(target)
-        manifest[relative] = f"-> {target}"
-    place = root / MANIFEST
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
-
-
 def _rig_text(source: Path, channel: str | None) -> tuple[str, RigConfig]:
     """The rig file's text (comments kept), with its channel replaced where one is given, and the rig parsed from it."""
     try:
@@ -215,7 +187,8 @@ def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> No
             raise InstallError(f"{place} exists and is different; edit it there and install it, or use --replace")
     for place, text in places.items():
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(text, **encoding)
+        with naming(place):
+            place.write_text(text, **encoding)
         place.chmod(0o644)
 
 
@@ -260,56 +233,23 @@ def install_rig(
             f"bus.interface = '{rig.bus.interface}': the control process runs on the kernel's CAN interfaces alone; "
             "`hil doctor` has the commands for the adapter's own driver"
         )
+    if dashed := [name for name in rig.bus.channels if name.startswith("-")]:
+        raise InstallError(f"bus.channel = '{dashed[0]}': `ip` takes it for an option; rename the interface")
     emulated = all(name.startswith("vcan") for name in rig.bus.channels) if emulator is None else emulator
     fd = _needs_fd(rig, source.parent)
     belongings = {f"{rig.name}.toml": text, **_files_beside(rig, source)}
     packaged = (root / _PACKAGED_TARGET).exists()
-    manifest = _read_manifest(root)
-    _remove(root, [path for path in manifest if f"@{rig.name}.service" in path], manifest)
-    _place_rig(root, rig, belongings, replace=replace)
+    manifest = read_manifest(root)
     shared = {} if packaged else system_files(executable, packaged=False)
     unit_directory = "usr/lib/systemd/system" if packaged else "etc/systemd/system"
     files = {**shared, **rig_files(rig, fd=fd, emulator=emulated)}
-    _write(root, files, rig_links(rig, unit_directory, emulator=emulated), manifest)
+    links = rig_links(rig, unit_directory, emulator=emulated)
+    if not replace:
+        refuse_foreign(root, files, links, manifest)
+    _place_rig(root, rig, belongings, replace=replace)
+    remove(root, [path for path in manifest if f"@{rig.name}.service" in path], manifest)
+    put(root, files, links, manifest)
     return rig
-
-
-def _remove(root: Path, paths: list[str], manifest: dict[str, str]) -> list[str]:
-    """Remove what was put there, but nothing that somebody has changed since; returns what was left."""
-    left = []
-    for relative in paths:
-        path = root / relative
-        expected = manifest.pop(relative)
-        present = path.is_symlink() or path.exists()
-        found = f"-> {os.readlink(path)}" if path.is_symlink() else _digest(path.read_text()) if present else expected
-        if found != expected:
-            left.append(relative)
-        elif present:
-            path.unlink()
-            _prune(path.parent)
-    return left
-
-
-def _prune(directory: Path) -> None:
-    """Remove the .wants and .d directories that have become empty; no other directory is ours."""
-    if directory.name.endswith((".wants", ".service.d")) and not any(directory.iterdir()):
-        directory.rmdir()
-
-
-def uninstall_all(root: Path, *, purge: bool) -> list[str]:
-    """Remove what `install_rig` put under `root` and the service's cache, with `purge` the rig files too. Returns what
-    was left, and why.
-    """
-    manifest = _read_manifest(root)
-    left = [f"/{path}: changed since it was installed" for path in _remove(root, list(manifest), manifest)]
-    (root / MANIFEST).unlink(missing_ok=True)
-    shutil.rmtree(root / CACHE, ignore_errors=True)
-    rigs = root / RIGS
-    if purge and rigs.is_dir():
-        shutil.rmtree(rigs)
-    elif rigs.is_dir() and any(rigs.iterdir()):
-        left.append(f"/{RIGS}: your rig files (--purge removes them)")
-    return left
 
 
 def _executable() -> str:
@@ -346,6 +286,8 @@ def install(
         _fail(error)
     _reload(root, installed.bus.channels)
     print(f"rig {installed.name} on {', '.join(installed.bus.channels)}: {root / RIGS / installed.name}.toml")
+    for place in masked_units(root, [*_UNITS, *(f"{unit}@{installed.name}.service" for unit in _PER_RIG)]):
+        print(f"masked: {place}: systemd will not start it; systemctl unmask {Path(place).name}")
     print("start: systemctl start hil.target    at every boot: systemctl enable hil.target")
 
 
@@ -358,9 +300,10 @@ def uninstall(
         if root == Path("/") and Path("/run/systemd/system").is_dir():
             # disabled too: systemctl's own link for the next boot is in no manifest
             subprocess.run(["systemctl", "disable", "--quiet", "--now", "hil.target"], check=False)
-        left = uninstall_all(root, purge=purge)
+        removed, left = remove_all(root, purge=purge)
     except (InstallError, OSError) as error:
         _fail(error)
     _reload(root)
+    print(f"{removed} files removed below {root}" if removed else f"nothing of hil is installed below {root}")
     for line in left:
         print(f"left: {line}")

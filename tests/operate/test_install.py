@@ -1,26 +1,31 @@
 """`hil install` into a directory: what lands where, what is never overwritten, and that uninstall leaves nothing."""
 
 import configparser
+import hashlib
+import json
 import re
 import shutil
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from hil.cli.app import build_app
 from hil.operate.install import (
     InstallError,
     escape,
     install_rig,
     network_files,
     system_files,
-    uninstall_all,
     with_values,
 )
+from hil.operate.installed import read_manifest, remove_all
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.schema import RigError
 from tests.support.paths import RIGS, ROOT
 
 MICROSCOPE = RIGS / "microscope.toml"
+EMPTY = hashlib.sha256(b"").hexdigest()
 
 
 def put(root: Path, rig: Path = MICROSCOPE, **options):
@@ -164,10 +169,10 @@ def test_uninstall_takes_away_all_but_the_rig_files(tmp_path):
     designs = tmp_path / "var/cache/hil/designs"  # the service's
     designs.mkdir(parents=True)
     (designs / "one").touch()
-    left = uninstall_all(tmp_path, purge=False)
+    _, left = remove_all(tmp_path, purge=False)
     assert contents(tmp_path) == {"etc/hil/rigs/microscope.toml"}
     assert len(left) == 1
-    assert uninstall_all(tmp_path, purge=True) == []
+    assert remove_all(tmp_path, purge=True) == (1, [])
     assert contents(tmp_path) == set()
 
 
@@ -175,7 +180,7 @@ def test_uninstall_keeps_what_somebody_changed_and_says_so(tmp_path):
     put(tmp_path)
     network = tmp_path / "etc/systemd/network/80-hil-can0.network"
     network.write_text(network.read_text() + "# ours\n")
-    assert any("80-hil-can0.network" in line for line in uninstall_all(tmp_path, purge=True))
+    assert any("80-hil-can0.network" in line for line in remove_all(tmp_path, purge=True)[1])
     assert contents(tmp_path) == {"etc/systemd/network/80-hil-can0.network"}
 
 
@@ -202,3 +207,97 @@ def test_a_bus_that_is_none_of_the_kernels_is_not_installed(tmp_path: Path):
     rig.write_text(MICROSCOPE.read_text().replace('interface = "auto"', 'interface = "slcan"', 1))
     with pytest.raises(InstallError, match="the kernel's CAN interfaces alone"):
         put(tmp_path / "root", rig)
+
+
+@pytest.mark.parametrize("entry", ["../outside", "/etc/hostname", "etc/../../outside", "linked/file"])
+def test_a_manifest_that_leads_out_of_its_root_removes_nothing(tmp_path: Path, entry: str) -> None:
+    root = tmp_path / "root"
+    put(root)
+    (root / "linked").symlink_to(tmp_path)
+    for outside in (tmp_path / "outside", tmp_path / "file"):
+        outside.write_text("")
+    manifest = root / "etc/hil/installed.json"
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), entry: EMPTY}))
+    before = contents(root)
+    with pytest.raises(InstallError, match=re.escape(repr(entry)) + " leads out of"):
+        remove_all(root, purge=True)
+    assert contents(root) == before
+    assert (tmp_path / "outside").exists()
+    assert (tmp_path / "file").exists()
+
+
+@pytest.mark.parametrize("text", ["[]", '{"a": 1}', "{", '"x"'])
+def test_a_manifest_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    put(tmp_path)
+    (tmp_path / "etc/hil/installed.json").write_text(text)
+    with pytest.raises(InstallError, match=r"installed\.json: "):
+        read_manifest(tmp_path)
+
+
+def test_a_file_of_the_administrators_is_never_overwritten_unasked(tmp_path: Path) -> None:
+    theirs = tmp_path / "etc/systemd/system/hil-control@.service"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes(b"# ours, \xff\n")
+    with pytest.raises(InstallError, match=r"hil-control@\.service: not written by `hil install`"):
+        put(tmp_path)
+    assert contents(tmp_path) == {"etc/systemd/system/hil-control@.service"}, "nothing else is installed either"
+    put(tmp_path, replace=True)
+    assert b"ExecStart" in theirs.read_bytes()
+
+
+def test_a_link_of_the_administrators_is_not_written_through(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "theirs.service"
+    elsewhere.write_text("theirs")
+    unit = tmp_path / "root/etc/systemd/system/hil.target"
+    unit.parent.mkdir(parents=True)
+    unit.symlink_to(elsewhere)
+    with pytest.raises(InstallError, match=r"hil\.target"):
+        put(tmp_path / "root")
+    put(tmp_path / "root", replace=True)
+    assert elsewhere.read_text() == "theirs"
+    assert not unit.is_symlink()
+
+
+def test_what_an_earlier_version_installed_is_renewed(tmp_path: Path) -> None:
+    put(tmp_path)
+    put(tmp_path, executable="/opt/newer/bin/hil")
+    unit = read_unit(tmp_path / "etc/systemd/system/hil-control@.service")
+    assert unit["Service"]["ExecStart"].startswith("/opt/newer/bin/hil")
+
+
+def test_a_masked_unit_stays_masked_and_is_told(tmp_path: Path) -> None:
+    mask = tmp_path / "etc/systemd/system/hil-page.service"
+    mask.parent.mkdir(parents=True)
+    mask.symlink_to("/dev/null")
+    done = CliRunner().invoke(build_app("install"), ["install", "--rig", str(MICROSCOPE), "--root", str(tmp_path)])
+    assert done.exit_code == 0
+    assert f"masked: {mask}: systemd will not start it; systemctl unmask hil-page.service\n" in done.output
+    assert mask.readlink() == Path("/dev/null")
+    removed, left = remove_all(tmp_path, purge=True)
+    assert removed > 10
+    assert left == []
+    assert contents(tmp_path) == {"etc/systemd/system/hil-page.service"}
+
+
+def test_a_channel_that_reads_as_an_option_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InstallError, match="'-can0': `ip` takes it for an option"):
+        put(tmp_path, channel="-can0")
+    assert contents(tmp_path) == set()
+
+
+def test_purge_says_what_it_leaves(tmp_path: Path) -> None:
+    put(tmp_path)
+    (tmp_path / "etc/hil/zenoh.pem").write_text("theirs")
+    (tmp_path / "var/lib/hil").mkdir(parents=True)
+    (tmp_path / "var/lib/hil/run.mcap").write_text("a run")
+    _, left = remove_all(tmp_path, purge=True)
+    assert left == ["/etc/hil/zenoh.pem: not ours", "/var/lib/hil: recordings, which are yours to remove"]
+    assert contents(tmp_path) == {"etc/hil/zenoh.pem", "var/lib/hil/run.mcap"}
+
+
+def test_uninstall_says_how_much_it_removed_or_that_there_was_nothing(tmp_path: Path) -> None:
+    put(tmp_path)
+    words = ["uninstall", "--root", str(tmp_path), "--purge"]
+    first, second = (CliRunner().invoke(build_app("uninstall"), words) for _ in range(2))
+    assert re.fullmatch(r"\d\d files removed below \S+\n", first.output)
+    assert second.output == f"nothing of hil is installed below {tmp_path}\n"
