@@ -8,7 +8,7 @@ ADAPTERS := build/adapters
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-long review test-live test-adapters test-browser attacks lint lock proto docs mutants hashes bench
+.PHONY: help setup run test test-long review test-live test-adapters test-browser attacks hostile lint lock proto docs mutants hashes bench
 .PHONY: bench-compiled wheel client
 
 help:  ## this list
@@ -66,6 +66,9 @@ test-browser: setup  ## the page in a real browser, with pictures in build/brows
 
 attacks: setup  ## try every attack on a live rig: commands, goals, Zenoh, files, processes (needs root; about six minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
+
+hostile: setup  ## commands on full disks, with closed streams, early signals, as other users; MINUTES=600: all of it
+	@$(BIN)/python -m tests.hostile --minutes $(or $(MINUTES),2.5) $(ARGS)
 
 lint: setup $(TYPES)/.installed  ## ruff, mypy --strict, prose, commit messages; users' programs as mypy and pyright see them
 	@$(BIN)/ruff check .
