@@ -2,7 +2,7 @@
 
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -132,7 +132,11 @@ def _words() -> list[str]:
 
 def main() -> None:
     """The whole command line."""
-    run(build_app(first_word(_words()[1:])))
+    try:
+        app = build_app(first_word(_words()[1:]))
+    except (ImportError, OSError, MemoryError) as error:
+        _leave(error)
+    run(app)
 
 
 def run(app: typer.Typer) -> None:
@@ -148,7 +152,11 @@ def run(app: typer.Typer) -> None:
     try:
         in_words(typer.main.get_command(app))()
     except Exception as error:
-        status, lines = failure(error)
-        for line in lines:
-            say(line)
-        sys.exit(status)
+        _leave(error)
+
+
+def _leave(error: Exception) -> NoReturn:
+    status, lines = failure(error)
+    for line in lines:
+        say(line)
+    sys.exit(status)

@@ -6,6 +6,7 @@ from drivers.base.text_file import printable
 from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.streams import unwritable_output
 
+_NO_ROOM = "failed to map segment"  # of the loader, for a library that does not fit into memory
 _OF_THIS_COMPUTER = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE, errno.ENFILE)
 
 
@@ -30,7 +31,7 @@ def failure(error: Exception) -> tuple[int, list[str]]:
         return EXIT_FILE, _lines(f"{error.filename}: {error.strerror}")
     if isinstance(error, OSError) and error.errno in _OF_THIS_COMPUTER:
         return EXIT_FILE, _lines(unwritable_output("\n") or error.strerror)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and _NO_ROOM in str(error)):
         return EXIT_UNAVAILABLE, _lines("not enough memory; `ulimit -v` and `free -m` say how much there is")
     raise error
 
