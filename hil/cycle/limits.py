@@ -7,7 +7,7 @@ from hil.cycle.fault_evidence import AxisLimits
 from hil.cycle.gate import ForceLimits
 from hil.rig.layout import LIMITS
 from hil.rig.schema import RigConfig
-from hil.rig.tables import AxisConfig, HomeConfig
+from hil.rig.tables import AxisConfig, HomeConfig, LimitsConfig
 
 REST_WINDOW = {"linear": 3e-5, "rotary": 3e-4}  # m, rad: play of a brake, where limits.standstill is not stated
 REST_COUNTS = 4.0  # encoder counts beyond it, for noise
@@ -61,6 +61,11 @@ def _coasting_s(axis: AxisConfig) -> float:
     return min(max(least, COASTING * axis.limits.speed * axis.model.mass / friction), most) if friction else most
 
 
+def oscillation_limit(limits: LimitsConfig) -> float:
+    """Amplitude of a following error that swings by itself, at which the axis is stopped, m (rad)."""
+    return limits.oscillation or OSCILLATION * limits.following_error
+
+
 def axis_limits(rig: RigConfig) -> list[AxisLimits]:
     """The detectors' thresholds from the rig file."""
     period, safety = rig.period_ns * 1e-9, rig.safety
@@ -70,7 +75,7 @@ def axis_limits(rig: RigConfig) -> list[AxisLimits]:
             position_high=axis.limits.position[1],
             speed=axis.limits.speed,
             following_error=axis.limits.following_error,
-            oscillation=axis.limits.oscillation or OSCILLATION * axis.limits.following_error,
+            oscillation=oscillation_limit(axis.limits),
             jump_step=safety.jump_margin * axis.limits.speed * period + 2.0 * axis.encoder_resolution,
             stuck_force=safety.stuck_force_fraction * axis.limits.force,
             braking=0.5 * axis.limits.force / axis.model.mass,

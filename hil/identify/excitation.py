@@ -14,8 +14,11 @@ NAME = "hil.identify.excitation:Excitation"
 NONE, GROWING, TRIANGLES, MULTISINE = 0, 1, 2, 3  # shapes of the force
 GROWTH = 1.25  # from one triangle to the next
 TRIANGLES_AT_SIZE = 3  # after growing
+LEAST_WAY = 0.02  # of the excursion, that a cycle must have gone to be centred by
 PERIOD_S = 0.5  # of the multisine
 FIRST_LINE, LAST_LINE, LINES = 2, 199, 90  # multiples of 1 / PERIOD_S: 4 to 398 Hz
+BANDWIDTH_HZ, DAMPING = 10.0, 0.8  # of the loop
+FILTER_HZ, FILTER_DAMPING = 70.0, 0.7  # second order, behind the loop: a resonance that nobody knows yet must not ring
 FULL_FROM_HZ = 30.0  # lines below are smaller in proportion, for the axis gives way more
 NS = 1e-9
 
@@ -30,9 +33,21 @@ def multisine_table(period: float) -> list[float]:
     """One period at unit amplitude of each line, a value a tick of `period` s: Schroeder's phases keep its peak low."""
     lines, n = multisine_lines(), round(PERIOD_S / period)
     phases = [-math.pi * k * (k + 1) / len(lines) for k in range(len(lines))]
-    sizes = [min(1.0, line / PERIOD_S / FULL_FROM_HZ) for line in lines]
-    waves = list(zip(lines, phases, sizes, strict=True))
+    waves = list(zip(lines, phases, _line_sizes(), strict=True))
     return [sum(a * math.cos(2.0 * math.pi * line * i / n + b) for line, b, a in waves) for i in range(n)]
+
+
+def multisine_way(mass: float) -> float:
+    """RMS way, m, of an axis of that mass (kg) in the loop below, with 1 N a line."""
+    omega0, square = 2.0 * math.pi * BANDWIDTH_HZ, 0.0
+    for line, size in zip(multisine_lines(), _line_sizes(), strict=True):
+        omega = 2.0 * math.pi * line / PERIOD_S
+        square += 0.5 * (size / abs(complex(omega0 * omega0 - omega * omega, 2.0 * DAMPING * omega0 * omega))) ** 2
+    return math.sqrt(square) / mass
+
+
+def _line_sizes() -> list[float]:
+    return [min(1.0, line / PERIOD_S / FULL_FROM_HZ) for line in multisine_lines()]
 
 
 def triangle(cycles: float) -> float:
@@ -45,16 +60,24 @@ def _gain(default: float, unit: str, text: str) -> Gain:
     return Gain(default, unit, text)
 
 
+def _loop(mass: Any, hertz: Any) -> tuple[Any, Any]:
+    """Stiffness (N/m) and damping (N s/m) of a loop of that bandwidth."""
+    omega = 2.0 * math.pi * hertz
+    return mass * omega * omega, mass * 2.0 * DAMPING * omega
+
+
 class Excitation(Law):
     """PD on the reference with an integrator until the force begins, Coulomb friction along the reference, and a force.
 
     The force of each shape depends on task time alone, but for growing triangles: they stop growing, and end after
-    three more, once a cycle has moved the axis by `excursion`, and end at once beyond four times that.
+    three more, once a cycle has moved the axis by `excursion`, and end at once beyond four times that. Each is centred
+    by the drift of the one before it.
     """
 
     GAINS: ClassVar[dict[str, Gain]] = {
         "mass": _gain(0.0, "kg", "that the loop is made for; 0: the model's"),
-        "bandwidth_hz": _gain(12.0, "Hz", "of the loop"),
+        "bandwidth_hz": _gain(BANDWIDTH_HZ, "Hz", "of the loop"),
+        "hold_hz": _gain(0.0, "Hz", "of the loop until `from_s`; 0: as later"),
         "coulomb": _gain(0.0, "N", "fed forward along the reference"),
         "gravity": Gain(0.0, "N", "that holds the axis; 0: the model's", least=-1e15),
         "integral_s": _gain(0.15, "s", "of the integrator, until `from_s`"),
@@ -64,17 +87,17 @@ class Excitation(Law):
         "frequency_hz": _gain(4.0, "Hz", "of the triangles"),
         "from_s": _gain(0.0, "s", "task time from which the force acts"),
         "until_s": _gain(0.0, "s", "task time until which it acts"),
-        "excursion": _gain(20e-6, "m", "of shape 1: half the way of a cycle at which it stops growing"),
+        "excursion": _gain(20e-6, "m", "of shape 1: half the way at which it stops growing; in which friction turns"),
         "alternate_s": _gain(0.0, "s", "the multisine's sign changes after so long; 0: never"),
     }
 
     def __init__(self, model: Model, period: float, force_limit: Any, **gains: Any) -> None:
         g: dict[str, Any] = {key: gains.get(key, gain.default) for key, gain in self.GAINS.items()}
         mass = g["mass"] or model.mass
-        omega = 2.0 * math.pi * g["bandwidth_hz"]
-        self._kp, self._kd = mass * omega * omega, mass * 1.6 * omega
+        self._loop = _loop(mass, g["bandwidth_hz"])
+        self._hold = _loop(mass, g["hold_hz"] or g["bandwidth_hz"])
         self._mass, self._gravity, self._coulomb = mass, g["gravity"] or model.gravity, g["coulomb"]
-        self._ki = self._kp * period / g["integral_s"]
+        self._integral = period / g["integral_s"]
         self._limit, self._g, self._period = force_limit, g, period
         self._shape = round(g["shape"])
         self._table = multisine_table(period) if self._shape == MULTISINE else []
@@ -82,9 +105,10 @@ class Excitation(Law):
 
     def reset(self, position: Any, force: Any) -> None:
         """The integrator and the triangles begin anew."""
-        self._held = 0.0
+        self._held = self._passed = self._slope = 0.0
         self._size, self._cycle, self._grown = self._g["amplitude"], 0, -1
-        self._low = self._high = position
+        self._low = self._high = self._begun = position
+        self._centre = self._turned = 0.0
         self._over = False
 
     def force(self, inputs: LawInputs) -> Any:
@@ -93,17 +117,35 @@ class Excitation(Law):
         error = start.position - inputs.position_estimate
         rate = start.velocity - inputs.velocity_estimate
         seconds = inputs.task_ns * NS
-        if seconds < g["from_s"] or not self._shape:
-            self._held = min(max(self._held + self._ki * error, -0.5 * self._limit), 0.5 * self._limit)
-        loop = self._kp * error + self._kd * rate + self._held + self._gravity
-        along = self._mass * inputs.mean_acceleration + self._coulomb * inputs.mean_sign
-        return loop + along + self._added(seconds, inputs.position)
+        before = seconds < g["from_s"]
+        stiffness, damping = self._hold if before else self._loop
+        if before or not self._shape:
+            step = stiffness * self._integral * error
+            self._held = min(max(self._held + step, -0.5 * self._limit), 0.5 * self._limit)
+        back = stiffness * error + damping * rate
+        if not before or not g["hold_hz"]:
+            back = self._filtered(back)
+        along = self._mass * inputs.mean_acceleration + self._coulomb * self._friction(inputs.mean_velocity)
+        return back + self._held + self._gravity + along + self._added(seconds, inputs.position)
+
+    def _friction(self, speed: Any) -> Any:
+        """Of the reference, over Coulomb friction: it turns within `excursion`, not at once."""
+        way = speed * self._period / self._g["excursion"]
+        self._turned = (self._turned + way) / (1.0 + abs(way))
+        return self._turned
+
+    def _filtered(self, force: Any) -> Any:
+        """The loop's force, low-pass."""
+        omega = 2.0 * math.pi * FILTER_HZ
+        self._slope += (omega * (force - self._passed) - 2.0 * FILTER_DAMPING * self._slope) * omega * self._period
+        self._passed += self._slope * self._period
+        return self._passed
 
     def _added(self, seconds: float, position: float) -> float:
         """The experiment's force at that task time."""
         g = self._g
         if not self._shape or not g["from_s"] <= seconds < g["until_s"]:
-            return 0.0
+            return self._centre
         inside = seconds - g["from_s"]
         if self._shape == MULTISINE:
             sign = -1.0 if g["alternate_s"] and int(inside / g["alternate_s"]) % 2 else 1.0
@@ -124,7 +166,13 @@ class Excitation(Law):
                 self._grown = self._cycle
             if self._grown < 0:
                 self._size = min(self._size * GROWTH, 0.8 * self._limit)
-            self._low = self._high = position
+            self._centre -= self._size * self._drift(position)
+            self._low = self._high = self._begun = position
         ended = self._grown >= 0 and self._cycle - self._grown >= TRIANGLES_AT_SIZE
         self._over = self._over or ended or self._high - self._low > 8.0 * self._g["excursion"]
-        return 0.0 if self._over else self._size * triangle(cycles)
+        return self._centre + (0.0 if self._over else self._size * triangle(cycles))
+
+    def _drift(self, position: float) -> float:
+        """Of the cycle that ends, over its way, -1 to 1: what holds the axis may be anywhere within its friction."""
+        way = self._high - self._low
+        return (position - self._begun) / way if way > LEAST_WAY * self._g["excursion"] else 0.0

@@ -10,23 +10,28 @@ from typing import Any
 
 import numpy as np
 
+from hil.cycle.limits import oscillation_limit
 from hil.identify.estimate import Array
-from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES
+from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES, multisine_way
 from hil.rig.schema import AxisConfig, RigConfig
 
 ROW_S = 0.01  # of a path
 RAMP_S = 0.15  # from rest to speed
 REST_S = 0.3  # at both ends of an experiment
-SWEEP_REACH, PASS_REACH, STRETCH_REACH = 0.7, 0.45, 0.25  # of half the travel
+SWEEP_REACH, PASS_REACH, STRETCH_REACH = 0.7, 0.45, (0.25, 0.6)  # of half the travel; the last, least and greatest
+STRETCH_S = 0.6, 2.5  # a pass over the stretch at the greatest and the least speed, about
 SPEED_SHARE = 0.4  # of limits.speed
 SWEEP_S = 3.0
 MINIMUM_JERK_PEAK = 1.875  # greatest over mean speed
 STRETCH_SPEEDS = 6
 FIRST_PUSH = 0.002  # of limits.force
+EXCURSION = {"linear": 20e-6, "rotary": 1e-4}  # m, rad: of a push
 PUSH_HZ, PUSH_S = 4.0, 9.0
+HOLD_HZ = 25.0  # of the loop until the weight is found: gravity may be 30 % wrong
 LOOP_HZ, LOOP_CYCLES = 2.5, 24
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
-LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine
+LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
+SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axis by, at most
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
 
@@ -61,16 +66,16 @@ def _held(axis: AxisConfig, seconds: float) -> Array:
     return np.full(math.ceil(seconds / ROW_S) + 1, middle(axis)[0])
 
 
-def _gains(known: Known, **others: float) -> dict[str, float]:
-    return {"mass": known.mass, "gravity": known.gravity, "coulomb": known.coulomb, **others}
+def _gains(axis: AxisConfig, known: Known, **others: float) -> dict[str, float]:
+    own = {"mass": known.mass, "gravity": known.gravity, "coulomb": known.coulomb, "excursion": EXCURSION[axis.kind]}
+    return own | others
 
 
 def push(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     """Hold, then triangles of force that grow until the axis moves by 20 um."""
     begin = approach_s + 1.5
-    reach = 20e-6 if axis.kind == "linear" else 1e-4
-    gains = _gains(known, shape=GROWING, amplitude=FIRST_PUSH * axis.limits.force, frequency_hz=PUSH_HZ, from_s=begin,
-                   until_s=begin + PUSH_S, excursion=reach)  # fmt: skip
+    gains = _gains(axis, known, shape=GROWING, amplitude=FIRST_PUSH * axis.limits.force, frequency_hz=PUSH_HZ,
+                   from_s=begin, until_s=begin + PUSH_S, hold_hz=HOLD_HZ)  # fmt: skip
     return Plan(_held(axis, 1.5 + PUSH_S + REST_S), gains)
 
 
@@ -78,8 +83,8 @@ def loops(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     """Triangles of force from beyond Coulomb friction down to a tenth of it."""
     begin, lasts = approach_s + 1.0, LOOP_CYCLES / LOOP_HZ
     first, last = (min(share * known.coulomb, 0.8 * axis.limits.force) for share in LOOPS)
-    gains = _gains(known, shape=TRIANGLES, amplitude=last, amplitude_from=first, frequency_hz=LOOP_HZ, from_s=begin,
-                   until_s=begin + lasts)  # fmt: skip
+    gains = _gains(axis, known, shape=TRIANGLES, amplitude=last, amplitude_from=first, frequency_hz=LOOP_HZ,
+                   from_s=begin, until_s=begin + lasts)  # fmt: skip
     return Plan(_held(axis, 1.0 + lasts + REST_S), gains)
 
 
@@ -93,12 +98,15 @@ def moves(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     for speed in (slow, 2.0 * slow):
         path.pass_between(-reach, reach, speed)
         path.pass_between(reach, -reach, speed)
-    stretch = STRETCH_REACH * half
-    for speed in np.geomspace(min(2.0 * stretch / 2.5, 0.3 * most), most, STRETCH_SPEEDS).tolist():
+    fastest_s, slowest_s = STRETCH_S
+    least, greatest = STRETCH_REACH
+    stretch = min(max(least * half, 0.5 * most * fastest_s), greatest * half)
+    fastest = min(most, 2.0 * stretch / fastest_s)
+    for speed in np.geomspace(2.0 * stretch / slowest_s, fastest, STRETCH_SPEEDS).tolist():
         path.pass_between(-stretch, stretch, speed)
         path.pass_between(stretch, -stretch, speed)
     path.go_to(0.0)
-    return Plan(path.rows(), _gains(known), path.spans_from(approach_s))
+    return Plan(path.rows(), _gains(axis, known), path.spans_from(approach_s))
 
 
 def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
@@ -116,7 +124,8 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     each = (path.seconds - lead) / PASSES
     path.go_to(0.0)
     begin = approach_s + lead
-    gains = _gains(known, shape=MULTISINE, amplitude=LINE_SHARE * known.coulomb, from_s=begin,
+    swings = SWING_SHARE * oscillation_limit(axis.limits) / multisine_way(known.mass)
+    gains = _gains(axis, known, shape=MULTISINE, amplitude=min(LINE_SHARE * known.coulomb, swings), from_s=begin,
                    until_s=begin + PASSES * each, alternate_s=2.0 * each)  # fmt: skip
     return Plan(path.rows(), gains, path.spans_from(approach_s))
 

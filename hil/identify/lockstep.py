@@ -102,22 +102,24 @@ def _fitted(experiment: str, of: Signals, plan: Plan, axis: AxisConfig, findings
 
 
 def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    """Only what the next experiments need: about Coulomb friction, and the force that holds."""
+    """Only what the next experiments need: about mass and Coulomb friction, and the force that holds."""
     part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
     force, position = of.force[part], of.position[part]
     if np.ptp(position) < plan.gains["excursion"]:
         raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
     held = float(of.force[of.cut(plan.gains["from_s"] - 0.2, plan.gains["from_s"])].mean())
     size = np.abs(force - held)
-    coulomb = float(size.max()) / PUSH_OVER_COULOMB
+    about = {"mass": known.mass, "constant": held, "coulomb": float(size.max()) / PUSH_OVER_COULOMB}
     try:
         first = int(np.flatnonzero(size > 0.95 * size.max())[0])
         record = Record(force, position, of.period, of.count, ROUGH_LAG, first)
-        coulomb = balance([record], known.mass, axis.model.viscous).found["coulomb"].value
-    except (Refused, KeyError):
+        found = balance([record], viscous=axis.model.viscous).found
+        about |= {name: found[name].value for name in about if name in found}
+    except Refused:
         pass  # a stage that is no single bristle: the size of the push is near enough for the next experiment
+    coulomb = about["coulomb"]
     findings.found["push_coulomb"] = Estimate(coulomb, 0.25 * coulomb, "N")
-    return replace(known, coulomb=coulomb, gravity=held if abs(known.gravity) > coulomb else known.gravity)
+    return Known(about["mass"], about["constant"], coulomb)
 
 
 def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:

@@ -8,20 +8,22 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 
 from hil.identify.estimate import Array, Estimate, Refused, jackknife
-from hil.identify.force_balance import CORNER_HZ, lagged
+from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
 
 LEAST_PASSES = 4
-STEP_S = 0.02  # between the points used
 PERIODS = 100  # tried
 GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's square to be told
 LEAST_PARTS = 4.0  # periods are searched between 1.5 times the travel and the travel over this squared
 SYSTEMATIC = {"coulomb": 0.002, "viscous": 0.02, "friction_variation": 0.03, "cogging_amplitude": 0.01}  # of the value:
 # what the sinusoids and the cables' loop leave out, which no pass shows
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
+LEAD = 0.08  # of the travel, left out at the beginning of a pass: cables that move along take a way to turn
+PLACES = 240  # along the travel; the force is averaged over each
 
 
 class SpeedPass(NamedTuple):
@@ -45,9 +47,10 @@ class _Points(NamedTuple):
     position: Array
     velocity: Array
     of_pass: Array
+    place: Array
 
 
-BASE = ("coulomb", "constant", "viscous", "cable_stiffness")
+BASE = ("coulomb", "constant", "cable_stiffness")
 
 
 def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: float = 0.0) -> TravelFit:
@@ -61,8 +64,13 @@ def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: flo
     points = _points(passes, period, mass, lag)
     centre = 0.5 * float(points.position.min() + points.position.max())
     points = points._replace(position=points.position - centre)
-    waves = _waves(points)
-    x, rest = _solve(points, waves)
+    refused = {}
+    if max(speeds) < 1.5 * min(speeds):
+        refused["viscous"] = f"one speed, {min(speeds):.3g} m/s: at least two that differ by half are needed"
+    viscous = 0.0 if refused else _viscous(points)
+    level = _without_speed(points, viscous)
+    waves = _waves(level)
+    x, rest = _solve(level, waves)
     residual = float(np.sqrt((rest**2).mean()))
     if x[0] <= 0.0 or residual > UNEXPLAINED * x[0]:
         raise Refused(f"{residual:.3g} N RMS left unexplained at a Coulomb friction of {x[0]:.3g} N (at most 20 %)")
@@ -70,25 +78,34 @@ def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: flo
     for left_out in range(len(passes)):
         kept = points.of_pass != left_out
         part = _Points(*(values[kept] for values in points))
+        other = 0.0 if refused else _viscous(part)
+        part = _without_speed(part, other)
         shifted = [(kind, _refined(part, waves, i)) for i, (kind, _) in enumerate(waves)]
         y, _ = _solve(part, shifted)
-        without.append(np.array([*_told(y, shifted).values()]))
+        without.append(np.array([other, *_told(y, shifted, points).values()]))
     half = jackknife(without).tolist()
-    refused = {}
-    if max(speeds) < 1.5 * min(speeds):
-        refused["viscous"] = f"one speed, {min(speeds):.3g} m/s: at least two that differ by half are needed"
-    values = _told(x, waves)
+    values = {"viscous": viscous, **_told(x, waves, points)}
+    systematic = {name: share * values[name] for name, share in SYSTEMATIC.items() if name in values}
+    systematic["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
     found = {
-        name: Estimate(value, float(np.hypot(width, SYSTEMATIC.get(name, 0.0) * value)), UNITS[name])
+        name: Estimate(value, float(np.hypot(width, systematic.get(name, 0.0))), UNITS[name])
         for (name, value), width in zip(values.items(), half, strict=True)
         if name not in refused
     }
-    for kind, name in ((True, "friction_variation"), (False, "cogging_amplitude")):
-        if not any(odd is kind for odd, _ in waves):
+    travel = float(np.ptp(points.position))
+    for kind, name, period_of in WAVES:
+        length = next((length for odd, length in waves if odd is kind), None)
+        if length is None:
             refused[name] = f"no sinusoid along the travel above the residual of {residual:.2g} N"
+        elif length > travel:
+            refused[name] = f"its period is longer than the travel of {travel:.3g} m"
+        if name in refused:
+            found.pop(name, None)
+            found.pop(period_of, None)
     return TravelFit(found, refused, residual)
 
 
+WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
 UNITS = {
     "coulomb": "N", "constant": "N", "viscous": "N s/m", "cable_stiffness": "N/m", "friction_variation": "1",
     "friction_period": "m", "cogging_amplitude": "N", "cogging_period": "m",
@@ -96,26 +113,65 @@ UNITS = {
 
 
 def _points(passes: Sequence[SpeedPass], period: float, mass: float, lag: float) -> _Points:
-    """Filtered, less inertia, one every STEP_S."""
-    width = np.sqrt(np.log(2.0)) / (2.0 * np.pi * CORNER_HZ * period)
-    step, edge = round(STEP_S / period), round(0.03 / period)
-    columns: list[list[Array]] = [[], [], [], []]
+    """Mean force less inertia over each place, whole places only."""
+    ends = [end for one in passes for end in (one.position.min(), one.position.max())]
+    low, high = min(ends), max(ends)
+    edges = np.linspace(low, high, PLACES + 1)
+    columns: list[list[Array]] = [[], [], [], [], []]
     for number, one in enumerate(passes):
-        position = gaussian_filter1d(one.position, width, mode="nearest")
-        velocity = np.gradient(position, period)
-        force = gaussian_filter1d(lagged(one.force, lag, period), width, mode="nearest")
-        force = force - mass * np.gradient(velocity, period)
-        inside = slice(edge, len(position) - edge, step)
-        values = (force[inside], position[inside], velocity[inside])
-        for column, value in zip(columns, (*values, np.full(values[0].size, number)), strict=True):
+        position, force = _smooth(one, period, mass, lag)
+        turned = 1 if one.speed > 0.0 else -1
+        begin = one.position[0] + turned * LEAD * (high - low)
+        first, last = sorted((begin, position[-1]))
+        whole = np.flatnonzero((edges >= first) & (edges <= last))
+        if whole.size < 2:
+            raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed over {abs(last - first):.2g} m only")
+        work = cumulative_trapezoid(force, position, initial=0.0)
+        at = edges[whole]
+        done = np.interp(at, position[::turned], work[::turned])
+        when = np.interp(at, position[::turned], (period * np.arange(position.size))[::turned])
+        width = np.diff(at)
+        values = (np.diff(done) / width, 0.5 * (at[1:] + at[:-1]), width / np.diff(when))
+        for column, value in zip(columns, (*values, np.full(width.size, number), whole[:-1]), strict=True):
             column.append(value)
     return _Points(*(np.concatenate(column) for column in columns))
+
+
+def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Array, Array]:
+    """Position and force less inertia, filtered alike; without the ends, where the filter has half its data."""
+    width, edge = np.sqrt(np.log(2.0)) / (2.0 * np.pi * CORNER_HZ * period), round(EDGE_S / period)
+    if one.position.size < 3 * edge:
+        raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {one.position.size * period:.2g} s only")
+    position = gaussian_filter1d(one.position, width, mode="nearest")
+    force = gaussian_filter1d(lagged(one.force, lag, period), width, mode="nearest")
+    force = force - mass * np.gradient(np.gradient(position, period), period)
+    return position[edge:-edge], force[edge:-edge]
+
+
+def _viscous(points: _Points) -> float:
+    """By how much the force grows with speed, N s/m: compared at the same place and in the same direction, where all
+    else is the same whatever it is.
+    """
+    group = 2 * points.place.astype(int) + (points.velocity > 0.0)
+    size = np.maximum(np.bincount(group), 1)
+
+    def varied(values: Array) -> Array:
+        mean: Array = np.bincount(group, values) / size
+        rest: Array = values - mean[group]
+        return rest
+
+    speed = varied(points.velocity)
+    return float(speed @ varied(points.force) / (speed @ speed))
+
+
+def _without_speed(points: _Points, viscous: float) -> _Points:
+    return points._replace(force=points.force - viscous * points.velocity)
 
 
 def _design(points: _Points, waves: Sequence[tuple[bool, float]]) -> Array:
     """(k, n): BASE, then sine and cosine of every wave; a wave of friction (True) changes sign with the direction."""
     direction = np.sign(points.velocity)
-    rows = [direction, np.ones_like(direction), points.velocity, points.position]
+    rows = [direction, np.ones_like(direction), points.position]
     for odd, length in waves:
         angle = 2.0 * np.pi * points.position / length
         factor = direction if odd else 1.0
@@ -168,13 +224,19 @@ def _refined(points: _Points, waves: Sequence[tuple[bool, float]], at: int) -> f
     return float(found.x)
 
 
-def _told(x: Array, waves: Sequence[tuple[bool, float]]) -> dict[str, float]:
-    """Quantities by name."""
+def _told(x: Array, waves: Sequence[tuple[bool, float]], points: _Points) -> dict[str, float]:
+    """Quantities by name; friction and force of the place as their means over the travel of all passes."""
     told = dict(zip(BASE, x.tolist(), strict=False))
+    low, high = float(points.position.min()), float(points.position.max())
     for i, (odd, length) in enumerate(waves):
-        size = float(np.hypot(*x[4 + 2 * i : 6 + 2 * i]))
+        at, turn = len(BASE) + 2 * i, 2.0 * np.pi / length
+        sine, cosine = x[at : at + 2].tolist()
+        size = float(np.hypot(sine, cosine))
         if odd:
             told |= {"friction_variation": size / told["coulomb"], "friction_period": length}
         else:
             told |= {"cogging_amplitude": size, "cogging_period": length}
+        ends = np.array([low, high]) * turn
+        mean = sine * float(np.diff(-np.cos(ends))[0]) + cosine * float(np.diff(np.sin(ends))[0])
+        told["coulomb" if odd else "constant"] += mean / (turn * (high - low))
     return told

@@ -5,17 +5,21 @@ error of each quantity (median and worst), how often its interval held the truth
 """
 
 import argparse
+import math
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 
+from hil.identify.experiments import SWEEP_REACH
 from hil.identify.lockstep import identify
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.rig.shipped import by_name
 from hil.studies.evidence.stages import nominal, only, plant_of
+from sim_plant.config import PlantConfig
 
+SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
 
 
@@ -38,18 +42,35 @@ def hidden(axis: str, seed: int, number: int, mode_hz: float, off: float | None)
     axes = {axis: whole.axes[axis].model_copy(update={"model": model.model_copy(update=wrong)})}
     drives = whole.drives.model_copy(update={"brake": [axis == "z"]})
     rig = whole.model_copy(update={"axes": axes, "drives": drives, "plant": plant.model_copy(update=mine)})
+    travel = SWEPT * axes[axis].limits.position[1]
     truth = {
         "mass": _first(plant.mass),
         "torque_lag": _first(plant.torque_lag),
-        "coulomb": _first(plant.coulomb) + _first(plant.cable_hysteresis),  # what long moves meet
+        "coulomb": _dry(plant, travel) + _first(plant.cable_hysteresis),  # what long moves meet
         "viscous": _first(plant.viscous),
-        "constant": -_first(plant.gravity) - _first(plant.bias),
+        "constant": -_first(plant.gravity) - _first(plant.bias) - _cogging(plant, travel),
         "presliding": _first(plant.presliding),
     }
     if plant.modes:
         one = plant.modes[0]
         truth |= {"mode_frequency_hz": one.frequency_hz, "mode_damping": one.damping, "mode_load": one.load}
     return rig, truth
+
+
+def _dry(plant: PlantConfig, travel: float) -> float:
+    """Mean Coulomb friction from -travel to travel."""
+    wave = _mean_sine(travel, _first(plant.friction_period), _first(plant.friction_phase))
+    return _first(plant.coulomb) * (1.0 + _first(plant.friction_variation) * wave)
+
+
+def _cogging(plant: PlantConfig, travel: float) -> float:
+    """Its mean over the same travel."""
+    return sum(one.amplitude * _mean_sine(travel, one.period, one.phase) for one in plant.cogging)
+
+
+def _mean_sine(travel: float, period: float, phase: float) -> float:
+    turn = 2.0 * math.pi * travel / period
+    return math.sin(phase) * math.sin(turn) / turn
 
 
 def _first(value: float | list[float]) -> float:
@@ -67,13 +88,12 @@ def main() -> None:
     parser.add_argument("--off", type=float, default=0.3, help="share by which the model is too small")
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     words = parser.parse_args()
-    errors, held, refused = defaultdict(list), defaultdict(list), defaultdict(int)
+    errors, held = defaultdict(list), defaultdict(list)
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
         rig, truth = hidden(words.axis, words.seed, number, words.mode, off)
         found = identify(rig, Path("."), [words.axis], lambda text: None)[words.axis]
         for name, why in found.refused.items():
-            refused[name] += 1
             print(f"stage {number}: {name} refused: {why}", flush=True)
         for name, value in truth.items():
             if name in found.found:

@@ -1,0 +1,74 @@
+"""The law of an experiment, closed around a stage that this package's tests integrate themselves."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.control.laws.base import Model
+from hil.identify.excitation import GROWING, Excitation, multisine_table, multisine_way
+from tests.identify.stages import PERIOD, Bristle, record
+
+MASS, COULOMB, WEIGHT, FROM_S = 0.25, 0.2, 2.45, 1.5
+
+
+def law(**gains: float) -> Excitation:
+    model = Model(mass=MASS, coulomb=0.0, viscous=0.0, quadratic=0.0, gravity=0.0)
+    return Excitation(model, PERIOD, 10.0, **gains)
+
+
+def at_rest(one: Excitation) -> Any:
+    """The law on a reference that stands still, as stages.record asks."""
+    still = SimpleNamespace(position=0.0, velocity=0.0)
+
+    def asked(seconds: float, position: float, speed: float) -> float:
+        inputs: Any = SimpleNamespace(
+            start=still, position_estimate=position, velocity_estimate=speed, position=position,
+            task_ns=round(seconds * 1e9), mean_acceleration=0.0, mean_velocity=0.0, mean_sign=0.0,
+        )  # fmt: skip
+        return float(one.force(inputs))
+
+    return asked
+
+
+@pytest.mark.parametrize("share", [0.7, 1.3])
+def test_a_push_finds_the_middle_of_the_friction_of_an_axis_whose_weight_is_30_percent_off(share: float) -> None:
+    one = law(gravity=share * WEIGHT, shape=GROWING, amplitude=0.02, from_s=FROM_S, until_s=FROM_S + 6.0, hold_hz=25.0)
+    force, position = record(Bristle(COULOMB, 5e-6, 10.0), at_rest(one), FROM_S + 6.5, MASS, 1.2, WEIGHT)
+    pushed = slice(round(FROM_S / PERIOD), round((FROM_S + 6.0) / PERIOD))
+    assert np.abs(position).max() < 200e-6, "the following error may be 300 um"
+    assert np.ptp(position[pushed]) > 20e-6
+    ends = np.array([force[pushed].min(), force[pushed].max()])
+    assert ends.mean() == pytest.approx(WEIGHT, abs=0.5 * COULOMB)
+
+
+def test_friction_fed_forward_turns_within_its_way() -> None:
+    one = law(excursion=20e-6)
+    there = [one._friction(2e-3) for _ in range(100)]  # 200 um: ten times the way
+    back = [one._friction(-2e-3) for _ in range(100)]
+    assert there[-1] == pytest.approx(1.0, abs=1e-3)
+    assert back[4] == pytest.approx(2.0 * math.exp(-0.5) - 1.0, abs=0.05), "10 um after the reversal"
+    assert back[-1] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_the_loop_is_filtered_where_an_unknown_resonance_may_be() -> None:
+    def passed(hertz: float) -> float:
+        one = law()
+        out = [one._filtered(math.sin(2.0 * math.pi * hertz * k * PERIOD)) for k in range(1000)]
+        return float(max(out[500:]))
+
+    assert passed(10.0) == pytest.approx(1.0, abs=0.1)
+    assert passed(150.0) < 0.35
+
+
+def test_the_way_of_a_multisine_is_what_a_mass_in_the_loop_goes() -> None:
+    table = multisine_table(PERIOD)
+    omega, x, v, way = 2.0 * math.pi * 10.0, 0.0, 0.0, []
+    for k in range(4000):
+        for _ in range(10):
+            v += (table[k % len(table)] / MASS - 1.6 * omega * v - omega * omega * x) * PERIOD / 10
+            x += v * PERIOD / 10
+        way.append(x)
+    assert float(np.std(way[2000:])) == pytest.approx(multisine_way(MASS), rel=0.05)
