@@ -1,9 +1,9 @@
 """Is the loop stable on the stage that is really there? The loop around what the nominal model says and leaves open.
 
-Sliding, the axis is a mass with lag and mode; mass, mode, lag and viscous friction are off by what nobody measures
-better. At rest, where the axis hangs on its friction's stiffness (Coulomb friction over the presliding distance), it is
-an oscillator: a law has to bear every stiffness that the stage may have (axes.NAME.model.presliding). All corners are
-rows of one batch.
+Sliding, the axis is a mass with lag and mode; mass, mode, lag and viscous friction are off by what was measured
+(axes.NAME.measured), or by what nobody knows better without. At rest, where the axis hangs on its friction's stiffness
+(Coulomb friction over the presliding distance), it is an oscillator: a law has to bear every stiffness that the stage
+may have (axes.NAME.model.presliding). All corners are rows of one batch.
 """
 
 import math
@@ -18,10 +18,11 @@ from hil.analysis.pulse_loop import CRUISE, PulseLoop, responses
 from hil.analysis.stability import REALISED, LoopMargins, is_stable, margins, realise_poles
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
+from hil.rig.measured_table import Tolerances
 from hil.rig.schema import RigConfig
-from hil.rig.tables import ModelConfig
+from hil.rig.tables import AxisConfig, ModelConfig
 
-MASS_OFF, MODE_OFF, LAG_OFF, FRICTION_OFF = 0.2, 0.1, 0.2, 0.3
+MASS_OFF, MODE_OFF, LAG_OFF, FRICTION_OFF = UNMEASURED = Tolerances()
 STUCK_STIFFNESSES = 7  # tried between the ends of the presliding range
 STUCK_DAMPING = 0.15  # least damping ratio of an axis stuck on its guide
 ANSWER = 2000  # ticks
@@ -56,6 +57,14 @@ class Corner(NamedTuple):
             stiffness,
             damping,
         )
+
+    def within(self, off: Tolerances) -> "Corner":
+        """The same corner of an axis whose model may be off by this much."""
+        if off == UNMEASURED:
+            return self
+        pairs = zip(self[:4], UNMEASURED, off, strict=True)
+        mass, mode, lag, friction = (1.0 + (factor - 1.0) * mine / usual for factor, usual, mine in pairs)
+        return Corner(mass, mode, lag, friction, self.stuck)
 
     def text(self, model: ModelConfig) -> str:
         """For people: 'mass -20 %, mode +10 %', or 'at rest on 3 um'."""
@@ -159,31 +168,35 @@ def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:
 
 def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
     """Without those that are, on this rig, the same as an earlier one, or none."""
-    models = [axis.model for axis in rig.axes.values()]
+    axes = rig.axes.values()
     kept: dict[tuple[AxisDynamics | None, ...], Corner] = {}
     for corner in corners:
-        dynamics = tuple(corner.dynamics(model) for model in models)
+        dynamics = tuple(_dynamics(corner, axis) for axis in axes)
         if any(dynamics):
             kept.setdefault(dynamics, corner)
     return list(kept.values())
 
 
+def _dynamics(corner: Corner, axis: AxisConfig) -> AxisDynamics | None:
+    """The axis there, within its own tolerances."""
+    return corner.within(axis.tolerances).dynamics(axis.model)
+
+
 def _findings(rig: RigConfig, corners: list[Corner], ticks: int) -> list[CornerFinding]:
-    models = {name: axis.model for name, axis in rig.axes.items()}
     speed = np.array([CRUISE if corner.stuck is None else 0.0 for corner in corners])
     loop = PulseLoop(rig, rig_model(rig), len(corners), speed)
     copies = loop.shape[0] // len(corners)
     rows = [
-        [corner.dynamics(model) or AxisDynamics(model.mass) for model in models.values()]
+        [_dynamics(corner, axis) or AxisDynamics(axis.model.mass) for axis in rig.axes.values()]
         for corner in corners
         for _ in range(copies)
     ]
     answer, motion = responses(loop, FlexiblePlant(rows, rig.period_ns * 1e-9), ticks)
     return [
-        _finding(name, corner, model, answer[:, at, axis], motion[:, at, axis], rig.rate_hz)
+        _finding(name, corner.within(axis.tolerances), axis.model, answer[:, at, i], motion[:, at, i], rig.rate_hz)
         for at, corner in enumerate(corners)
-        for axis, (name, model) in enumerate(models.items())
-        if corner.dynamics(model) is not None
+        for i, (name, axis) in enumerate(rig.axes.items())
+        if _dynamics(corner, axis) is not None
     ]
 
 

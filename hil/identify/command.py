@@ -14,7 +14,7 @@ from hil.identify.estimate import Estimate
 from hil.identify.experiments import EXPERIMENTS
 from hil.identify.lockstep import Findings, from_run
 from hil.identify.lockstep import identify as run_experiments
-from hil.identify.written import model_values, rig_text
+from hil.identify.written import changes, model_values, rig_text
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.runs.api import load_run
@@ -54,9 +54,9 @@ def identify(
     if json_target:
         write_json(_document(config, findings, evidence), json_target)
     if write and any(model_values(one.found) for one in findings.values()):
-        note = f"hil identify, {datetime.date.today().isoformat()}, {evidence}"
+        found = {name: one.found for name, one in findings.items()}
         try:
-            write.write_text(rig_text(rig, {name: one.found for name, one in findings.items()}, note), encoding="utf-8")
+            write.write_text(rig_text(rig, found, datetime.date.today().isoformat(), evidence), encoding="utf-8")
         except OSError as error:
             console.print(f"hil: {write}: {error.strerror}", markup=False)
             raise typer.Exit(EXIT_FILE) from None
@@ -111,6 +111,14 @@ def _show(console: Any, rig: RigConfig, findings: dict[str, Findings]) -> None:
     for name, one in findings.items():
         for quantity, why in one.refused.items():
             console.print(f"{name}: {quantity} refused: {why}", markup=False, highlight=False, soft_wrap=True)
+        for text in _changes(rig, name, one):
+            console.print(f"{name}: changed: {text}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _changes(rig: RigConfig, axis: str, one: Findings) -> list[str]:
+    """Since the measurement that the rig file tells of."""
+    before = rig.axes[axis].measured
+    return [] if before is None else changes(before, one.found)
 
 
 def _unit(estimate: Estimate, kind: str) -> str:
@@ -138,6 +146,7 @@ def _document(rig: RigConfig, findings: dict[str, Findings], evidence: str) -> d
             "found": {quantity: estimate._asdict() for quantity, estimate in one.found.items()},
             "refused": one.refused,
             "model": model_values(one.found),
+            "changes": _changes(rig, name, one),
         }
         for name, one in findings.items()
     }

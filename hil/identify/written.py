@@ -1,4 +1,6 @@
-"""What was identified as a new rig file: values in [axes.NAME.model], half widths and evidence as comments."""
+"""What was identified as a new rig file: values in [axes.NAME.model], half widths and evidence in [axes.NAME.measured],
+the values before in a comment.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,6 +9,7 @@ from typing import Any
 import tomlkit
 
 from hil.identify.estimate import Estimate
+from hil.rig.measured_table import MeasuredConfig
 
 MODEL_KEYS = ("mass", "coulomb", "viscous", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")
 DIGITS = 6
@@ -23,8 +26,8 @@ def model_values(found: Mapping[str, Estimate]) -> dict[str, Any]:
     return values
 
 
-def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], note: str) -> str:
-    """The rig file with the identified values; all else, comments included, stays. note: date and evidence."""
+def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], date: str, evidence: str) -> str:
+    """The rig file with the identified values; all else, comments included, stays. date: of the measurement."""
     document = tomlkit.parse(source.read_text(encoding="utf-8"))
     tables: Any = document["axes"]
     for name, found in axes.items():
@@ -35,10 +38,32 @@ def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], note: str
         before = {key: model.unwrap()[key] for key in values if key in model}
         for key, value in values.items():
             model[key] = value
-        measured = ", ".join(f"{key} {one.value:.5g} +- {one.half_width:.2g} {one.unit}" for key, one in found.items())
-        for text in (note, f"measured: {measured} (95 %)", f"before: {before}"):
-            tables[name].add(tomlkit.comment(text))
+        table = tomlkit.table()
+        table.add(tomlkit.comment(f"before: {before}"))
+        for key, both in measured_values(found).items():
+            table[key] = both
+        table["date"], table["evidence"] = date, evidence
+        tables[name]["measured"] = table
     return tomlkit.dumps(document)
+
+
+def measured_values(found: Mapping[str, Estimate]) -> dict[str, list[float]]:
+    """Keys of [axes.NAME.measured]: value and half width."""
+    named = {key: found[key] for key in (*MODEL_KEYS, "presliding") if key in found}
+    if "constant" in found:
+        one = found["constant"]
+        named["gravity"] = one._replace(value=-one.value)
+    return {key: [_rounded(one.value) + 0.0, _rounded(one.half_width)] for key, one in named.items()}
+
+
+def changes(before: MeasuredConfig, found: Mapping[str, Estimate]) -> list[str]:
+    """What left both intervals since the measurement before: wear, a screw, a cable. A line each."""
+    told = []
+    for key, (value, width) in measured_values(found).items():
+        then = getattr(before, key)
+        if then is not None and abs(value - then[0]) > max(width, then[1]):
+            told.append(f"{key} was {then[0]:.5g} +- {then[1]:.2g}, is {value:.5g} +- {width:.2g}")
+    return told
 
 
 def _rounded(value: float) -> float:

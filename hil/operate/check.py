@@ -21,7 +21,7 @@ from hil.analysis.task_figures import excursion_notes, excursion_problems, excur
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.law_registry import law_class
-from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings
+from hil.operate.check_loop import corner_notes, corner_problems, corner_table, findings, measured_notes
 from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import (
     analyse_rig,
@@ -87,8 +87,8 @@ def check_rig(
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
     console.print(corner_table(corners))
-    for note in corner_notes(corners):
-        console.print(f"less margin than is good: {note}", soft_wrap=True, markup=False)
+    for note in [*measured_notes(rig), *(f"less margin than is good: {note}" for note in corner_notes(corners))]:
+        console.print(note, soft_wrap=True, markup=False)
     for finding in learning:
         console.print(finding.note(), soft_wrap=True, markup=False)
     for told in sensor:

@@ -59,6 +59,17 @@ def corner_notes(found: Sequence[CornerFinding]) -> list[str]:
     return [text for finding in found if finding.stable and (text := finding.lacks())]
 
 
+def measured_notes(rig: RigConfig) -> list[str]:
+    """A line for each axis whose corners come from what was measured."""
+    return [
+        f"axis '{name}': corners from [axes.{name}.measured]"
+        + (f" of {axis.measured.date}" if axis.measured.date else "")
+        + f": {axis.tolerances.text()}"
+        for name, axis in rig.axes.items()
+        if axis.measured is not None
+    ]
+
+
 def corner_table(found: Sequence[CornerFinding]) -> Table:
     """Per axis and kind the corner with the least margin."""
     table = Table("axis", "where its margin is least", "gain margin", "phase margin", "at", title="Off the model")

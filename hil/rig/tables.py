@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from drivers.base.keys import REQUIRED, Table, key
 from drivers.base.plugins import Kind, known, unknown
 from drivers.protocols.mounting import Mounting
+from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
 from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
 from hil.rig.motion_tables import MotionConfig as MotionConfig
 from hil.rig.task_file import MOST_ROWS, sample_problems
@@ -121,6 +122,9 @@ class AxisConfig(Table):
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
     motion: AxisMotionConfig = key(AxisMotionConfig(), "what goals hold the axis to")
+    measured: MeasuredConfig | None = key(
+        None, "what `hil identify` measured of the model, with half widths", exclude_if=lambda value: value is None
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "AxisConfig":
@@ -134,6 +138,11 @@ class AxisConfig(Table):
         if self.home is not None and self.home.by == "limit" and not self.limits.switches:
             raise ValueError('home.by = "limit" needs limits.switches = true')
         return self
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """By how much the model may be off: as measured, else as is usual."""
+        return tolerances(self.model, self.measured)
 
     @property
     def mounting(self) -> Mounting:

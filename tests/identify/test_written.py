@@ -4,9 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from hil.analysis.loop_corners import check_corners
+from hil.analysis.stability import REALISED
 from hil.identify.estimate import Estimate
-from hil.identify.written import rig_text
+from hil.identify.written import changes, rig_text
+from hil.operate.check_loop import measured_notes
 from hil.rig.file import load_rig
+from hil.rig.measured_table import Tolerances
 from hil.rig.shipped import by_name
 
 FOUND = {
@@ -20,14 +24,50 @@ FOUND = {
 def test_what_is_written_is_a_rig_with_these_values(tmp_path: Path) -> None:
     source = by_name("rigs", Path("microscope"))
     made = tmp_path / "microscope.toml"
-    made.write_text(rig_text(source, {"x": FOUND}, "hil identify, 2026-01-01, run.mcap sha256 0123"), encoding="utf-8")
+    made.write_text(rig_text(source, {"x": FOUND}, "2026-01-01", "run.mcap sha256 0123"), encoding="utf-8")
     before, after = load_rig(source), load_rig(made)
     model = after.axes["x"].model
     assert (model.mass, model.gravity) == (1.23457, 0.5)
     assert model.presliding == pytest.approx([3e-6, 5e-6])
     assert model.coulomb == before.axes["x"].model.coulomb
+    assert before.axes["x"].measured is None
     assert after.axes["y"] == before.axes["y"]
     text = made.read_text(encoding="utf-8")
     assert "run.mcap sha256 0123" in text
-    assert "mass 1.2346 +- 0.001 kg" in text
+    measured = after.axes["x"].measured
+    assert measured is not None
+    assert (measured.mass, measured.gravity, measured.viscous) == ([1.23457, 0.001], [0.5, 0.01], None)
+    assert (measured.date, measured.evidence) == ("2026-01-01", "run.mcap sha256 0123")
     assert text.startswith(source.read_text(encoding="utf-8")[:200])
+
+
+def test_a_second_identification_is_written_over_the_first_and_its_changes_are_told(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text(rig_text(by_name("rigs", Path("microscope")), {"x": FOUND}, "2026-01-01", "a"), encoding="utf-8")
+    again = {**FOUND, "mass": Estimate(1.236, 0.001, "kg"), "constant": Estimate(-0.505, 0.002, "N")}
+    second.write_text(rig_text(first, {"x": again}, "2026-02-01", "b"), encoding="utf-8")
+    old, new = load_rig(first).axes["x"].measured, load_rig(second).axes["x"].measured
+    assert old is not None
+    assert new is not None
+    assert (new.mass, new.date, new.evidence) == ([1.236, 0.001], "2026-02-01", "b")
+    assert changes(old, again) == ["mass was 1.2346 +- 0.001, is 1.236 +- 0.001"]
+    assert changes(old, FOUND) == []
+
+
+def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
+    source = by_name("rigs", Path("microscope"))
+    made = tmp_path / "microscope.toml"
+    found = {"mass": Estimate(0.9, 1e-4, "kg"), "mode_frequency_hz": Estimate(196.0, 6.0, "Hz")}
+    made.write_text(rig_text(source, {"x": found}, "2026-01-01", "a"), encoding="utf-8")
+    rig = load_rig(made)
+    assert rig.axes["x"].tolerances == pytest.approx((0.02, 6.0 / 196.0, 0.2, 0.3)), "at least 2 % of mass"
+    assert load_rig(source).axes["x"].tolerances == Tolerances()
+    assert load_rig(made, ["axes.x.model.mass=0.91"]).axes["x"].tolerances.mass == 0.2, "no longer what was measured"
+    corners = {one.corner for one in check_corners(rig, REALISED) if one.axis == "x"}
+    assert "mass -2%, mode +3%" in corners
+    assert "mass -20%, mode +10%" not in corners
+    assert "mass -20%, mode +10%" in {one.corner for one in check_corners(rig, REALISED) if one.axis == "y"}
+    assert measured_notes(rig) == [
+        "axis 'x': corners from [axes.x.measured] of 2026-01-01: mass 2 %, resonance 3.1 %, lag 20 %, "
+        "viscous friction 30 %"
+    ]

@@ -1,0 +1,70 @@
+"""[axes.NAME.measured]: what `hil identify` measured of an axis, and how well; `hil check` goes by it."""
+
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
+
+from drivers.base.keys import Table, key
+
+Measured = Annotated[list[float], Field(min_length=2, max_length=2)]
+BOTH = "value and half width of its 95 % interval"
+
+
+class MeasuredConfig(Table):
+    """[axes.NAME.measured]: identified values of [axes.NAME.model] with their half widths; written by `hil identify`.
+
+    `hil check` tries the loop within these half widths where the model still has the measured value.
+    """
+
+    mass: Measured | None = key(None, f"moving mass (moment of inertia): {BOTH}", "kg (kg m^2)")
+    coulomb: Measured | None = key(None, f"Coulomb friction: {BOTH}", "N (N m)")
+    viscous: Measured | None = key(None, f"viscous friction: {BOTH}", "N s/m (N m s/rad)")
+    gravity: Measured | None = key(None, f"constant force on the axis: {BOTH}", "N (N m)")
+    torque_lag: Measured | None = key(None, f"time constant of the force: {BOTH}", "s")
+    mode_frequency_hz: Measured | None = key(None, f"resonance of the tool: {BOTH}", "Hz")
+    mode_damping: Measured | None = key(None, f"damping ratio of that mode: {BOTH}", "1")
+    mode_load: Measured | None = key(None, f"the tool's fraction of the moving mass: {BOTH}", "1")
+    presliding: Measured | None = key(None, f"Coulomb friction over its stiffness at rest: {BOTH}", "m (rad)")
+    date: str = key("", "day of the measurement")
+    evidence: str = key("", "recording or runs that it comes from, with hashes")
+
+
+class Tolerances(NamedTuple):
+    """By how much the model of an axis may be off, fractions."""
+
+    mass: float = 0.2
+    mode: float = 0.1
+    lag: float = 0.2
+    friction: float = 0.3
+
+    def text(self) -> str:
+        """For people: 'mass 2 %, resonance 1 %, lag 5 %, viscous friction 10 %'."""
+        names = ("mass", "resonance", "lag", "viscous friction")
+        return ", ".join(
+            f"{name} {share:.2g} %" for name, share in zip(names, (100.0 * each for each in self), strict=True)
+        )
+
+
+LEAST = Tolerances(0.02, 0.01, 0.05, 0.1)  # whatever was measured: a stage changes with temperature and wear
+SAME = 1e-5  # relative: the model has the measured value
+
+
+def tolerances(model: object, measured: MeasuredConfig | None) -> Tolerances:
+    """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured."""
+    unknown = Tolerances()
+    if measured is None:
+        return unknown
+    keys = ("mass", "mode_frequency_hz", "torque_lag", "viscous")
+    return Tolerances(
+        *(
+            _tolerance(getattr(model, name), getattr(measured, name), least, default)
+            for name, least, default in zip(keys, LEAST, unknown, strict=True)
+        )
+    )
+
+
+def _tolerance(value: float, measured: list[float] | None, least: float, default: float) -> float:
+    """Half width over value, at least `least`; `default` where the model's value is not the measured one."""
+    if measured is None or not value or abs(value - measured[0]) > SAME * abs(value):
+        return default
+    return max(least, abs(measured[1] / value))
