@@ -6,6 +6,7 @@ Rules:
 - A plan begins in the motion of the setpoint in force where the coming force begins to act, and takes effect in the
   frame of the tick that takes the goal.
 - From a path (the task) a goal first stops along the path.
+- A goal is tried on a copy of the course. A refused one changes nothing: the task, path or motion in hand goes on.
 - Nothing here is trusted by gate or monitors, and nothing a goal holds can raise.
 
 Theory of operation: the setpoints follow a `Course` (hil/control/plans/course.py) as long as goals move the axes, and a
@@ -87,14 +88,14 @@ class GoalDesk:
         """
         if self.decided is not None:
             self.decided.end()
-        course = self._on_course()
+        course = self._branch()
         for one, at in enumerate(self._commits()):
             state = course.at(one, at)
             li = self._limits_at(one, state[0])
             plan = move(*state, target, li, seconds) if one == axis else halt(*state, li)
             course.add(one, Stretch(at, plan))
+        self._take_course(course)
         self._path, self.word = None, MotionWord.WITHDRAW
-        self._update()
         return course.newest(axis).plan.ends
 
     def leave(self) -> None:
@@ -131,16 +132,22 @@ class GoalDesk:
             self.word = MotionWord.MOVE
 
     def _watch_course(self, course: Course) -> None:
-        """Once all axes have come to rest, also where the samples are, the setpoints merely hold again."""
+        """Once all axes have come to rest, also where the samples are, the setpoints merely hold again. Where a path
+        is over they hold its end.
+        """
         setpoints = self._axes.setpoints
         for axis, instant in enumerate(self._sampling.instants):
             stretch = course.newest(axis)
-            since = instant - setpoints.origin[axis] - stretch.begins
-            if stretch.path is not None or since < 0 or since * 1e-9 < stretch.plan.ends:
+            at = instant - setpoints.origin[axis]
+            if stretch.path is not None:
+                if not 0 <= self._ends_ns <= self._path_time(course, axis, at)[0]:
+                    return
+            elif (at - stretch.begins) * 1e-9 < stretch.plan.ends:
                 return
-        self._course = self._path = None
-        self.word = MotionWord.HOLD
-        setpoints.hold([course.newest(axis).plan.target for axis in range(len(self._limits))])
+        path, self._path = self._path, None
+        self._course, self.word = None, MotionWord.HOLD
+        if path is None:
+            setpoints.hold([course.newest(axis).plan.target for axis in range(len(self._limits))])
 
     def _take(self, goals: Sequence[Goal], begin_path: Callable[[list[float]], Trajectory | None]) -> None:
         """The newest of each kind, in order of arrival."""
@@ -183,13 +190,29 @@ class GoalDesk:
         refusal = self._wrong(goal, axes)
         if refusal is not Refusal.NONE:
             return refusal
-        course = self._on_course()
+        course = self._branch()
         if goal.kind == GoalKind.RATE:
-            return self._change_rate(course, goal.speed)
-        refusal = self._stop_along_path(course)
+            refusal = self._change_rate(course, goal.speed)
+        else:
+            refusal = self._stop_along_path(course)
+            if refusal is Refusal.NONE:
+                refusal = self._plan(course, goal, axes)
         if refusal is Refusal.NONE:
-            refusal = self._plan(course, goal, axes)
+            self._take_course(course)
+            self._say(goal)
         return refusal
+
+    def _say(self, goal: Goal) -> None:
+        """What the axes do since this goal was taken."""
+        if goal.kind == GoalKind.RATE:
+            if goal.speed == 0.0:
+                self.word = MotionWord.PAUSED
+            elif self.word is MotionWord.PAUSED:
+                self.word = MotionWord.PATH
+            return
+        self._path, self.word = None, _WORDS[goal.kind]
+        if self.decided is not None:
+            self.decided.end()
 
     def _chosen(self, goal: Goal) -> list[int]:
         n = len(self._limits)
@@ -213,29 +236,31 @@ class GoalDesk:
             return Refusal.NOT_FINITE
         if not 0 <= goal.valid_ns <= MOST_JOG_S * 1e9:
             return Refusal.NOT_FINITE
-        if goal.kind == GoalKind.MOVE and not goal.flags & RELATIVE and self._beyond(goal, axes):
-            return Refusal.FENCE  # before a task is stopped for it
         return Refusal.NONE
-
-    def _beyond(self, goal: Goal, axes: list[int]) -> bool:
-        """A place outside the fence."""
-        return any(not self._limits[axis].low <= goal.position[axis] <= self._limits[axis].high for axis in axes)
 
     # the course ---------------------------------------------------------------------------------------------------
 
-    def _on_course(self) -> Course:
-        """What the setpoints follow from here on; it begins as what they do now."""
+    def _branch(self) -> Course:
+        """A copy of what the setpoints follow from here on, for goals to try."""
         if self._course is None:
-            setpoints = self._axes.setpoints
-            self._course = Course([x.end.position for x in self._axes.inputs], self._path)
-            origin = list(self._sampling.starts) if self._path is None else list(setpoints.origin)
-            setpoints.follow(self._course, origin)
-        return self._course
+            return Course([x.end.position for x in self._axes.inputs], self._path)
+        return self._course.branch()
+
+    def _origin(self) -> list[int]:
+        """Where the course's time is 0, ns on the samples' clock, by axis; a course from rest begins now."""
+        resting = self._course is None and self._path is None
+        return list(self._sampling.starts if resting else self._axes.setpoints.origin)
 
     def _commits(self) -> list[int]:
         """Where the coming force begins to act, ns on the course's clock, by axis."""
-        origin = self._axes.setpoints.origin
-        return [start - begun for start, begun in zip(self._sampling.starts, origin, strict=True)]
+        return [start - begun for start, begun in zip(self._sampling.starts, self._origin(), strict=True)]
+
+    def _take_course(self, course: Course) -> None:
+        """The setpoints follow it, in this tick already."""
+        origin = self._origin()
+        self._course = course
+        self._axes.setpoints.follow(course, origin)
+        self._update()
 
     def _update(self) -> None:
         self._axes.setpoints.update(self._sampling.instants, self._sampling.starts)
@@ -248,14 +273,8 @@ class GoalDesk:
         rate, slope = here[0][1], here[0][2]
         pace = change_rate(path, [place for place, _, _ in here], rate, slope, wanted, self._hard)
         if pace is None:
-            self._update()
             return Refusal.LIMITS
         self._set_pace(course, path, pace, commits, [place for place, _, _ in here])
-        if wanted == 0.0:
-            self.word = MotionWord.PAUSED
-        elif self.word is MotionWord.PAUSED:
-            self.word = MotionWord.PATH
-        self._update()
         return Refusal.NONE
 
     def _set_pace(
@@ -286,18 +305,17 @@ class GoalDesk:
             assert stretch.pace is not None
             begins = stretch.begins + math.ceil(stretch.pace.ends * 1e9) + 1
             course.add(axis, Stretch(begins, AxisPlan(course.at(axis, begins)[0], 0.0, 0.0)))
-        self._path, self.word = None, MotionWord.MOVE
         return Refusal.NONE
 
     # plans --------------------------------------------------------------------------------------------------------
 
     def _plan(self, course: Course, goal: Goal, axes: list[int]) -> Refusal:
-        """New plans for the axes of a goal; nothing changes where one of them may not be."""
+        """New plans for the axes of a goal; none where one of them may not be."""
         commits = self._commits()
         begins = [max(commits[axis], course.newest(axis).begins) for axis in axes]
         states = [course.at(axis, at) for axis, at in zip(axes, begins, strict=True)]
         limits = [self._limits_at(axis, state[0]) for axis, state in zip(axes, states, strict=True)]
-        limited = self.limited
+        limited, knot_ns, knot_speed = self.limited, list(self._knot_ns), list(self._knot_speed)
         plans, refusal = self._made(course, goal, axes, begins, states, limits)
         if refusal is Refusal.NONE and not all(p.keeps(li) for p, li in zip(plans, limits, strict=True)):
             refusal = Refusal.LIMITS
@@ -307,12 +325,8 @@ class GoalDesk:
                     course.replace(axis, Stretch(at, plan))
                 else:
                     course.add(axis, Stretch(at, plan))
-            self.word = _WORDS[goal.kind]
-            if self.decided is not None:
-                self.decided.end()
         else:
-            self.limited = limited
-        self._update()
+            self.limited, self._knot_ns, self._knot_speed = limited, knot_ns, knot_speed
         return refusal
 
     def _limits_at(self, axis: int, position: float) -> MotionLimits:

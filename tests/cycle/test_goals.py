@@ -1,6 +1,6 @@
 """Goals in the pure cycle: what a running rig does with them, held by its setpoints, frames and record."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,80 +11,10 @@ from hil.control.plans.axis_plan import MotionLimits
 from hil.cycle.goal import LINE, RELATIVE, Goal, GoalKind, MotionWord, Refusal
 from hil.cycle.limits import motion_limits
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
 from hil.telemetry.recorder import LockstepRecorder
-from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
-from tests.support.paths import RIGS
-from tests.support.records import kept
-
-RIG = RIGS / "microscope-ideal.toml"
-MS = 1_000_000
-
-
-class Held:
-    """A rig in HOLD. rows: setpoint and acceleration bounds are read from the records of every tick."""
-
-    def __init__(self, *changes: str, hold: bool = True, observer: Callable[..., None] | None = None) -> None:
-        self.rig = load_rig(RIG, list(changes))
-        kind = CommandKind.ACTIVATE_HOLD if hold else CommandKind.ACTIVATE
-        self.records: list[np.void] = []
-        self.accelerations: list[list[float]] = []
-        self.observer = observer
-
-        def observe(tick: object, frames: object, result: object) -> None:
-            self.records.append(kept(result.record))  # type: ignore[attr-defined]
-            self.accelerations.append([x.end.acceleration for x in self.run.cycle.inputs])
-            if self.observer:
-                self.observer(tick, frames, result)
-
-        def asked(run: LockstepRun, tick: int) -> tuple[CommandKind, ...]:
-            return (kind,) if run.cycle.state is State.READY and run.activated_at < 0 else ()
-
-        self.run = LockstepRun(self.rig, RIGS, operator=asked, observer=observe)
-        self.number = 0
-        while self.desk.word is MotionWord.NONE:
-            self.run.tick()
-            assert self.run.index < 2_000
-
-    @property
-    def desk(self):  # type: ignore[no-untyped-def]
-        return self.run.cycle.supervisor.goals
-
-    def ask(self, kind: int, *position: float, **more: object) -> int:
-        """What refused it, 0: nothing."""
-        self.number += 1
-        places = (*position, *[0.0] * (4 - len(position)))
-        self.run.goals.append(Goal(self.number, kind, position=places, **more))  # type: ignore[arg-type]
-        self.run.tick()
-        return int(self.records[-1]["goals"][0]["refusal"])
-
-    def ticks(self, count: int) -> None:
-        for _ in range(count):
-            self.run.tick()
-
-    def settle(self, most: int = 20_000) -> None:
-        while self.desk.word is not MotionWord.HOLD:
-            self.run.tick()
-            most -= 1
-            assert most
-
-    @property
-    def setpoint(self) -> list[float]:
-        return [x.end.position for x in self.run.cycle.inputs]
-
-    def hold_limits(self) -> None:
-        """Every tick so far: no fault, limits kept, no step of the acceleration that is beyond the jerk."""
-        assert self.run.cycle.state is State.ACTIVE
-        found = np.array(self.accelerations)
-        for axis, li in enumerate(motion_limits(self.rig)):
-            q = np.array([record["setpoint_position"][axis] for record in self.records])
-            v = np.array([record["setpoint_velocity"][axis] for record in self.records])
-            assert li.low - 1e-9 <= q.min() <= q.max() <= li.high + 1e-9
-            assert np.abs(v).max() <= li.speed * (1 + 1e-9)
-            assert np.abs(found[:, axis]).max() <= li.acceleration * (1 + 1e-9)
-            assert np.abs(np.diff(found[:, axis])).max() <= li.jerk * 1e-3 * (1 + 1e-6)
+from tests.support.held import MS, RIG, TASK, Held
 
 
 def test_hold_stands_where_it_is_and_a_move_ends_on_its_target() -> None:
@@ -154,10 +84,6 @@ def test_a_stream_follows_its_path_and_rests_behind_its_last_knot() -> None:
     held.hold_limits()
 
 
-TASK = ["task.kind=circle", "task.axes=['x', 'y']", "task.radius=1e-3", "task.frequency_hz=1.0", "task.approach_s=0.5",
-        "task.settle_s=0.0"]  # fmt: skip
-
-
 def test_a_task_can_be_paused_on_its_way_and_goes_on() -> None:
     held = Held(*TASK, hold=False)
     assert held.desk.word is MotionWord.TASK
@@ -176,16 +102,20 @@ def test_a_task_can_be_paused_on_its_way_and_goes_on() -> None:
     assert np.hypot(*held.setpoint[:2]) == pytest.approx(1e-3, rel=1e-6)
 
 
-@pytest.mark.parametrize("place", [9.0, float("nan")])
-def test_a_goal_that_is_refused_leaves_the_task_as_it_runs(place: float) -> None:
-    held = Held(*TASK, hold=False)
-    held.ticks(1_000)
-    assert held.ask(GoalKind.MOVE, place, mask=1) == (Refusal.FENCE if place == 9.0 else Refusal.NOT_FINITE)
-    before = held.setpoint
-    held.ticks(50)
-    assert held.desk.word is MotionWord.TASK
-    assert held.setpoint[:2] != before[:2]
-    assert np.hypot(*held.setpoint[:2]) == pytest.approx(1e-3, rel=1e-6)
+def test_a_task_that_was_paused_goes_to_hold_where_it_ends() -> None:
+    held = Held("task.kind=waypoints", "task.axes=['x']", "task.waypoints=[[0.0], [1e-3]]", "task.approach_s=0.1",
+                hold=False)  # fmt: skip
+    held.ticks(150)
+    assert held.ask(GoalKind.RATE, speed=0.0) == 0
+    held.ticks(300)
+    assert held.desk.word is MotionWord.PAUSED
+    assert held.ask(GoalKind.RATE, speed=1.0) == 0
+    held.settle(3_000)
+    held.ticks(10)
+    assert held.setpoint[0] == 1e-3
+    assert held.ask(GoalKind.MOVE, 0.0, mask=1) == 0
+    held.settle()
+    assert held.setpoint[0] == 0.0
 
 
 def test_a_goal_stops_a_task_along_its_path_first() -> None:
@@ -221,39 +151,6 @@ def test_a_task_that_is_over_goes_to_hold() -> None:
     assert held.ask(GoalKind.MOVE, 0.0, mask=1) == 0
     held.settle()
     assert held.setpoint[0] == 0.0
-
-
-NAN = float("nan")
-WRONG = [
-    ({"kind": 99}, Refusal.UNKNOWN),
-    ({"kind": GoalKind.MOVE, "mask": 0b10000}, Refusal.UNKNOWN),
-    ({"kind": GoalKind.MOVE, "flags": 64}, Refusal.UNKNOWN),
-    ({"kind": GoalKind.MOVE, "position": (NAN, 0.0, 0.0, 0.0)}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.JOG, "velocity": (float("inf"), 0.0, 0.0, 0.0)}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.JOG, "valid_ns": 600 * MS}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.JOG, "valid_ns": -1}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.KNOT, "due_ns": -1}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.MOVE, "speed": 0.0}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.MOVE, "speed": 1.1}, Refusal.NOT_FINITE),
-    ({"kind": GoalKind.MOVE, "position": (1e9, 0.0, 0.0, 0.0)}, Refusal.FENCE),
-    ({"kind": GoalKind.RATE, "speed": 0.5}, Refusal.NO_PATH),
-]
-
-
-@pytest.mark.requirement(id="SR-4.4")
-@pytest.mark.parametrize(("wrong", "refusal"), WRONG)
-def test_a_goal_that_cannot_be_is_refused_with_its_reason_and_changes_nothing(
-    wrong: dict[str, object], refusal: Refusal
-) -> None:
-    held = Held()
-    before = held.setpoint
-    held.run.goals.append(Goal(1, **wrong))  # type: ignore[arg-type]
-    held.ticks(2)
-    assert int(held.records[-2]["goals"][0]["refusal"]) == refusal
-    assert refusal.text
-    assert held.setpoint == before
-    assert held.desk.word is MotionWord.HOLD
-    assert held.records[-1]["goals_refused"] == 1
 
 
 def test_of_a_flood_the_newest_of_each_kind_count() -> None:

@@ -57,6 +57,12 @@ class Course(Trajectory):
             first = Stretch(0 if path is not None else _ALWAYS, AxisPlan(here, 0.0, 0.0), path)
             self._stretches.append([first])
 
+    def branch(self) -> "Course":
+        """A course that does the same, whatever is added to either of them from here on."""
+        copy = Course(())
+        copy._n, copy._stretches = self._n, [list(kept) for kept in self._stretches]
+        return copy
+
     def add(self, axis: int, stretch: Stretch) -> None:
         """Takes the place of what the axis would have done from then on; not before what was added last."""
         kept = self._stretches[axis]
