@@ -21,15 +21,19 @@ def campaign(
     overrides: Sequence[str] = (),
     only: str = "",
     scheduler: str = "",
+    *,
+    motion: bool = False,
 ) -> list[Cell]:
     """All cells of all rigs, in the same order whatever the number of processes.
 
     done: called with cells done and cells in all. overrides: key=value over every rig file. only: what the names of the
-    trials contain. scheduler: of a cluster. Raises RigError for a rig that cannot be tried.
+    trials contain. scheduler: of a cluster. motion: while goals move the axes, instead of in the states and the task's
+    phases. Raises RigError for a rig that cannot be tried.
     """
     work: list[Chunk] = []
     for path in rigs:
-        work += plan_chunks(_checked(load_rig(path, overrides), path), path.parent, stride=stride, only=only)
+        rig = _checked(load_rig(path, overrides), path)
+        work += plan_chunks(rig, path.parent, stride=stride, only=only, motion=motion)
     return over_processes(run_chunk, work, [len(chunk.cells) for chunk in work], jobs, done, scheduler)
 
 

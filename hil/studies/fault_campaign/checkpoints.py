@@ -12,9 +12,11 @@ from pathlib import Path
 from drivers.protocols.base import UNHEALTHY
 from hil.control.estimator.gains import per_axis
 from hil.control.trajectories import make_trajectory
+from hil.cycle.goal import Goal, MotionWord
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind
+from hil.cycle.tick import CommandKind, CycleResult
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.fault_campaign.clients import client
 from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 
@@ -29,7 +31,8 @@ class Checkpoint:
     command: what the operator asks for as soon as the rig is READY; the moment's beginning is then when it was asked
     for or, with `following`, when the drives are enabled and the task's time is 0. Without a command it is when the rig
     became READY, or that share of the time until then which `start` says. stop: the operator stops, so many ticks
-    before the moment; 0: not.
+    before the moment; 0: not. motion: what a client asks for (motions.py) since the rig holds, which is then the
+    moment's beginning; empty: nobody asks. word: what the axes then do; NONE: one of several.
     """
 
     name: str
@@ -39,6 +42,8 @@ class Checkpoint:
     following: bool = True
     start: float = 1.0
     stop: int = 0
+    motion: str = ""
+    word: MotionWord = MotionWord.NONE
 
 
 def active(phase: str, ticks: int) -> Checkpoint:
@@ -98,20 +103,28 @@ def checkpoints(rig: RigConfig) -> list[Checkpoint]:
 class CampaignRun(LockstepRun):
     """A run whose every tick is checked by the invariants. asks: what the operator says in the next tick.
     latched: whether the control process found a drive that was not well when it began, and can be told so.
+    restarted: another control process has taken over. client: the goals that somebody asks for in a tick.
     """
 
     def __init__(self, rig: RigConfig, base_dir: Path) -> None:
         self.asks: CommandKind | None = None
-        self.latched = False
+        self.latched = self.restarted = False
+        self.client: Callable[[int], list[Goal]] = lambda index: []
         observer = Invariants(rig, base_dir).observe
         super().__init__(rig, base_dir, operator=lambda run, index: self._say(), observer=observer)
 
     def restart(self) -> None:
         """See LockstepRun; the invariants are those of one process."""
         super().restart()
+        self.restarted = True
         unhealthy = any(drive.status & UNHEALTHY for drive in self.stage.drives)
         self.latched = unhealthy and self.cycle.protocol.states
         self._observer = Invariants(self.rig, self.base_dir).observe
+
+    def tick(self) -> CycleResult:
+        """See LockstepRun."""
+        self.goals += self.client(self.index)
+        return super().tick()
 
     def _say(self) -> tuple[CommandKind, ...]:
         said, self.asks = self.asks, None
@@ -124,6 +137,10 @@ class CampaignRun(LockstepRun):
     def follow(self) -> None:
         """Until the drives are enabled and the task has begun. Raises RigError."""
         self._until(lambda: self.cycle.setpoints.trajectory is not None, "enabled")
+
+    def hold(self) -> None:
+        """Until the drives are enabled and the rig holds. Raises RigError."""
+        self._until(lambda: self.cycle.supervisor.goals.word is MotionWord.HOLD, "holding")
 
     def on(self, ticks: int) -> None:
         """So many ticks more."""
@@ -153,12 +170,19 @@ def bring_to(rig: RigConfig, base_dir: Path, point: Checkpoint) -> CampaignRun:
     if run.cycle.state is not point.state:
         state, fault = run.cycle.state.name, run.cycle.fault.name.lower()
         raise RigError([f"{rig.name}: at {point.name} the run is {state}, fault {fault}"])
+    word = run.cycle.supervisor.goals.word
+    if point.word not in (MotionWord.NONE, word):
+        raise RigError([f"{rig.name}: at {point.name} the axes do {word.name}"])
     return run
 
 
 def _act(run: CampaignRun, command: CommandKind, point: Checkpoint) -> None:
     run.asks = command
-    if point.following:
+    if point.motion:
+        run.hold()
+        begun, asks = run.index, client(run.rig, [x.end.position for x in run.cycle.inputs], point.motion)
+        run.client = lambda index: asks(index - begun)
+    elif point.following:
         run.follow()
     run.on(point.ticks - point.stop)
     if point.stop:

@@ -1,5 +1,6 @@
 """`hil faults`: the whole campaign, over all cores."""
 
+import functools
 import os
 import sys
 import time
@@ -43,14 +44,20 @@ def faults(
     injection: Annotated[
         bool, typer.Option("--injection", help="instead: all that may happen in each phase of a cell's injection")
     ] = False,
+    motion: Annotated[
+        bool,
+        typer.Option("--motion", help="instead: every fault while goals move the axes"),
+    ] = False,
     json_target: JsonTarget = "",
     page: Annotated[Path | None, typer.Option("--html", help="write the matrix as a page")] = None,
 ) -> None:
     """Inject every fault in every state and phase on every axis, in lockstep, and hold the outcome against the table of
-    faults.
+    faults. With --motion: in hold, move, jog, stream, halt, path and pause.
 
     Exit status 1 when a cell fails.
     """
+    if injection and motion:
+        raise typer.BadParameter("--injection and --motion are two campaigns; name one of them")
     paths = [by_name("rigs", rig) for rig in rigs or map(Path, names("rigs"))]
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
@@ -67,7 +74,7 @@ def faults(
     started = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:
         job = bar.add_task("cells", total=None)
-        found = injection_campaign if injection else campaign
+        found = injection_campaign if injection else functools.partial(campaign, motion=motion)
         cells = found(
             paths,
             stride,

@@ -15,6 +15,7 @@ from drivers.protocols.base import DriveStatus
 from hil.control.estimator.gains import per_axis
 from hil.cycle.fault_monitor import REACTIONS
 from hil.cycle.fault_table import ROWS, Fault, Reaction
+from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
 from hil.cycle.tick import CommandKind
 from hil.rig.file import build_rig
@@ -30,6 +31,8 @@ from hil.studies.fault_campaign.layout_capabilities import (
     has_room,
     lacking_text,
 )
+from hil.studies.fault_campaign.motions import motion_points
+from hil.studies.fault_campaign.places import TravelWatch
 from hil.studies.fault_campaign.trial import Trial, periods, ticks, watchdog
 from sim_plant.config import REAL_STAGES
 
@@ -83,13 +86,18 @@ def will_move(run: CampaignRun, axis: int, ticks: int) -> bool:
     return bool((travelled > 1.5 * allowed).any())
 
 
+def follows(run: CampaignRun) -> bool:
+    """Whether the axes follow a task or goals, instead of standing still."""
+    return run.cycle.setpoints.trajectory is not None and run.cycle.supervisor.goals.word is not MotionWord.PAUSED
+
+
 def due_faults(trial: Trial, run: CampaignRun, axis: int) -> tuple[Fault, ...]:
     """The trial's faults, where one of them must be detected from here; none where it need not."""
     if trial.benign or not trial.certain or run.cycle.state not in trial.armed:
         return ()
-    if trial.law and run.cycle.setpoints.trajectory is None and not run.cycle.supervisor.commissioning.done:
+    if trial.law and not follows(run) and not run.cycle.supervisor.commissioning.done:
         return ()
-    if trial.following_only and run.cycle.setpoints.trajectory is None:
+    if trial.following_only and not follows(run):
         return ()
     if trial.moving_only and not will_move(run, axis, ticks(trial.within, run.rig)):
         return ()
@@ -197,7 +205,7 @@ def _release_failure(trial: Trial, run: CampaignRun, seen: Watch) -> str:
 
 def run_cell(trial: Trial, point: Checkpoint, axis: int, run: CampaignRun) -> Cell:
     """Inject and watch. The run is used up."""
-    seen, why, began = Watch(run), "", run.cycle.state
+    seen, places, why, began = Watch(run), TravelWatch(run), "", run.cycle.state
     due = due_faults(trial, run, axis)
     unready = began is State.CONNECTED and trial.unready is not None and trial.unready(run, axis)
     horizon = periods(HORIZON_S, run.rig)
@@ -214,7 +222,10 @@ def run_cell(trial: Trial, point: Checkpoint, axis: int, run: CampaignRun) -> Ce
             trial.step(run, axis, k)
             run.tick()
             seen.look(k)
+            places.look()
         why = failure(trial, began, due, run, seen, unready=unready)
+        if point.motion and not why:
+            why = places.failure(trial)
     except Exception:
         why = traceback.format_exc(limit=-3).strip().replace("\n", " | ")
     fault = run.cycle.fault
@@ -277,9 +288,11 @@ def _playable(rig: RigConfig, trial: Trial, layout: Capability) -> bool:
     return not trial.only & ~layout
 
 
-def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = "") -> list[Chunk]:
+def plan_chunks(
+    rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = "", motion: bool = False
+) -> list[Chunk]:
     """One chunk per checkpoint with all its cells, or with every `stride`-th of the whole campaign. only: what the
-    names of the trials contain.
+    names of the trials contain. motion: at the moments of motion by goals instead.
     """
     document, files = rig.model_dump_json(), referenced_files(rig, base_dir)
     layout = fixed_capabilities(host_layout(rig, base_dir))
@@ -290,7 +303,7 @@ def plan_chunks(rig: RigConfig, base_dir: Path, *, stride: int = 1, only: str = 
         for axis in range(len(rig.axes) if trial.per_axis else 1)
     ]
     result = []
-    points = checkpoints(rig)
+    points = motion_points(rig) if motion else checkpoints(rig)
     few = READY, [point for point in points if point.state is State.ACTIVE and point.following][1]
     for offset, point in enumerate(points):
         chosen = tuple(
