@@ -35,7 +35,7 @@ from drivers.frame import (
     to_bytes,
 )
 
-RECEIVE_QUEUE = 512  # frames; tools read in bursts
+RECEIVE_QUEUE = 2048  # frames; programs send in bursts of a thousand, as no other bus of python-can minds
 _CONTROL_SPACE = socket.CMSG_SPACE(struct.calcsize("@ll"))
 _TIMESPEC = struct.Struct("@ll")
 _RETRY_S = 0.001
@@ -46,22 +46,23 @@ class LocalBus(BusABC):
 
     def __init__(
         self,
-        channel: Channel = "can0",
+        channel: Channel | None = None,
         can_filters: CanFilters | None = None,
         fd: bool = False,
         receive_own_messages: bool = False,
         receive_queue: int = RECEIVE_QUEUE,
         **kwargs: object,
     ) -> None:
-        """Join the bus `channel`.
+        """Join the bus `channel`, "can0" where none is given; a number is a name, too.
 
         fd: take part in CAN FD traffic; without it FD frames are not received and cannot be sent, as with SocketCAN.
         receive_queue: frames that may wait to be read; more are lost, and an error frame tells how many.
         Raises can.CanInitializationError.
         """
+        channel = "can0" if channel is None else channel
         try:
             self._medium = LocalMedium(str(channel), depth=receive_queue, loopback=receive_own_messages)
-        except (OSError, RuntimeDirectoryError) as error:
+        except (OSError, ValueError, RuntimeDirectoryError) as error:
             raise can.CanInitializationError(f"local bus '{channel}': {error}") from error
         self._fd = fd
         self.channel = channel

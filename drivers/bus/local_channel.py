@@ -18,10 +18,11 @@ from pathlib import Path
 from drivers.base.named_file import naming
 from drivers.base.runtime import make_private, open_private, runtime_dir
 from drivers.base.shared_map import map_shared
-from drivers.config import CHANNEL_NAME, CHANNEL_RULE
 
 JOIN_TIMEOUT_S = 2.0  # joining takes about a millisecond; a process that holds the lock for longer has been stopped
 COUNT_BYTES = 8
+NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"  # longer than Linux' interfaces: programs for other buses have such names
+NAME_RULE = "1 to 64 letters, digits, '_', '.' or '-', not '.' first"
 LISTENING_SOCKETS = "*-*-*.sock"  # process, number within it, depth of its queues
 
 _LOCK_POLL_S = 0.002
@@ -30,8 +31,8 @@ _PATH_LIMIT = 107  # sun_path without its terminator, <sys/un.h>
 
 def channel_dir(channel: str) -> Path:
     """The directory of a channel, made when missing. Raises ValueError for a name that no channel has."""
-    if not re.fullmatch(CHANNEL_NAME, channel):
-        raise ValueError(f"channel {channel!a}: {CHANNEL_RULE}")
+    if not re.fullmatch(NAME, channel):
+        raise ValueError(f"channel {channel!a}: {NAME_RULE}")
     directory = runtime_dir() / "bus" / channel
     make_private(directory.parent)
     make_private(directory)

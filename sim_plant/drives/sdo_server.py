@@ -15,9 +15,9 @@ _PATIENCE_NS = 1_000_000_000  # with the client of a block transfer
 class SdoServer:
     """Answers one client, one transfer at a time; a new initiate request ends an unfinished transfer.
 
-    deadline_ns: when a block transfer is given up because its client fell silent. In a block the server answers no
-    single segment: a client that begins something else there is recognised where its request cannot be the next
-    segment and names an object, else after that time.
+    deadline_ns: when a block transfer is given up because its client fell silent. In a block download the server
+    answers no single segment: a client that begins something else there is recognised where its request cannot be the
+    next segment and names an object, else after that time.
     """
 
     def __init__(self, dictionary: ObjectDictionary, quirks: Quirks = NO_QUIRKS) -> None:
@@ -58,11 +58,13 @@ class SdoServer:
         return SDO.pack(_ABORT, self._index, self._subindex, int(code).to_bytes(4, "little"))
 
     def _begins_anew(self, request: bytes) -> bool:
-        """In the midst of a block download: a request that begins a transfer of an object, not the next segment."""
+        """In the midst of a block transfer: a request that begins another one, and cannot belong to this one."""
         block = self._block
-        if not isinstance(block, BlockDownload) or block.takes(request):
-            return False
         command, index, subindex, data = SDO.unpack(request)
+        if isinstance(block, BlockUpload):  # its client sends nothing but a start, acknowledgements and an end
+            return command >> 5 in (1, 2, 6) or (command >> 5 == 5 and not command & 0x03)
+        if block is None or block.takes(request):
+            return False
         reads = command == 0x40 and data == _EMPTY
         initiates = reads or command >> 5 == 1 or command & ~0x04 == 0xA0 or command & ~0x06 == 0xC0
         return initiates and self._dictionary.has(index, subindex)

@@ -190,6 +190,18 @@ def test_a_client_that_falls_silent_in_a_block_is_given_up(tmp_path: Path) -> No
     assert client.read(0x1000)  # another client, at once
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_another_transfer_ends_a_block_that_is_being_read(begun: bool, tmp_path: Path) -> None:
+    client = Client(tmp_path, TYPE + section(0x2000, 0x0F, "") + section(0x2001, 0x06, "7"))
+    client.write_block(0x2000, bytes(1000))
+    for transfer in (lambda: client.write(0x2001, 0, b"\x08\0"), lambda: client.read(0x2001) != b"\x08\0"):
+        client.ask(SDO.pack(0xA4, 0x2000, 0, bytes((127, 0, 0, 0))))
+        assert len(client.ask(b"\xa3") if begun else [b""] * 127) == 127
+        assert not transfer()
+    client.ask(SDO.pack(0xA4, 0x2000, 0, bytes((127, 0, 0, 0))))
+    assert client.read_block(0x2000) == (bytes(1000), 2)
+
+
 WHOLE = (
     eds_text(MOTION_DRIVE)
     + "".join(section(0x2000 + number, number, stated(number)[0]) for number in DATA_TYPES)

@@ -45,6 +45,24 @@ def test_python_can_finds_the_interface_by_its_name(buses: tuple[can.BusABC, can
     assert {"interface": "local", "channel": "can0"} in can.detect_available_configs("local")
 
 
+@pytest.mark.parametrize("channel", ["a_channel_of_64_letters".ljust(64, "x"), 7, None])
+def test_it_takes_the_channels_that_programs_give_other_interfaces(channel: str | int | None) -> None:
+    with (
+        can.Bus(interface="local", channel=channel) as one,  # type: ignore[arg-type]
+        can.Bus(interface="local", channel="can0" if channel is None else str(channel)) as two,
+    ):
+        one.send(can.Message(arbitration_id=5, is_extended_id=False))
+        message = two.recv(PATIENCE_S)
+        assert message is not None
+        assert message.arbitration_id == 5
+
+
+@pytest.mark.parametrize("channel", ["a/b", "..", "", "x" * 65])
+def test_a_channel_that_cannot_be_is_refused_as_python_can_refuses(channel: str) -> None:
+    with pytest.raises(can.CanInitializationError, match="1 to 64 letters, digits"):
+        can.Bus(interface="local", channel=channel)
+
+
 def test_port_and_python_can_share_a_bus(join: OpenPort, buses: tuple[can.BusABC, can.BusABC]) -> None:
     port = join()
     buses[0].send(can.Message(arbitration_id=5, data=bytes(16), is_fd=True, bitrate_switch=True, is_extended_id=False))
