@@ -181,9 +181,11 @@ def margins_of_loop(loop: NDArray[np.complex128], frequency: Array) -> LoopMargi
     share = imag[crossing] / (imag[crossing] - imag[crossing + 1])
     real = loop.real[crossing] + share * (loop.real[crossing + 1] - loop.real[crossing])
     factors = -1.0 / real
-    size = np.abs(loop)
-    unity = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) <= 0)
-    angles = np.abs(np.degrees(np.angle(-loop[unity])))
+    size = np.log(np.abs(loop))
+    unity = np.flatnonzero(size[:-1] * size[1:] <= 0)
+    share = size[unity] / np.where(size[unity] == size[unity + 1], 1.0, size[unity] - size[unity + 1])
+    turned = share * np.angle(loop[unity + 1] / loop[unity])
+    angles = np.abs(np.degrees(np.angle(-loop[unity] * np.exp(1j * turned))))
     up, down = factors[factors > 1.0], factors[(factors > 0.0) & (factors < 1.0)]
     met = np.where(factors > 0.0, np.abs(np.log(np.abs(factors))), np.inf)
     return LoopMargins(

@@ -201,6 +201,13 @@ def test_margins_are_those_of_loops_whose_margins_are_known() -> None:
     assert margins_of_loop(0.5 / (s + 1.0), omega) == (None, None, None, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.03, 0.05, 0.09])
+def test_the_phase_margin_is_that_of_the_crossing_between_two_frequencies(shift: float) -> None:
+    frequency = np.exp(np.arange(-1.0 + shift, 1.0, 0.1))  # the loop crosses 1 at a frequency of 1
+    loop = 1.0 / (1j * frequency) * np.exp(-0.5j * frequency)
+    assert margins_of_loop(loop, frequency).phase_deg == pytest.approx(90.0 - np.degrees(0.5), abs=0.05)
+
+
 def test_the_answer_of_a_sampled_loop_has_the_margins_of_the_loop() -> None:
     """0.5 / (z - 1), whose gain is 1 where 2 sin(w/2) is 0.5."""
     found = margins(np.array([1.0, *(-(0.5**k) for k in range(1, 1000))]))
