@@ -3,7 +3,7 @@
 docs/rig-file.md, the JSON schema for editors and `hil explain` are made from these declarations.
 """
 
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -29,11 +29,14 @@ class Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _whole_numbers(cls, table: Any) -> Any:
-        """JSON, and with it the schema of rig files, knows one kind of number: 3.0 is 3."""
+        """JSON, and with it the schema of rig files, knows one kind of number: 3.0 is 3, and true is not 1."""
         if not isinstance(table, dict):
             return table
-        whole = {name for name, field in cls.model_fields.items() if int in _members(field.annotation)}
-        return {name: _as_whole(value) if name in whole else value for name, value in table.items()}
+        fields = cls.model_fields
+        whole = {name for name, field in fields.items() if int in _members(field.annotation)}
+        named = {name for name, field in fields.items() if get_origin(field.annotation) is Literal}
+        shown = {name: str(table[name]).lower() for name in named & table.keys() if isinstance(table[name], bool)}
+        return {name: _as_whole(value) if name in whole else value for name, value in (table | shown).items()}
 
 
 def _members(annotation: Any) -> set[Any]:

@@ -29,6 +29,7 @@ _ERROR = re.compile(_TIME + r"(?:CANFD\s+)?(?P<channel>\d+)\s+(?:(?:Rx|Tx)\s+)?E
 _FRAME = re.compile(_TIME + r"(?:CANFD\s+\d+\s+(?:Rx|Tx)\b|\d+\s+[0-9A-Fa-f]+[xX]?\s+(?:Rx|Tx)\b).*")
 _HEADER = re.compile(r"\s*base\s+(?P<base>hex|dec)(?:\s+timestamps\s+(?P<times>absolute|relative))?.*", re.I)
 _TIMED = re.compile(_TIME)
+_FACTS = "Length"  # what is told behind a classic frame begins with it; a remote frame may have no length before it
 _REMOTE, _EDL = 0x10, 0x1000  # flags of a CANFD line
 _FLAGS_AT = 2  # behind the data: duration, length in bits, flags
 
@@ -83,7 +84,7 @@ def _made(found: re.Match[str], base: int) -> can.Message:
 def _classic(found: re.Match[str], base: int) -> can.Message:
     message, words = _made(found, base), found["rest"].split()
     message.is_remote_frame = found["kind"] == "r"
-    message.dlc = int(words[0], 16) if words else 0
+    message.dlc = int(words[0], 16) if words and words[0] != _FACTS else 0
     if message.is_remote_frame:
         return message
     message.dlc = min(message.dlc, 8)

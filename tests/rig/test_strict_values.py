@@ -79,3 +79,10 @@ def test_nor_is_it_in_the_tables_of_axes_and_lists(path: str, value: str) -> Non
 
 def test_a_whole_number_may_have_a_point() -> None:
     assert load_rig(RIGS / "paper.toml", ["bus.node_id=3.0"]).bus.node_id == 3
+
+
+@pytest.mark.parametrize("value", ["true", "false", '"1"'])
+def test_a_direction_is_a_number(value: str) -> None:
+    with pytest.raises(RigError, match=r"axes\.x\.direction"):
+        load_rig(RIGS / "paper.toml", [f"axes.x.direction={value}"])
+    assert load_rig(RIGS / "paper.toml", ["axes.x.direction=-1"]).axes["x"].direction == -1

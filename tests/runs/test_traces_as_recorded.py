@@ -51,6 +51,12 @@ def test_a_canfd_line_says_by_its_flags_what_it_is(tmp_path: Path) -> None:
     assert (third.is_extended_id, third.error_state_indicator, third.is_rx, third.channel) == (True, True, False, 1)
 
 
+def test_a_remote_frame_may_have_no_length_before_what_is_told_of_it(tmp_path: Path) -> None:
+    facts = "Length = 1704000 BitCount = 145 ID = 88888888x"
+    lines = f"   2.5 2 100 Tx r\n   2.6 3 200 Tx r {facts}\n   2.7 4 300 Tx r 8 {facts}\n"
+    assert [kind[3:] for kind in kinds(asc(tmp_path, lines))] == [(True, 0), (True, 0), (True, 8)]
+
+
 def test_decimal_files_and_relative_times(tmp_path: Path) -> None:
     found = asc(
         tmp_path,
