@@ -53,6 +53,8 @@ class CompleteWheel(BuildHookInterface[Any]):
             raise RuntimeError(f"HIL_COMPILED=1 needs {lacking}")
         build.copy_sources()
         build.instantiate()
+        build.make_flags_ints()
+        build.make_tuples_directly()
         build.compile_modules()
         build.compile_kernel()
         self._folder = tempfile.mkdtemp(prefix="hil-wheel-")
