@@ -95,7 +95,12 @@ def build(folder: Path) -> Path:
     folder = folder.resolve()
     with tempfile.TemporaryDirectory(prefix="hil-client-") as name:
         stage = Path(name)
-        files = [*modules(), Path("hil/__init__.pyi"), *(Path(package) / "py.typed" for package in PACKAGES)]
+        files = [
+            *modules(),
+            Path("hil/__init__.pyi"),
+            Path("hil/rig/reference.json"),
+            *(Path(package) / "py.typed" for package in PACKAGES),
+        ]
         for file in [*files, Path("LICENSE")]:
             (stage / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / file, stage / file)
