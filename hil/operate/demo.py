@@ -51,9 +51,16 @@ def summed_up(scene: Scene, console: Console, clock: str) -> dict[str, Any] | No
     return summary
 
 
+def this_command(program: str) -> str:
+    """How this command was started, for a shell. program: sys.argv[0], which of `python -m hil` is a file of ours."""
+    if Path(program).name == "__main__.py":
+        return f"{shlex.quote(sys.executable)} -m hil"
+    return shlex.quote(program)
+
+
 def _what_next(scene: Scene, console: Console) -> None:
     rig, out = shlex.quote(str(scene.rig_file)), shlex.quote(str(scene.out))
-    hil = "hil" if shutil.which("hil") else shlex.quote(sys.argv[0])
+    hil = "hil" if shutil.which("hil") else this_command(sys.argv[0])
     other = "structured-kalman" if scene.rig.law.name == "pd-feedforward" else "pd-feedforward"
     console.print(
         f"in {out}/: summary.json, tracking.png, run.mcap\n"
