@@ -3,8 +3,6 @@
 import os
 import sys
 
-from hil.cli.exit_status import EXIT_FILE
-
 _NAMES = ("stdin", "stdout", "stderr")
 
 
@@ -39,6 +37,8 @@ def unwritable_output(last: str = "") -> str:
 def leave() -> None:
     """The last of a command: write out what is left. Raises SystemExit where it cannot be written."""
     if trouble := unwritable_output():
+        from hil.cli.exit_status import EXIT_FILE  # `hil estop` loads no more than it must
+
         say(f"hil: {trouble}")
         sys.exit(EXIT_FILE)
 
