@@ -9,7 +9,7 @@ import typer
 
 from hil.cli.exit_status import EXIT_FILE
 from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
-from hil.cli.output import write_json
+from hil.cli.output import drawable, write_json
 from hil.identify.estimate import Estimate
 from hil.identify.experiments import EXPERIMENTS
 from hil.identify.lockstep import Findings, from_run
@@ -34,6 +34,15 @@ def identify(
         Path | None, typer.Option("--from", metavar="RUN", help="identify from this recording; nothing is run")
     ] = None,
     write: Annotated[Path | None, typer.Option(help="new rig file with the identified model")] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            callback=drawable, help="draw frequency response, friction along the travel and over speed, loops"
+        ),
+    ] = None,
+    responses: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="write AXIS.csv there: the frequency response, for hil check")
+    ] = None,
     overrides: Overrides = None,
     json_target: JsonTarget = "",
 ) -> None:
@@ -53,6 +62,8 @@ def identify(
     _show(console, config, findings)
     if json_target:
         write_json(_document(config, findings, evidence), json_target)
+    if picture or responses:
+        _report(console, rig, config, findings, picture, responses)
     if write and any(model_values(one.found) for one in findings.values()):
         found = {name: one.found for name, one in findings.items()}
         try:
@@ -70,6 +81,26 @@ def identify(
         )
     if any(name not in NOT_SEEN for one in findings.values() for name in one.refused):
         raise typer.Exit(EXIT_REFUSED)
+
+
+def _report(
+    console: Any, file: Path, rig: RigConfig, findings: dict[str, Findings], picture: Path | None, folder: Path | None
+) -> None:
+    from hil.identify.report import identification_picture, write_responses  # matplotlib: half a second
+
+    def say(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    try:
+        if picture:
+            kinds = {name: axis.kind for name, axis in rig.axes.items()}
+            identification_picture(picture, findings, kinds, rig.period_ns * 1e-9)
+            say(f"picture: {picture}")
+        for name, path in (write_responses(folder, findings) if folder else {}).items():
+            say(f"{name}: frequency response in {path}; next: hil check {file} --measured {name}={path}")
+    except OSError as error:
+        say(f"hil: {picture or folder}: {error.strerror}")
+        raise typer.Exit(EXIT_FILE) from None
 
 
 def _found(

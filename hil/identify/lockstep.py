@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, SETTLE_S, Known, Plan, rig_document
 from hil.identify.force_balance import Record, balance
-from hil.identify.frequency_fit import Pass, fit_axis, response_of
-from hil.identify.travel_fit import SpeedPass, travel_fit
+from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.travel_fit import SpeedPass, TravelCurves, travel_fit
 from hil.rig.schema import AxisConfig, RigConfig
 from hil.runs.api import Run, simulate
 from hil.runs.rigs import Rig
@@ -31,11 +32,17 @@ Told = Callable[[str], None]
 
 @dataclass
 class Findings:
-    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment."""
+    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment. To look at: the
+    frequency response with the axis fitted to it, what the travel showed, and loops of position (m) and force (N).
+    """
 
     found: dict[str, Estimate] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     evidence: dict[str, str] = field(default_factory=dict)
+    response: Response | None = None
+    dynamics: AxisDynamics | None = None
+    travel: TravelCurves | None = None
+    loops: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -131,7 +138,9 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
         start = round(float(of.seconds[first]) / of.period)
         sign = -1 if number // 2 % 2 else 1
         passes.append(Pass(of.force[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
-    fit = fit_axis(response_of(passes, of.period, multisine_lines(), base), of.period, known.mass)
+    findings.response = response_of(passes, of.period, multisine_lines(), base)
+    fit = fit_axis(findings.response, of.period, known.mass)
+    findings.dynamics = fit.dynamics
     findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
     findings.refused |= fit.refused
     return replace(known, mass=fit.found["mass"].value)
@@ -143,6 +152,7 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
         part = of.cut(begin + SPAN_SETTLE_S, end)
         passes.append(SpeedPass(of.force[part], of.position[part], speed))
     fit = travel_fit(passes, of.period, known.mass, _lag(findings))
+    findings.travel = fit.curves
     findings.found |= fit.found
     findings.refused |= fit.refused
     return replace(known, coulomb=fit.found["coulomb"].value)
@@ -152,6 +162,7 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
     skip = round(1.0 / plan.gains["frequency_hz"] / of.period)
     record = Record(of.force[part], of.position[part], of.period, of.count, _lag(findings), skip)
+    findings.loops = of.position[part][skip:], of.force[part][skip:]
     viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
     fit = balance([record], known.mass, viscous)
     if "presliding" in fit.found:

@@ -34,12 +34,25 @@ class SpeedPass(NamedTuple):
     speed: float
 
 
+class TravelCurves(NamedTuple):
+    """To look at: along the travel (n,) m, the friction and the force of the place, without viscous friction, N; by
+    pass (k,) the speed, m/s, and the friction at it, N.
+    """
+
+    position: Array
+    friction: Array
+    place: Array
+    speed: Array
+    friction_at_speed: Array
+
+
 class TravelFit(NamedTuple):
-    """Estimates by quantity, what was refused, and the RMS force that is left, N."""
+    """Estimates by quantity, what was refused, the RMS force that is left, N, and what it was found from."""
 
     found: dict[str, Estimate]
     refused: dict[str, str]
     residual: float
+    curves: TravelCurves
 
 
 class _Points(NamedTuple):
@@ -102,7 +115,8 @@ def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: flo
         if name in refused:
             found.pop(name, None)
             found.pop(period_of, None)
-    return TravelFit(found, refused, residual)
+    curves = _curves(level, centre, rest, [p.speed for p in passes], float(x[0]), viscous)
+    return TravelFit(found, refused, residual, curves)
 
 
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
@@ -146,6 +160,22 @@ def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Arr
     force = gaussian_filter1d(lagged(one.force, lag, period), width, mode="nearest")
     force = force - mass * np.gradient(np.gradient(position, period), period)
     return position[edge:-edge], force[edge:-edge]
+
+
+def _curves(
+    points: _Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float
+) -> TravelCurves:
+    """Of places that were passed both ways."""
+    at, rows = points.place.astype(int), []
+    for place in range(PLACES):
+        up, down = ((at == place) & (points.velocity * way > 0.0) for way in (1.0, -1.0))
+        if up.any() and down.any():
+            f, g = points.force[up].mean(), points.force[down].mean()
+            rows.append((centre + points.position[up][0], 0.5 * (f - g), 0.5 * (f + g)))
+    means = [float(rest[points.of_pass == number].mean()) for number in range(len(speeds))]
+    moved = [coulomb + viscous * abs(v) + float(np.sign(v)) * mean for v, mean in zip(speeds, means, strict=True)]
+    position, friction, place_force = np.array(rows).reshape(-1, 3).T
+    return TravelCurves(position, friction, place_force, np.array(speeds), np.array(moved))
 
 
 def _viscous(points: _Points) -> float:

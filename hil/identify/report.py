@@ -1,0 +1,91 @@
+"""What an identification was found from, to look at: a picture, and frequency responses as files for `hil check`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hil.analysis.frequency_response import COLUMNS
+from hil.cli.pictures import STYLE, UNITS
+from hil.identify.lockstep import Findings
+
+PANELS = 5
+
+
+def identification_picture(
+    path: Path, findings: Mapping[str, Findings], kinds: Mapping[str, str], period: float
+) -> None:
+    """One row an axis: the frequency response with its fit, friction and force along the travel, friction over speed,
+    loops at rest. kinds: of the axes, "linear" or "rotary". period: s.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.6 * PANELS, 3.0 * len(findings)), layout="constrained")
+        for row, (name, one) in zip(
+            figure.subplots(len(findings), PANELS, squeeze=False), findings.items(), strict=True
+        ):
+            _bode(row[0], row[1], one, kinds[name], period)
+            _travel(row[2], row[3], one, kinds[name])
+            _loops(row[4], one, kinds[name])
+            row[0].set_ylabel(f"{name}: {row[0].get_ylabel()}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110)
+
+
+def _bode(size: Axes, phase: Axes, one: Findings, kind: str, period: float) -> None:
+    if one.response is None:
+        return
+    hertz, measured, _, coherence, _ = one.response
+    size.loglog(hertz, np.abs(measured), ".", markersize=3, label="measured")
+    phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(measured))), ".", markersize=3)
+    phase.semilogx(hertz, 100.0 * coherence - 100.0, color="C2", label="coherence less 1, %")
+    if one.dynamics is not None:
+        fitted = one.dynamics.response(2.0 * np.pi * hertz, period)
+        size.loglog(hertz, np.abs(fitted), label="fitted")
+        phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(fitted))))
+    size.set(xlabel="Hz", ylabel="position over force, " + ("m/N" if kind == "linear" else "rad/(N m)"))
+    phase.set(xlabel="Hz", ylabel="phase, degrees")
+    size.legend()
+    phase.legend()
+
+
+def _travel(along: Axes, over: Axes, one: Findings, kind: str) -> None:
+    if one.travel is None:
+        return
+    long, to_long, _, _, force = UNITS[kind]
+    curves = one.travel
+    along.plot(curves.position * to_long, curves.friction, label="friction")
+    along.plot(curves.position * to_long, curves.place - curves.place.mean(), label="force of the place less its mean")
+    along.set(xlabel=f"position, {long}", ylabel=force)
+    along.legend()
+    for way, words in ((1.0, "up"), (-1.0, "down")):
+        chosen = curves.speed * way > 0.0
+        over.plot(np.abs(curves.speed[chosen]) * to_long, curves.friction_at_speed[chosen], ".", label=words)
+    over.set(xlabel=f"speed, {long}/s", ylabel=f"friction, {force}")
+    over.legend()
+
+
+def _loops(panel: Axes, one: Findings, kind: str) -> None:
+    if one.loops is None:
+        return
+    _, _, short, to_short, force = UNITS[kind]
+    position, pushed = one.loops
+    panel.plot((position - position.mean()) * to_short, pushed, linewidth=0.4)
+    panel.set(xlabel=f"position about its mean, {short}", ylabel=f"force, {force}")
+
+
+def write_responses(folder: Path, findings: Mapping[str, Findings]) -> dict[str, Path]:
+    """FOLDER/AXIS.csv of each frequency response, as `hil check --measured AXIS=FILE` reads them. Raises OSError."""
+    written = {}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, one in findings.items():
+        if one.response is None:
+            continue
+        phase = np.degrees(np.unwrap(np.angle(one.response.response)))
+        rows = zip(one.response.frequency_hz, np.abs(one.response.response), phase, strict=True)
+        lines = [",".join(COLUMNS), *(f"{hertz:.9g},{size:.9g},{angle:.6f}" for hertz, size, angle in rows)]
+        written[name] = folder / f"{name}.csv"
+        written[name].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return written
