@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.cycle.limits import oscillation_limit
 from hil.identify.estimate import Array
-from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES, multisine_way
+from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES, Excitation, multisine_way
 from hil.rig.schema import AxisConfig, RigConfig
 
 ROW_S = 0.01  # of a path
@@ -192,6 +192,6 @@ def rig_document(rig: RigConfig, name: str, plan: Plan, approach_s: float) -> tu
     document = rig.model_dump(mode="json")
     document["task"] = {"kind": "path", "axes": [name], "samples": rows, "approach_s": approach_s, "settle_s": 0.0,
                         "between": "blended"}  # fmt: skip
-    gains = {key: [one.get(key, 0.0) for one in each] for key in sorted(plan.gains)}
+    gains = {key: [one.get(key, Excitation.GAINS[key].default) for one in each] for key in sorted(plan.gains)}
     document["law"] = {"name": NAME, "gains": gains}
     return document, approach_s + len(rows) * ROW_S

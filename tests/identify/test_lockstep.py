@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.identify.experiments import EXPERIMENTS, ROW_S, Known
+from hil.identify.experiments import EXPERIMENTS, ROW_S, Known, Plan, rig_document
 from hil.identify.lockstep import from_run, identify
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name
 from hil.runs.api import simulate
+from hil.runs.rigs import Rig
 from tests.identify import rigs
 
 
@@ -25,6 +26,19 @@ def test_a_plan_stays_inside_the_limits_and_ends_at_rest(experiment: str) -> Non
         for begin, end, speed in plan.spans:
             rows = plan.positions[round((begin - 1.0) / ROW_S) : round((end - 1.0) / ROW_S) + 1]
             assert np.diff(rows) / ROW_S == pytest.approx(speed)
+
+
+@pytest.mark.long
+def test_the_other_axes_rest_while_one_is_excited() -> None:
+    rig = load_rig(by_name("rigs", Path("microscope")))
+    plan = EXPERIMENTS["moves"](rig.axes["x"], Known(0.9, 0.0, 0.6), 0.1)
+    short = Plan(plan.positions[:20], plan.gains)
+    document, seconds = rig_document(rig, "x", short, 0.1)
+    run = simulate(Rig.build(document, Path()), seconds + 1.5)
+    assert run.summary()["faults"] == []
+    others = run.columns["force"][:, 1:]
+    assert np.isfinite(others).all()
+    assert np.nanmax(np.abs(run.columns["following_error"][:, 1:])) < 1e-5
 
 
 @pytest.mark.long
