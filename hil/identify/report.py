@@ -34,25 +34,35 @@ def identification_picture(
         figure.savefig(path, dpi=110)
 
 
+def _not_measured(*panels: Axes) -> None:
+    for panel in panels:
+        panel.text(0.5, 0.5, "not measured", ha="center", transform=panel.transAxes)
+
+
 def _bode(size: Axes, phase: Axes, one: Findings, kind: str, period: float) -> None:
     if one.response is None:
+        _not_measured(size, phase)
         return
     hertz, measured, _, coherence, _ = one.response
+    turned = np.unwrap(np.angle(measured))
     size.loglog(hertz, np.abs(measured), ".", markersize=3, label="measured")
-    phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(measured))), ".", markersize=3)
-    phase.semilogx(hertz, 100.0 * coherence - 100.0, color="C2", label="coherence less 1, %")
     if one.dynamics is not None:
         fitted = one.dynamics.response(2.0 * np.pi * hertz, period)
         size.loglog(hertz, np.abs(fitted), label="fitted")
         phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(fitted))))
-    size.set(xlabel="Hz", ylabel="position over force, " + ("m/N" if kind == "linear" else "rad/(N m)"))
+        turned = np.unwrap(np.angle(fitted)) + np.angle(measured / fitted)  # about a notch, the same branch
+    phase.semilogx(hertz, np.degrees(turned), ".", color="C0", markersize=3)
     phase.set(xlabel="Hz", ylabel="phase, degrees")
+    beside = phase.twinx()
+    beside.semilogx(hertz, coherence, color="C2", linewidth=0.5)
+    beside.set(ylim=(0.0, 1.05), ylabel="coherence")
+    size.set(xlabel="Hz", ylabel="position over force, " + ("m/N" if kind == "linear" else "rad/(N m)"))
     size.legend()
-    phase.legend()
 
 
 def _travel(along: Axes, over: Axes, one: Findings, kind: str) -> None:
     if one.travel is None:
+        _not_measured(along, over)
         return
     long, to_long, _, _, force = UNITS[kind]
     curves = one.travel
@@ -69,6 +79,7 @@ def _travel(along: Axes, over: Axes, one: Findings, kind: str) -> None:
 
 def _loops(panel: Axes, one: Findings, kind: str) -> None:
     if one.loops is None:
+        _not_measured(panel)
         return
     _, _, short, to_short, force = UNITS[kind]
     position, pushed = one.loops
