@@ -172,8 +172,8 @@ def _curves(
         if up.any() and down.any():
             f, g = points.force[up].mean(), points.force[down].mean()
             rows.append((centre + points.position[up][0], 0.5 * (f - g), 0.5 * (f + g)))
-    means = [float(rest[points.of_pass == number].mean()) for number in range(len(speeds))]
-    moved = [coulomb + viscous * abs(v) + float(np.sign(v)) * mean for v, mean in zip(speeds, means, strict=True)]
+    left = [float(rest[points.of_pass == number].mean()) for number in range(len(speeds))]
+    moved = [coulomb + viscous * abs(v) + float(np.sign(v)) * each for v, each in zip(speeds, left, strict=True)]
     position, friction, place_force = np.array(rows).reshape(-1, 3).T
     return TravelCurves(position, friction, place_force, np.array(speeds), np.array(moved))
 
