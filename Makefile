@@ -8,7 +8,7 @@ ADAPTERS := build/adapters
 unexport PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes: each would compile all it imports
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-long review test-live test-adapters test-browser attacks hostile lint lock proto docs mutants hashes bench
+.PHONY: help setup run test test-long review test-live test-adapters test-browser peers attacks hostile lint lock proto docs mutants hashes bench
 .PHONY: bench-compiled wheel client
 
 help:  ## this list
@@ -64,6 +64,9 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 test-browser: setup  ## the page in a real browser, with pictures in build/browser (needs Chromium; not in .ci/run)
 	@$(BIN)/python -m pytest -m browser tests/page $(ARGS)
 
+peers: setup  ## peers' own tests and readers against ours; ARGS="--few", or --files FOLDER; not in .ci/run as a whole
+	@$(BIN)/python -m tests.peers $(ARGS)
+
 attacks: setup  ## try every attack on a live rig: commands, goals, Zenoh, files, processes (needs root; about six minutes)
 	@$(BIN)/python -m tests.attacks attacks.json
 
@@ -97,6 +100,9 @@ lock:  ## renew the lock files and the wheel's SBOM (needs uv)
 	grep -E '^[a-zA-Z].*==' requirements.lock | grep -vE '^(fsspec|python-dateutil)==' | sed 's/ *\\$$//' > build/constraints.txt
 	uv pip compile tests/adapters/requirements.in -c build/constraints.txt --universal --python-version 3.11 \
 	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q -o tests/adapters/requirements.lock
+	uv pip compile tests/peers/requirements.in -c build/constraints.txt --universal --python-version 3.11 \
+	    --generate-hashes --no-annotate --custom-compile-command "make lock" -q \
+	    $(foreach name,$(shell sed -nE 's/^([a-zA-Z][^=]*)==.*/\1/p' requirements.lock),--no-emit-package $(name)) -o tests/peers/requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m deploy.wheel.sbom
 

@@ -23,13 +23,12 @@ SETTINGS = DoubleSettings(None, 4096, 1e-4, 1e-3, 0.0, 0.0, EmulatedDriveConfig(
 TYPE = "[1000]\nParameterName=Device type\nDataType=0x0007\nAccessType=ro\nDefaultValue=0x20192\n"
 
 
-class Client:
-    """The SDO client of one drive. now_ns: its time."""
+class SdoClient:
+    """The SDO client of the drive of one file. now_ns: its time."""
 
-    def __init__(self, folder: Path, text: str) -> None:
-        (folder / "made.eds").write_text(text, encoding="utf-8")
+    def __init__(self, eds: Path) -> None:
         self.now_ns = 0
-        self.drive: MotionDrive = make_drive(folder / "made.eds", NODE, SETTINGS, 0)
+        self.drive: MotionDrive = make_drive(eds, NODE, SETTINGS, 0)
         self.drive.advance(0)
 
     def send(self, can_id: int, data: bytes, wait_ns: int = 0) -> list[Frame]:
@@ -94,6 +93,14 @@ class Client:
         assert int.from_bytes(answers[0][1:3], "little") == crc_hqx(data[:length], 0)
         self.ask(b"\xa1")
         return data[:length], blocks
+
+
+class Client(SdoClient):
+    """Of a drive whose file has this text."""
+
+    def __init__(self, folder: Path, text: str) -> None:
+        (folder / "made.eds").write_text(text, encoding="utf-8")
+        super().__init__(folder / "made.eds")
 
 
 def section(index: int, data_type: int, default: str, access: str = "rw") -> str:
