@@ -62,7 +62,7 @@ def main(words: list[str] | None = None) -> int:
             rows += found
     rows = attributed(rows, deviations())
     write(rows, FOLDER)
-    print("\n".join([*summary(rows), f"table: {FOLDER / 'table.md'}"]))
+    print("\n".join([*summary(rows), f"table: {FOLDER / 'table.tsv'}"]))
     return 1 if unexplained(rows) else 0
 
 

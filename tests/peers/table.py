@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 DEVIATIONS = Path(__file__).with_name("deviations.toml")
 FAULTS = ("theirs", "neither", "ours")
+COLUMNS = ("peer", "test", "result", "whose fault", "why")
 PASSED, DIFFERS, NOT_RUN = "passed", "differs", "not run"
 
 
@@ -88,12 +89,9 @@ def summary(rows: Sequence[Row]) -> list[str]:
 
 
 def write(rows: Sequence[Row], folder: Path) -> None:
-    """table.md for people and table.json for programs."""
+    """table.tsv for people and table.json for programs."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "table.json").write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n")
-    head = "| peer | test | result | whose fault | why |\n|---|---|---|---|---|\n"
     cells = ((row.peer, row.test, row.result, row.fault, row.why or row.told) for row in rows)
-    body = "".join(
-        "| " + " | ".join(cell.replace("|", "/").replace("\n", " ")[:300] for cell in line) + " |\n" for line in cells
-    )
-    (folder / "table.md").write_text(head + body)
+    lines = ("\t".join(" ".join(cell.split())[:300] for cell in line) for line in (COLUMNS, *cells))
+    (folder / "table.tsv").write_text("\n".join(lines) + "\n")

@@ -43,7 +43,7 @@ def test_the_summary_names_whatever_differs_and_counts(tmp_path: Path) -> None:
     assert "other test_b[1]: UNEXPLAINED: 4 != 1" in lines
     assert lines[-1] == "ran: 1 passed, 1 attributed, 2 unexplained, 1 not run; 1 of them are peers' own tests"
     write(rows, tmp_path)
-    assert "| peer | test_b[1] | differs | theirs | they count from 2 |" in (tmp_path / "table.md").read_text()
+    assert "peer\ttest_b[1]\tdiffers\ttheirs\tthey count from 2" in (tmp_path / "table.tsv").read_text().splitlines()
     assert len(json.loads((tmp_path / "table.json").read_text())) == len(rows)
 
 
