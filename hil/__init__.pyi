@@ -10,6 +10,9 @@ from drivers.protocols.base import Sample as Sample
 from drivers.protocols.frame_layout import DriveSide as DriveSide
 from drivers.protocols.frame_layout import FrameLayout as FrameLayout
 from drivers.protocols.frame_layout import HostSide as HostSide
+from hil.camera.contract import Features as Features
+from hil.camera.contract import Seen as Seen
+from hil.camera.contract import Spot as Spot
 from hil.connection import LiveRig as LiveRig
 from hil.connection import NoGatewayError as NoGatewayError
 from hil.connection import NoSidecarError as NoSidecarError

@@ -102,7 +102,8 @@ class Emulator:
 
     status_path: where the drives' state is written as JSON: as soon as they are on the bus, which tells others that
     they are, after every watchdog expiry, twice a second, and at the end. too_slow: called once, when the stage has
-    taken all of a core for two seconds: its answers come later and later then, or never in time.
+    taken all of a core for two seconds: its answers come later and later then, or never in time. watched: called in
+    every step, when the stage has reached its instant.
     """
 
     def __init__(
@@ -111,6 +112,7 @@ class Emulator:
         port: Port,
         status_path: Path | None = None,
         too_slow: Callable[[], object] = lambda: None,
+        watched: Callable[[], object] = lambda: None,
     ) -> None:
         self.stage = stage
         self.port = port
@@ -123,6 +125,7 @@ class Emulator:
         self.rhythm = Rhythm()
         self.busy = 0.0  # of a core, over the last half second
         self._too_slow = too_slow
+        self._watched = watched
         self._busy_reports = 0
         self._judged_ns, self._cpu_ns = time.monotonic_ns(), time.process_time_ns()
 
@@ -160,6 +163,7 @@ class Emulator:
             self.rhythm.heard(self.stage.drives[0].last_command_ns)
         for unasked in self.stage.advance(now_ns):
             self.port.send(unasked)
+        self._watched()
         if self.port.counters().state is BusState.DOWN and now_ns - self._rebind_ns > _REBIND_NS:
             self._rebind_ns = now_ns
             for port in self.port.members:

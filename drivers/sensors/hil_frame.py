@@ -1,4 +1,4 @@
-"""The frame of `kind = "hil"` as the host reads it.
+"""The frame of `kind = "hil"` as the host reads it, and as a node of ours sends it.
 
 | bytes | content |
 |---|---|
@@ -14,7 +14,7 @@ from struct import Struct
 from typing import Final
 from zlib import crc32
 
-from drivers.frame import FD, Frame
+from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Reject
 from drivers.sensors.base import Measurement
 
@@ -22,6 +22,8 @@ CLASSIC_LENGTH: Final = 8
 FD_LENGTH: Final = 12
 _CLASSIC: Final = Struct("<iHBB")
 _CHECKED: Final = Struct("<iHBBI")
+_LEAST: Final = -(2**31)
+_MOST: Final = 2**31 - 1
 _RESIDUE: Final = 0x2144DF1C  # CRC-32 of anything with its own CRC-32 behind it, least significant byte first
 WRAP_NS: Final = 65_536_000  # after which stamps repeat
 _HALF_NS: Final = WRAP_NS // 2
@@ -50,3 +52,13 @@ class HilSensorFrame:
         earliest = frame.timestamp_ns - _HALF_NS
         stamp_ns = earliest + (fields[1] * 1000 - earliest) % WRAP_NS
         return Measurement(fields[0] * self._scale, fields[2], stamp_ns, fields[3] == 0)
+
+    def encode(self, value: float | None, sequence: int, stamp_ns: int) -> Frame:
+        """A frame that a node sends. value: in the sensor's unit, brought within what a frame carries; None: not valid.
+        sequence: modulo 256. stamp_ns: of the node's own clock.
+        """
+        counts = 0 if value is None else max(_LEAST, min(_MOST, round(value / self._scale)))
+        data = _CLASSIC.pack(counts, stamp_ns // 1000 % 65_536, sequence % 256, 1 if value is None else 0)
+        if self.fd:
+            return Frame(self.can_id, data + crc32(data, self.can_id).to_bytes(4, "little"), FD | BRS)
+        return Frame(self.can_id, data)

@@ -75,6 +75,7 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "run": Entry("hil.cli.app:run_directly", "Run the control process of a rig", UNPARSED),
         "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish and record a control process, take its commands"),
         "emulate": Entry("hil.virtual.commands:emulate", "Emulate the stage and its drives on the bus"),
+        "camera": Entry("hil.camera.command:camera", "Find pipette and cell in a camera's images, and send readings"),
         "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save the last ticks of a killed control process"),
         "recover": Entry("hil.telemetry.recover:command", "Repair a recording that a crash cut short"),
         "install": Entry("hil.operate.install:install", "Install a rig file and its systemd units"),

@@ -27,6 +27,7 @@ class RuntimePaths(NamedTuple):
     notes: Path  # what the cycle says in words (hil/events/notes.py)
     task: Path  # another task for the control process (hil/live/task_file.py)
     goals: Path  # goals for the control process (hil/live/goal_page.py)
+    scene: Path  # what an emulated camera sees (sim_plant/scene_page.py)
 
 
 def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
@@ -43,6 +44,7 @@ def runtime_paths_in(runtime: Path, rig_name: str) -> RuntimePaths:
         "notes",
         "task",
         "goals",
+        "scene",
     )
     return RuntimePaths(directory, *(directory / name for name in ends))
 

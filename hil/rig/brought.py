@@ -13,6 +13,7 @@ from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.base.toml_file import shown
 from drivers.config import LAYOUT_KIND
 from hil.rig import law_names
+from hil.rig.camera import DETECTOR_KIND
 from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
 from hil.rig.tables import ESTIMATOR_KIND
@@ -21,7 +22,7 @@ from hil.rig.task_kinds import KIND, is_users, run_task
 from sim_plant.config import STAGE_KIND
 
 LARGEST_PLUGIN = 2**20  # bytes of a Python file
-PLUGINS = (law_names.KIND, ESTIMATOR_KIND, KIND, MOTION_KIND, STAGE_KIND, LAYOUT_KIND)
+PLUGINS = (law_names.KIND, ESTIMATOR_KIND, KIND, MOTION_KIND, STAGE_KIND, LAYOUT_KIND, DETECTOR_KIND)
 _OF_A_TASK = ("kind", "parameters", "axes")  # what a user's task is made from
 
 
@@ -60,7 +61,7 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
 
 def named_files(rig: RigConfig) -> dict[str, str]:
     """The files that a rig names, by key: their paths, as the rig has them."""
-    named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key)) for plugin in PLUGINS}
+    named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key, "")) for plugin in PLUGINS}
     named["bus.protocol"] = rig.bus.file or named["bus.protocol"]
     named["task.file"] = rig.task.file
     named["law.learnt"] = rig.law.learnt

@@ -19,6 +19,7 @@ from drivers.families import Circumstances, family_of
 from drivers.outputs.config import MAX_OUTPUTS, OutputConfig
 from drivers.protocols.mounting import Mounting
 from drivers.sensors.config import MAX_SENSORS, SensorConfig
+from hil.rig.camera import CameraConfig
 from hil.rig.plant import completed
 from hil.rig.tables import (
     AXIS_NAME,
@@ -92,6 +93,7 @@ class RigConfig(Table):
     outputs: Annotated[dict[Annotated[str, Field(pattern=AXIS_NAME)], OutputConfig], Field(max_length=MAX_OUTPUTS)] = (
         key({}, "what a motion can switch, by name", exclude_if=lambda outputs: not outputs)
     )
+    camera: CameraConfig | None = key(None, "the camera of `hil camera`", exclude_if=lambda camera: camera is None)
     wire: WireConfig = key(WireConfig(), "the simulated bus of runs in virtual time")
     timing: TimingConfig = key(TimingConfig(), "what the control process asks of the kernel")
     safety: SafetyConfig = key(SafetyConfig(), "thresholds of the fault detectors")
@@ -133,6 +135,7 @@ class RigConfig(Table):
             *_sensor_problems(self),
             *_output_problems(self),
             *_motion_problems(self),
+            *(self.camera.problems(self.axis_names, self.sensors) if self.camera else []),
             *_family_problems(self),
         ]
         if problems:

@@ -173,6 +173,10 @@ def emulate(
     overrides: Overrides = None,
     faults: Annotated[Path | None, typer.Option(help="scenario (TOML) with at_s and at_tick only")] = None,
     status: Annotated[Path | None, typer.Option(help="JSON status file; default: in the runtime directory")] = None,
+    *,
+    camera: Annotated[
+        bool, typer.Option("--camera", help="leave the sensors of [camera] to `hil camera RIG --source drawn`")
+    ] = False,
 ) -> None:
     """Emulate the stage of RIG on its bus until SIGTERM, SIGINT or SIGHUP."""
     from drivers.base.runtime import RuntimeDirectoryError
@@ -181,7 +185,7 @@ def emulate(
     from hil.cli.exit_status import EXIT_UNAVAILABLE
     from hil.live.runtime_paths import AlreadyServedError, runtime_paths, sole
     from hil.rig.plant_notes import plant_notes
-    from hil.virtual.emulate import emulated_stage, live_scenario
+    from hil.virtual.emulate import emulated_stage, live_scenario, scene_shown, without_camera
     from sim_plant.process import Emulator
     from sim_plant.scenario.injector import Injector
 
@@ -189,7 +193,7 @@ def emulate(
     if status and not status.parent.is_dir():
         raise typer.BadParameter(f"{status.parent}: no such directory", param_hint="--status")
     scenario = live_scenario(faults, config) if faults else None
-    stage = emulated_stage(config, rig.parent, time.monotonic_ns())
+    stage = emulated_stage(without_camera(config) if camera else config, rig.parent, time.monotonic_ns())
     if scenario:
         Injector(scenario, stage, None, config.period_ns)
     with contextlib.ExitStack() as stack:
@@ -203,8 +207,9 @@ def emulate(
         stack.callback(port.close)
         for note in plant_notes(config):
             print(f"hil emulate: {note}", flush=True)
+        watched = stack.enter_context(scene_shown(config, stage, files.scene)) if camera else lambda: None
         emulator = Emulator(
-            stage, port, status or files.emulator, lambda: print(_TOO_SLOW, file=sys.stderr, flush=True)
+            stage, port, status or files.emulator, lambda: print(_TOO_SLOW, file=sys.stderr, flush=True), watched
         )
         print(
             f"hil emulate: {config.name} on {', '.join(config.bus.channels)}, status in {status or files.emulator}",

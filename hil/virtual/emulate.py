@@ -1,5 +1,7 @@
 """The emulated stage of a rig, and scenarios it can play by itself, live."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hil.rig.layout import host_layout
@@ -10,6 +12,7 @@ from sim_plant.emulator import EmulatedStage
 from sim_plant.nodes.output import OutputNode
 from sim_plant.nodes.sensor import SensorNode, sensor_nodes
 from sim_plant.scenario.language import Scenario
+from sim_plant.scene_page import ScenePage
 
 
 def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedStage:
@@ -36,6 +39,28 @@ def emulated_sensors(rig: RigConfig, base_dir: Path) -> list[SensorNode]:
 def emulated_outputs(rig: RigConfig) -> list[OutputNode]:
     """The node of the rig's [outputs], where it has any."""
     return [OutputNode(can_id) for can_id in {output.can_id for output in rig.outputs.values()}]
+
+
+def without_camera(rig: RigConfig) -> RigConfig:
+    """The same rig, whose camera's sensors another process sends. Raises RigError where it has no camera or no dish."""
+    if rig.camera is None or rig.plant.dish is None:
+        lacking = "[camera]" if rig.camera is None else "[plant.dish]"
+        raise RigError([f"rig {rig.name}: --camera needs {lacking}"])
+    others = {name: sensor for name, sensor in rig.sensors.items() if name not in rig.camera.sends.values()}
+    return rig.model_copy(update={"sensors": others})
+
+
+@contextmanager
+def scene_shown(rig: RigConfig, stage: EmulatedStage, path: Path) -> Iterator[Callable[[], None]]:
+    """While open, what the emulated camera sees is in that file; what updates it."""
+    assert rig.plant.dish is not None
+    x, y, z = (rig.axis_names.index(name) for name in rig.plant.dish.axes)
+    page = ScenePage(path)
+    try:
+        yield lambda: page.update(stage, (x, y, z))
+    finally:
+        page.close()
+        path.unlink(missing_ok=True)
 
 
 def live_scenario(path: Path, rig: RigConfig) -> Scenario:

@@ -119,8 +119,8 @@ class Dish:
     """The cells of [plant.dish].
 
     cells: in the order of positions. entered: the one that the tip is in. under: the one that the tip is above or in.
-    stray: pulses where no cell was. direction: 1.0 or -1.0, of the motion into the cells. is_broken: the pipette is,
-    since the cell of that anomaly.
+    stray: pulses where no cell was. radius: of a cell, m. direction: 1.0 or -1.0, of the motion into the cells.
+    is_broken: the pipette is, since the cell of that anomaly.
     """
 
     def __init__(self, config: DishConfig, axis_names: Sequence[str], piece_ns: int = PIECE_NS) -> None:
@@ -136,7 +136,7 @@ class Dish:
         self.valve = config.valve
         self._x, self._y, self._z = (list(axis_names).index(axis) for axis in config.axes)
         self.direction = float(config.direction)
-        self._radius = config.radius
+        self.radius = config.radius
         self._piece_ns = piece_ns
         self._highest = min(self.direction * cell.top for cell in self.cells)
         self._bins: dict[tuple[int, int], list[DishCell]] = {}
@@ -151,14 +151,14 @@ class Dish:
     # where the tip is ------------------------------------------------------------------------------------------------
 
     def _bins_of(self, x: float, y: float) -> list[tuple[int, int]]:
-        r, pitch = self._radius, 2.0 * self._radius
+        r, pitch = self.radius, 2.0 * self.radius
         columns, rows = (range(math.floor((q - r) / pitch), math.floor((q + r) / pitch) + 1) for q in (x, y))
         return [(column, row) for column in columns for row in rows]
 
     def _cell_at(self, x: float, y: float) -> DishCell | None:
         """The cell above which the tip is, the nearest of several."""
-        pitch = 2.0 * self._radius
-        best, least = None, self._radius * self._radius
+        pitch = 2.0 * self.radius
+        best, least = None, self.radius * self.radius
         for cell in self._bins.get((math.floor(x / pitch), math.floor(y / pitch)), ()):
             distance = (x - cell.x) * (x - cell.x) + (y - cell.y) * (y - cell.y)
             if distance <= least:

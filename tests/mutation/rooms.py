@@ -113,6 +113,7 @@ ROOMS = {
          "hil/page/ring_feed.py"),
         ("tests/page/test_access.py", "tests/page/test_signals.py", "tests/page/test_ring_feed.py", "tests/page"),
     ),
+    "camera": Room(("hil/camera", "hil/rig/camera.py"), ("tests/camera",)),
     "injection": Room(
         ("hil/studies/inject/sheet.py", "hil/studies/inject/requests.py", "hil/operate/check_sensor.py"),
         ("tests/studies/test_inject_batches.py", "tests/operate/test_check_sensor.py"),

@@ -52,6 +52,7 @@ NO_MODULES = {
     "hil.estimators",
     "hil.laws",
     "hil.motions",
+    "hil.detectors",
     "hil.layouts",
     "hil.tasks",
     "hil.stages",

@@ -23,6 +23,7 @@ ROOMS = (
     "studies",
     "identify",
     "page",
+    "camera",
     "operate",
     "runs",
     "virtual",

@@ -77,3 +77,20 @@ def test_a_sensor_samples_at_what_the_drives_sample_at() -> None:
     assert trigger_of([torque, sync, answer, seldom], 0x80, tick) == sync
     assert trigger_of([sync, torque, answer, seldom], None, tick) == torque
     assert trigger_of([answer, seldom], None, tick) is None
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_what_a_node_of_ours_sends_is_what_the_host_reads(fd: bool) -> None:
+    node = HilSensorFrame(CAN_ID, fd=fd, scale=0.25)
+    received = 10_000_000_000
+    for value, sequence, shown in ((1.5, 7, 1.5), (-2.0, 256 + 9, -2.0), (1e12, 0, 0.25 * (2**31 - 1))):
+        frame = node.encode(value, sequence, received - 150_000)
+        assert (
+            frame.data[:8]
+            == bytes_of(round(shown / 0.25), (received // 1000 - 150) % 65_536, sequence % 256, 0, fd=fd)[:8]
+        )
+        measured = node.decode(frame._replace(timestamp_ns=received))
+        assert measured == Measurement(shown, sequence % 256, received - 150_000, True)
+    unseen = node.decode(node.encode(None, 1, received)._replace(timestamp_ns=received))
+    assert isinstance(unseen, Measurement)
+    assert not unseen.valid

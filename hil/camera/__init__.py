@@ -1,0 +1,1 @@
+"""`hil camera`: images of pipette and cell into readings of [sensors], in a process of its own."""
