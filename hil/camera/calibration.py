@@ -21,6 +21,7 @@ import numpy as np
 from drivers.base.runtime import state_folder, write_private
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from hil.camera.contract import CameraError, Seen, Spot
+from hil.rig.camera import CameraConfig
 from hil.rig.schema import RigConfig
 
 FORMAT: Final = 1
@@ -92,6 +93,11 @@ class Calibration:
         return (d * right - b * down) / all_, (a * down - c * right) / all_
 
 
+def stated(camera: CameraConfig, tip: Spot) -> Calibration:
+    """By the rig file alone: its pixel, no turn, and a tip that stands still."""
+    return Calibration(((1.0 / camera.pixel, 0.0), (0.0, 1.0 / camera.pixel)), tip, (0.0, 0.0), False, 0.0, 0, 0.0, {})
+
+
 def stage_of(rig: RigConfig, shape: Sequence[int]) -> dict[str, Any]:
     """What a calibration holds for: the two axes as the rig file has them, and the camera. shape: of its images."""
     assert rig.camera is not None
@@ -116,8 +122,8 @@ def calibrated(views: Sequence[View], stage: dict[str, Any], made_s: float) -> C
     travel = math.dist(*_corners([view.encoders for view in tips]))
     if travel <= 0.0:
         raise CameraError("the axes have not moved between the images: nothing can be told")
-    stated = 1.0 / float(stage["pixel"])
-    moves = bool(np.linalg.norm(scale, 2) > 0.3 * stated)
+    nominal = 1.0 / float(stage["pixel"])
+    moves = bool(np.linalg.norm(scale, 2) > 0.3 * nominal)
     if not moves:
         cells = [view for view in views if view.seen.cell]
         if len(cells) < LEAST_IMAGES:
@@ -132,7 +138,7 @@ def calibrated(views: Sequence[View], stage: dict[str, Any], made_s: float) -> C
         ((float(scale[0, 0]), float(scale[0, 1])), (float(scale[1, 0]), float(scale[1, 1]))),
         Spot(float(tip[0]), float(tip[1])), origin, moves, left, len(tips), made_s, stage,
     )  # fmt: skip
-    _check(found, scale, stated)
+    _check(found, scale, nominal)
     return found
 
 
@@ -153,12 +159,12 @@ def _corners(places: Sequence[Way]) -> tuple[Way, Way]:
     return (min(x), min(y)), (max(x), max(y))
 
 
-def _check(found: Calibration, scale: Any, stated: float) -> None:
+def _check(found: Calibration, scale: Any, nominal: float) -> None:
     if found.left > _MOST_LEFT:
         raise CameraError(f"the fit leaves {found.left:.1f} px RMS; allowed: {_MOST_LEFT:g}. Did the stage rest in "
                           "each image, and is it the same cell in all of them?")  # fmt: skip
-    if not 1.0 - _MOST_OFF <= found.pixel * stated <= 1.0 + _MOST_OFF:
-        raise CameraError(f"a pixel is {found.pixel * 1e6:.4g} um, camera.pixel = {1e6 / stated:.4g} um; allowed: "
+    if not 1.0 - _MOST_OFF <= found.pixel * nominal <= 1.0 + _MOST_OFF:
+        raise CameraError(f"a pixel is {found.pixel * 1e6:.4g} um, camera.pixel = {1e6 / nominal:.4g} um; allowed: "
                           f"within {_MOST_OFF:.0%}. Is it the objective that the rig file states?")  # fmt: skip
     along = np.linalg.norm(scale, axis=0)
     if abs(along[0] / along[1] - 1.0) > _MOST_SKEW:

@@ -12,12 +12,12 @@ import typer
 from drivers.base.runtime import RuntimeDirectoryError
 from drivers.bus.port import Port, PortError
 from drivers.bus.segmented_port import open_segments
-from hil.camera.calibrate import calibrate
+from hil.camera.calibrate import Calibrator
 from hil.camera.calibration import Calibration, UncalibratedError, calibration_path, keep, kept
-from hil.camera.contract import CameraError, Features, Image, Source
+from hil.camera.contract import CameraError, Features, Image, Seen, Source
 from hil.camera.encoders import Encoders
 from hil.camera.node import CameraNode, detector_of
-from hil.camera.readings import Interpreter
+from hil.camera.readings import FirstSeen, Interpreter
 from hil.camera.sources import KINDS, open_source
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.options import Overrides, RigFile
@@ -65,7 +65,7 @@ def camera(
     try:
         with contextlib.closing(open_source(source, config)) as images:
             if do_calibrate:
-                _calibrate(config, images, detector, length, take)
+                _calibrate(config, images, detector, length, take, fd)
                 return
             _serve(config, images, detector, seconds, fd)
     except UncalibratedError as error:
@@ -90,9 +90,30 @@ def _length(step: str) -> float:
     return length
 
 
-def _calibrate(rig: RigConfig, images: Source, detector: Features, step: float, take: bool) -> None:
-    with motion(rig.name, take=take, activate=False) as mover:
-        found = calibrate(rig, mover, images, detector, step, lambda text: print(f"hil camera: {text}", flush=True))
+def _calibrate(rig: RigConfig, images: Source, detector: Features, step: float, take: bool, fd: bool) -> None:
+    """Sends readings meanwhile, by the pixel that the rig file states and against the first place of the tip: a rig
+    whose sensors are silent stops.
+    """
+    assert rig.camera is not None
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(sole(runtime_paths(rig.name), "camera"))
+        port = stack.enter_context(contextlib.closing(open_segments(rig.bus, role="device", fd=fd)))
+        x, y = (rig.axis_names.index(name) for name in rig.camera.axes)
+        encoders = stack.enter_context(contextlib.closing(Encoders(rig.name, (x, y))))
+        mover = stack.enter_context(motion(rig.name, take=take, activate=False))
+        node = CameraNode(rig, detector, FirstSeen(rig.camera), encoders)
+
+        def look(image: Image) -> tuple[int, Seen] | None:
+            looked = node.look(image)
+            for frame in node.told(*looked) if looked else ():
+                port.send(frame)
+            port.drain(time.monotonic_ns())
+            return looked
+
+        def tell(text: str) -> None:
+            print(f"hil camera: {text}", flush=True)
+
+        found = Calibrator(rig, mover, images, look, tell).run(step)
     try:
         path = keep(rig, found)
     except OSError as error:

@@ -66,10 +66,16 @@ class CameraNode:
         """Of a new image, one frame a quantity, all with the number of the image among the new ones and the instant of
         its exposure; a quantity that it does not show is sent as not valid. None of an image that was there before.
         """
+        looked = self.look(image)
+        return self.told(*looked) if looked else []
+
+    def look(self, image: Image) -> tuple[int, Seen] | None:
+        """Instant of the exposure, ns, and what a new image shows; None for one that was there before."""
         exposed_ns = self.exposures.of(image)
-        if exposed_ns is None:
-            return []
-        seen = looked_at(self._detector, image, exposed_ns)
+        return None if exposed_ns is None else (exposed_ns, looked_at(self._detector, image, exposed_ns))
+
+    def told(self, exposed_ns: int, seen: Seen) -> list[Frame]:
+        """The frames of an image that was looked at."""
         place = self._encoders.at(exposed_ns) if self._encoders else None
         position, speed = (place.position, place.speed) if place else (None, 0.0)
         found = self._interpreter.quantities(seen, position, speed)

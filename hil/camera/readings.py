@@ -7,7 +7,7 @@ the two moves in the image. So a camera that stands still and one that goes with
 import math
 from typing import Final
 
-from hil.camera.calibration import Calibration, Way
+from hil.camera.calibration import Calibration, Way, stated
 from hil.camera.contract import Seen
 from hil.rig.camera import CameraConfig
 
@@ -62,3 +62,16 @@ class Interpreter:
             self._first = cell if speed <= _REST else None
             return 0.0 if self._first else None
         return math.dist(first, cell)
+
+
+class FirstSeen(Interpreter):
+    """Before there is a calibration: by the stated pixel, and against the first place of the tip."""
+
+    def __init__(self, camera: CameraConfig) -> None:
+        super().__init__(camera, None)
+
+    def quantities(self, seen: Seen, encoders: Way | None, speed: float) -> dict[str, float]:
+        """As Interpreter's."""
+        if self._calibration is None and seen.tip is not None:
+            self._calibration = stated(self._camera, seen.tip)
+        return super().quantities(seen, encoders, speed)

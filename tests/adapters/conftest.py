@@ -8,7 +8,12 @@ import pytest
 import hil
 from tests.adapters.windows import WINDOWS
 
-NEEDS = {"test_pymmcore.py": "pymmcore_plus", "test_ophyd.py": "ophyd_async", "test_examples.py": "ophyd_async"}
+NEEDS = {
+    "test_pymmcore.py": "pymmcore_plus",
+    "test_camera_source.py": "pymmcore_plus",
+    "test_ophyd.py": "ophyd_async",
+    "test_examples.py": "ophyd_async",
+}
 collect_ignore = [name for name, package in NEEDS.items() if find_spec(package) is None]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hil.camera.calibrate import calibrate
+from hil.camera.calibrate import Calibrator
 from hil.camera.calibration import (
     Calibration,
     UncalibratedError,
@@ -23,6 +23,8 @@ from hil.camera.calibration import (
 )
 from hil.camera.contract import CameraError, Image, Seen, Spot
 from hil.camera.detector import Detector
+from hil.camera.node import CameraNode
+from hil.camera.readings import FirstSeen
 from hil.rig.schema import RigConfig
 from hil.runs.rigs import Rig
 from hil.runs.virtual_mover import VirtualMover
@@ -114,11 +116,14 @@ def test_images_that_tell_nothing_are_refused_in_words(wrong: list[View], words:
 @pytest.mark.parametrize("centre", [None, (0.1e-3, 0.05e-3)])
 def test_moves_of_a_rig_calibrate_its_camera(centre: tuple[float, float] | None) -> None:
     rig = camera_rig()
+    assert rig.camera is not None
     optics = Optics(pixel=2.6e-6, turn=0.1, aside=(2e-5, -1e-5), centre=centre, noise=0.01)
     told: list[str] = []
     with VirtualMover(Rig(rig, Path(), Path())) as mover:
         begin = mover.status().position
-        found = calibrate(rig, mover, DrawnCamera(mover, optics), Detector(), 0.1e-3, told.append)
+        interpreter = FirstSeen(rig.camera)
+        node = CameraNode(rig, Detector(), interpreter, None)
+        found = Calibrator(rig, mover, DrawnCamera(mover, optics), node.look, told.append).run(0.1e-3)
         end = mover.status().position
     assert found.moves == (centre is not None)
     assert found.pixel == pytest.approx(2.6e-6, rel=3e-3)

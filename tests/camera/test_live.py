@@ -46,7 +46,7 @@ def said(process: subprocess.Popen[str], words: str) -> None:
     for line in process.stdout:
         if words in line:
             return
-    raise AssertionError(f"{process.args} ended without saying {words!r}")
+    raise AssertionError(f"{process.args!r} ended without saying {words!r}")
 
 
 def ring(path: Path) -> RingReader:

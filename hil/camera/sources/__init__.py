@@ -28,7 +28,8 @@ def open_source(words: str, rig: RigConfig) -> Source:
         from hil.camera.sources.latest import Latest
         from hil.camera.sources.opencv import OpenCv
 
-        return Latest(OpenCv(rest))
+        images = OpenCv(rest)
+        return Latest(images) if images.is_camera else images
     if kind == "micro-manager" and rest:
         from hil.camera.sources.micro_manager import MicroManager
 
