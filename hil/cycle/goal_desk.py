@@ -22,6 +22,7 @@ from hil.control.plans.axis_plan import AxisPlan, MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import halt, jog, knot, move
 from hil.control.plans.pace import MOST_RATE, Pace, change_rate
+from hil.control.plans.stream import Knot, follow_on
 from hil.control.plans.together import State, line, moves
 from hil.control.trajectories import Trajectory
 from hil.cycle.axes import Axes
@@ -64,8 +65,7 @@ class GoalDesk:
         self._course: Course | None = None
         self._path: Trajectory | None = None
         self._ends_ns = -1  # of the path's time
-        self._knot_ns = [0] * len(limits)  # when the last knot of a stream was due, on the course's clock
-        self._knot_speed = [0.0] * len(limits)
+        self._knots = [Knot()] * len(limits)  # the last of a stream, by axis
 
     def begin(self, path: Trajectory | None, word: MotionWord) -> None:
         """The setpoints have begun to follow `path`; None: they hold."""
@@ -311,22 +311,21 @@ class GoalDesk:
 
     def _plan(self, course: Course, goal: Goal, axes: list[int]) -> Refusal:
         """New plans for the axes of a goal; none where one of them may not be."""
+        limited, knots = self.limited, list(self._knots)
         commits = self._commits()
-        begins = [max(commits[axis], course.newest(axis).begins) for axis in axes]
+        begins = free = [course.free(axis, commits[axis]) for axis in axes]
+        if goal.kind == GoalKind.KNOT:
+            begins = [self._next_knot(course, goal, axis, at) for axis, at in zip(axes, free, strict=True)]
         states = [course.at(axis, at) for axis, at in zip(axes, begins, strict=True)]
         limits = [self._limits_at(axis, state[0]) for axis, state in zip(axes, states, strict=True)]
-        limited, knot_ns, knot_speed = self.limited, list(self._knot_ns), list(self._knot_speed)
         plans, refusal = self._made(course, goal, axes, begins, states, limits)
         if refusal is Refusal.NONE and not all(p.keeps(li) for p, li in zip(plans, limits, strict=True)):
             refusal = Refusal.LIMITS
         if refusal is Refusal.NONE:
-            for axis, at, plan in zip(axes, begins, plans, strict=True):
-                if course.newest(axis).begins == at:
-                    course.replace(axis, Stretch(at, plan))
-                else:
-                    course.add(axis, Stretch(at, plan))
+            for axis, at, plan, base in zip(axes, begins, plans, free, strict=True):
+                course.add(axis, Stretch(at, plan, follows=at > base))
         else:
-            self.limited, self._knot_ns, self._knot_speed = limited, knot_ns, knot_speed
+            self.limited, self._knots = limited, knots
         return refusal
 
     def _limits_at(self, axis: int, position: float) -> MotionLimits:
@@ -367,20 +366,21 @@ class GoalDesk:
             seconds = min(seconds, JOG_WAY * (li.high - li.low) / abs(wanted))
         return jog(*state, wanted, seconds, self._limits_at(axis, state[0]))
 
-    def _knot(self, goal: Goal, axis: int, at: int, state: State, li: MotionLimits) -> AxisPlan:
-        """Through the knot, with the acceleration that the speeds of this one and the one before mean; where its hull
-        does not prove the limits, a move to its place.
-        """
+    def _next_knot(self, course: Course, goal: Goal, axis: int, base: int) -> int:
+        """From where on the axis goes to it: from the knot before, or from `base`."""
+        li, last = self._limits[axis].slowed(goal.speed), self._knots[axis]
         place = max(li.low, min(li.high, goal.position[axis]))
         speed = max(-li.speed, min(li.speed, goal.velocity[axis]))
-        due = at + goal.due_ns
-        after = (due - self._knot_ns[axis]) * 1e-9
-        streams = self.word is MotionWord.STREAM and after > 0.0
-        bend = (speed - self._knot_speed[axis]) / after if streams else 0.0
-        bend = max(-li.acceleration, min(li.acceleration, bend))
-        self._knot_ns[axis], self._knot_speed[axis] = due, speed
-        exact = place == goal.position[axis] and speed == goal.velocity[axis]
-        made = knot(*state, (place, speed, bend), goal.due_ns * 1e-9, li)
+        new = last.next(base + goal.due_ns, place, speed, streams=self.word is MotionWord.STREAM)
+        self._knots[axis] = new
+        return follow_on(course, axis, last, new, base, li)
+
+    def _knot(self, goal: Goal, axis: int, at: int, state: State, li: MotionLimits) -> AxisPlan:
+        """Through the knot; where its hull does not prove the limits, a move to its place."""
+        new = self._knots[axis]
+        bend = max(-li.acceleration, min(li.acceleration, new.rise))
+        exact = new.place == goal.position[axis] and new.speed == goal.velocity[axis]
+        made = knot(*state, (new.place, new.speed, bend), (new.due_ns - at) * 1e-9, li)
         if made is None or not exact:
             self.limited += 1
-        return made if made is not None else move(*state, place, self._limits_at(axis, state[0]))
+        return made if made is not None else move(*state, new.place, self._limits_at(axis, state[0]))

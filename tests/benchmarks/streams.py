@@ -53,7 +53,9 @@ NETWORKS: Final = (
     Network("clean"),
     Network("loss 1 %", loss=0.01),
     Network("loss 5 %", loss=0.05),
+    Network("loss 10 %", loss=0.1),
     Network("loss 20 %", loss=0.2),
+    Network("loss 30 %", loss=0.3),
     Network("loss 50 %", loss=0.5),
     Network("disorder 20 %", swapped=0.2),
     Network("gaps of 100 ms", gap_s=0.1),
@@ -148,13 +150,22 @@ def _judged(
 
 
 def _fitted(position: NDArray[np.float64], period_s: float) -> tuple[float, NDArray[np.float64]]:
-    """The delay with the least error, s, to a period; the errors with it, m."""
+    """The delay with the least error, s; the errors with it, m. The nearest period, and from there by the path's speed:
+    a knot of 30 a second is due between two ticks.
+    """
     best: tuple[float, NDArray[np.float64]] = (0.0, position)
     for ticks in range(int(0.6 / period_s)):
-        wanted = np.array([path((tick - ticks) * period_s)[0] for tick in range(len(position))])
+        wanted = _delayed(len(position), period_s, ticks * period_s)[0]
         if ticks == 0 or np.sum((position - wanted) ** 2) < np.sum(best[1] ** 2):
             best = ticks * period_s, position - wanted
-    return best
+    speed = _delayed(len(position), period_s, best[0])[1]
+    delay = best[0] - float(np.sum(best[1] * speed) / np.sum(speed**2))
+    return delay, position - _delayed(len(position), period_s, delay)[0]
+
+
+def _delayed(count: int, period_s: float, delay: float) -> NDArray[np.float64]:
+    """Positions and speeds of the path so much later, (2, count)."""
+    return np.array([path(tick * period_s - delay) for tick in range(count)]).T
 
 
 def _broken(rig: RigConfig, found: Records) -> str:

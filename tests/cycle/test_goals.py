@@ -84,6 +84,54 @@ def test_a_stream_follows_its_path_and_rests_behind_its_last_knot() -> None:
     held.hold_limits()
 
 
+def slow_stream(held: Held, count: int, interval: int = 100) -> list[float]:
+    """Knots two intervals ahead, each `interval` ticks; the errors of the setpoint, m, from the third on."""
+    x0, found = held.setpoint[0], []
+    for k in range(count):
+        t = 1e-3 * interval * (k + 2)
+        q, v = x0 + 1e-3 * np.sin(np.pi * t) ** 4, 4e-3 * np.pi * np.sin(np.pi * t) ** 3 * np.cos(np.pi * t)
+        assert held.ask(GoalKind.KNOT, q, velocity=(v, 0.0, 0.0, 0.0), mask=1, due_ns=2 * interval * MS) == 0
+        for tick in range(interval):
+            if tick:
+                held.run.tick()
+            now = 1e-3 * (interval * k + tick)
+            found.append(held.setpoint[0] - x0 - 1e-3 * float(np.sin(np.pi * now)) ** 4)
+    return found[3 * interval :]
+
+
+def test_a_slow_stream_follows_its_path_between_the_knots() -> None:
+    held = Held()
+    errors = slow_stream(held, 12)
+    held.settle(1_000)
+    held.hold_limits()
+    assert np.sqrt(np.mean(np.square(errors))) < 3e-6
+
+
+@pytest.mark.parametrize("kind", [GoalKind.HALT, GoalKind.MOVE, GoalKind.JOG])
+def test_knots_that_are_still_ahead_give_way_to_any_other_goal_at_once(kind: GoalKind) -> None:
+    held = Held()
+    slow_stream(held, 5)
+    assert held.ask(kind, -1e-3, velocity=(-0.01, 0.0, 0.0, 0.0), mask=1) == 0
+    before = held.setpoint[0]
+    held.settle()
+    held.hold_limits()
+    assert abs(held.setpoint[0] - before) < 1e-4 if kind is GoalKind.HALT else held.setpoint[0] < before
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_stream_keeps_the_limits_and_ends_at_rest(seed: int) -> None:
+    held, draw = Held(), np.random.default_rng(seed)
+    limits, place = motion_limits(held.rig), 0.0
+    for _ in range(60):
+        kind = GoalKind.KNOT if draw.random() < 0.9 else GoalKind.HALT
+        place += float(draw.normal(0.0, 2e-4))
+        speed, due = float(draw.normal(0.0, 0.3 * limits[0].speed)), int(draw.choice([1, 5, 20, 60, 200]))
+        held.ask(kind, place, velocity=(speed, 0.0, 0.0, 0.0), mask=1, due_ns=due * MS)
+        held.ticks(int(draw.integers(0, 40)))
+    held.settle()
+    held.hold_limits()
+
+
 def test_a_task_can_be_paused_on_its_way_and_goes_on() -> None:
     held = Held(*TASK, hold=False)
     assert held.desk.word is MotionWord.TASK

@@ -15,24 +15,28 @@ from hil.control.plans.axis_plan import AxisPlan
 from hil.control.plans.pace import Pace, paced
 from hil.control.trajectories.base import Times, Trajectory
 
-KEPT: Final = 4
+KEPT: Final = 6
 NS: Final = 1e-9
 _ALWAYS: Final = -(1 << 60)  # ns
 
 
 class Stretch:
-    """From an instant on, ns: a plan of the axis, or a path at a pace that began at a path time, ns."""
+    """From an instant on, ns: a plan of the axis, or a path at a pace that began at a path time, ns. follows: it
+    goes on from a knot of a stream, and gives way to any other goal.
+    """
 
-    __slots__ = ("begins", "pace", "path", "path_ns", "plan")
+    __slots__ = ("begins", "follows", "pace", "path", "path_ns", "plan")
 
     def __init__(
-        self, begins: int, plan: AxisPlan, path: Trajectory | None = None, pace: Pace | None = None, path_ns: int = 0
-    ) -> None:
+        self, begins: int, plan: AxisPlan, path: Trajectory | None = None, pace: Pace | None = None, path_ns: int = 0,
+        follows: bool = False,
+    ) -> None:  # fmt: skip
         self.begins = begins
         self.plan = plan
         self.path = path
         self.pace = pace
         self.path_ns = path_ns
+        self.follows = follows
 
     def at(self, axis: int, t_ns: int) -> tuple[float, float, float]:
         """Position, velocity and acceleration at an instant, ns."""
@@ -64,15 +68,24 @@ class Course(Trajectory):
         return copy
 
     def add(self, axis: int, stretch: Stretch) -> None:
-        """Takes the place of what the axis would have done from then on; not before what was added last."""
+        """Takes the place of what the axis would have done from then on."""
         kept = self._stretches[axis]
+        while kept and kept[0].begins >= stretch.begins:
+            kept.pop(0)
         kept.insert(0, stretch)
         if len(kept) > KEPT:
             kept.pop()
 
-    def replace(self, axis: int, stretch: Stretch) -> None:
-        """Takes the place of what was added last, which has not begun or begins at the same instant."""
-        self._stretches[axis][0] = stretch
+    def ahead(self, axis: int, t_ns: int) -> int:
+        """How many of its stretches begin after an instant, ns."""
+        return sum([stretch.begins > t_ns for stretch in self._stretches[axis]])
+
+    def free(self, axis: int, t_ns: int) -> int:
+        """From when on the axis may do something else than it does at an instant or will do: then, or where it has come
+        to rest along a path, ns.
+        """
+        held = [stretch.begins for stretch in self._stretches[axis] if not stretch.follows]
+        return max(t_ns, held[0]) if held else t_ns
 
     def newest(self, axis: int) -> Stretch:
         """What the axis does last."""
