@@ -64,7 +64,7 @@ class CameraNode:
 
     def frames(self, image: Image) -> list[Frame]:
         """Of a new image, one frame a quantity, all with the number of the image among the new ones and the instant of
-        its exposure; a quantity that it does not show is sent as not valid. None of an image that was there before.
+        its exposure. A quantity that it does not show is sent as not valid. None of an image that was there before.
         """
         looked = self.look(image)
         return self.told(*looked) if looked else []
