@@ -111,7 +111,9 @@ def inject(
     how = {**({"seek_speed": speed, "press_speed": speed} if speed else {}), **({"z_law": z_law} if z_law else {})}
 
     def planned(changes: dict[str, Any]) -> Plan:
-        return _planned(rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies, {**how, **changes})
+        return _planned(
+            rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies=anomalies, how={**how, **changes}
+        )
 
     if compare:
         _compare(planned, json_target, console)
@@ -158,7 +160,7 @@ def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
 
 def _planned(
     rig: RigConfig, rig_file: Path, overrides: tuple[str, ...], places: Positions, done: list[Injected], seed: int,
-    anomalies: float, how: dict[str, Any],
+    *, anomalies: float, how: dict[str, Any],
 ) -> Plan:  # fmt: skip
     """The rig with these cells under its tip; its layout is built once."""
     layout = rig_layout(rig, rig_file.parent)
