@@ -30,6 +30,7 @@ CASES = {
     "bus play": _case("bus play {in}/trace.log --channel hostile -i local"),
     "bus record": _case("bus record r.log --channel hostile -i local --seconds 0.2"),
     "bus view": _case("bus view --channel hostile -i local --seconds 0.2"),
+    "camera": _case("camera {in}/rig.toml --source drawn", status=78),
     "check": _case("check {in}/rig.toml --json c.json --picture c.png --frd f.json", "c.json", "c.png", "f.json"),
     "command": _case("command {in}/rig.toml stop", status=69),
     "compare": _case("compare {in}/rig.toml --laws pid --seconds 1 --picture c.png --json c.json --workers 1",
