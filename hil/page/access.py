@@ -95,7 +95,7 @@ class Access:
         return secret, pairing
 
     def admit(self, name: str, role: Role) -> tuple[str, Pairing]:
-        """Pair without a code, as whoever owns the folder may: a program's secret. Raises PairingError, OSError."""
+        """Pair without a code, as the owner of the folder may: a program's secret. Raises PairingError, OSError."""
         secret = secrets.token_urlsafe(32)
         with self._locked():
             known = self.pairings()
