@@ -124,7 +124,7 @@ class FrictionWeights:
         w3, w4, w5 = w[3] + k[3] * missing, w[4] + k[4] * missing, w[5] + k[5] * missing
         short = at_least(self._softest - weighed((w0, w1, w2, w3, w4, w5), slope), 0.0)
         mass = bounded(w[6] + k[6] * missing, self._most_mass)
-        self._weights = (w0 + short / slope[0], w1, w2, w3, w4, w5, mass)
+        self._weights = (w0 + learn * short / slope[0], w1, w2, w3, w4, w5, mass)
 
 
 def _variances(deviations: Deviations) -> Weights:
