@@ -369,5 +369,5 @@ def test_in_virtual_time_the_demo_has_the_stage_and_law_of_the_rig_and_what_it_p
     commands = [line.strip() for line in done.stdout.partition("next, try:")[2].strip().splitlines()]
     assert len(commands) == 4
     replay = shlex.split(commands[0], comments=True)
-    assert replay[1:] == ["replay", f"{out}/run.mcap"]
-    assert hil(*replay[1:]).returncode == 0
+    assert replay[-2:] == ["replay", f"{out}/run.mcap"]
+    assert subprocess.run(replay, check=False, capture_output=True).returncode == 0
