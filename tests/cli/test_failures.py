@@ -20,6 +20,11 @@ def test_a_full_disk_is_told_with_the_file_where_it_is_known() -> None:
     assert failure(OSError(errno.ENOSPC, "No space left")) == (EXIT_FILE, ["hil: No space left"])
 
 
+def test_where_no_temporary_file_can_be_written_the_folders_are_told() -> None:
+    said = "No usable temporary directory found in ['/tmp', '/home/ana']"
+    assert failure(FileNotFoundError(errno.ENOENT, said)) == (EXIT_FILE, [f"hil: {said}"])
+
+
 @pytest.mark.parametrize("error", [OSError(errno.EINVAL, "Invalid argument"), ImportError("no module"), KeyError("x")])
 def test_a_mistake_of_ours_is_raised_as_it_is(error: Exception) -> None:
     with pytest.raises(type(error)) as caught:

@@ -104,13 +104,14 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.hostile", description=__doc__)
     parser.add_argument("--minutes", type=float, default=3.0, help="begin no other run after this time")
     parser.add_argument("--only", default="", help="pairs with this in `COMMAND: SURROUNDINGS`")
+    parser.add_argument("--pairs", type=int, default=None, help="try so many of them [as many as there is time for]")
     parser.add_argument("--seed", default=commit(), help="of the order [the commit]")
     asked = parser.parse_args(arguments)
     there = have()
     for name in {need for over in SURROUNDINGS.values() for need in over.needs} - there:
         print(f"NOT RUN: what needs {name}")
     until = time.monotonic() + 60.0 * asked.minutes
-    chosen = pairs(asked.only, there, asked.seed)
+    chosen = pairs(asked.only, there, asked.seed)[: asked.pairs]
     with tempfile.TemporaryDirectory(prefix="hil-hostile-") as directory:
         os.chmod(directory, 0o755)
         lane = Lane(Path(directory))

@@ -16,7 +16,8 @@ LONGEST_LINES = 12  # a refusal of the command line stands in a frame
 def wrong(case: Case, over: Surroundings, ended: Ended) -> str:
     """Why this is not right, or nothing."""
     said = (ended.out or "") + (ended.err or "")
-    if (found := [mark for mark in MARKS if mark in said]) and not _before_us(over, said):
+    foreign = _before_us(over, said) or _of_a_library(said)
+    if (found := [mark for mark in MARKS if mark in said]) and not foreign:
         return f"status {ended.status}: {found[0]}"
     if ended.status is None:
         return "does not end"
@@ -38,6 +39,11 @@ def wrong(case: Case, over: Surroundings, ended: Ended) -> str:
 def _before_us(over: Surroundings, said: str) -> bool:
     """A signal within the first milliseconds, in which Python itself starts: nothing of hil is in the traceback."""
     return over.number is not None and "KeyboardInterrupt" in said and f"{ROOT}/hil/" not in said
+
+
+def _of_a_library(said: str) -> bool:
+    """A callback of another package that ran out of memory and cannot raise; ours has said so in its line."""
+    return "MemoryError" in said and "hil: not enough memory" in said and f"{ROOT}/hil/" not in said
 
 
 def _lacks(case: Case, ended: Ended) -> str:
