@@ -91,6 +91,9 @@ def _is_zero(value: float) -> bool:
 Measured = Literal["cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error", "dimple"]
 
 
+OF_DISH: tuple[Measured, ...] = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")  # these need [plant.dish]
+
+
 class EmulatedSensorConfig(Table):
     """[[plant.sensors]]: what a sensor of [sensors] really measures, and how well."""
 
@@ -359,8 +362,7 @@ class PlantConfig(Table):
 
     @model_validator(mode="after")
     def _dish_fits(self) -> "PlantConfig":
-        needs = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")
-        lacking = [entry for entry in self.sensors if entry.measures in needs and self.dish is None]
+        lacking = [entry for entry in self.sensors if entry.measures in OF_DISH and self.dish is None]
         if lacking:
             raise ValueError(f"sensors: measures = {lacking[0].measures!r} of '{lacking[0].sensor}' needs [plant.dish]")
         if self.dish is not None and self.dish.axes[2] in [cell.axis for cell in self.cells]:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from drivers.frame import BRS, FD, Frame
 from drivers.sensors.config import SensorConfig
-from sim_plant.config import EmulatedSensorConfig, PlantConfig
+from sim_plant.config import OF_DISH, EmulatedSensorConfig, PlantConfig
 from sim_plant.physics.dish import Dish
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.noise import READING, Stream
@@ -19,7 +19,6 @@ from sim_plant.physics.truth import Truth
 
 NEVER_NS = 2**62
 _MOST = 2**31 - 1
-OF_DISH = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")  # what only a rig with [plant.dish] has
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ Impedance (Hogan, J. Dyn. Syst. Meas. Control 107, 1985; position-based) and pos
 Under each of them the force limit holds.
 """
 
+from math import pi
 from typing import Any
 
 from hil.control.motion.contract import Observation
@@ -29,6 +30,7 @@ DROP_NOISE = 7.0
 SEEN_NOISE = 5.0  # of the dimple: a touch
 RAMP_SHARE = 0.5  # of press_speed, where the force is on its ramp
 GIVES_WAY_HZ = 20.0  # of the mass on its spring, critically damped
+_OMEGA = 2.0 * pi * GIVES_WAY_HZ
 PULLS_BACK = 50.0  # 1/s: of the way that limits have kept the tip from going
 SETTLED = 1e-5  # m/s: it gives way no more
 RENEWED_S = 0.02  # a speed that nobody renews ends in rest
@@ -152,9 +154,8 @@ class Impedance(Position):
 
     def step(self, seen: Observation) -> None:
         """See Press."""
-        omega = 2.0 * 3.141592653589793 * GIVES_WAY_HZ
         pushed = self._senses.force / self._s.stiffness - self._given
-        self._speed_given += omega * (omega * pushed - 2.0 * self._speed_given) * self._period
+        self._speed_given += _OMEGA * (_OMEGA * pushed - 2.0 * self._speed_given) * self._period
         self._given += self._speed_given * self._period
         planned = min(self._planned(seen), self._length)
         speed = self._s.press_speed if planned < self._length else 0.0
