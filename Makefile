@@ -116,6 +116,7 @@ proto: setup  ## renew the generated protobuf module
 docs: setup  ## renew the pages that are made from code, and build the site into build/site
 	@$(BIN)/python -m docs.make_fault_numbers
 	@$(BIN)/python -m docs.make_pages
+	@$(BIN)/python -m docs.pictures
 	@$(BIN)/python -c "import material" 2>/dev/null || \
 	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/site/requirements.lock
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f deploy/site/mkdocs.yml

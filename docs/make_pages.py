@@ -7,7 +7,7 @@ import sys
 from collections import defaultdict
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 import hil
 from docs.answers_page import answers_page
@@ -27,9 +27,6 @@ from hil.rig.schema import LawConfig
 from hil.studies.fault_campaign.layout_capabilities import TEXTS, Capability, fixed_capabilities
 from hil.telemetry.viewer_layouts import lichtblick, plotjuggler
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 FOLDER = Path(__file__).parent.parent / "docs"
 SCHEMA = FOLDER.parent / "deploy" / "rigs" / "rig.schema.json"
 VIEWERS = FOLDER.parent / "deploy" / "viewers"
@@ -40,37 +37,22 @@ REACTION_TEXT = {
     Reaction.ZERO: "R3 zero and disable now, latch",
     Reaction.SILENT: "R4 as R3, and send nothing more",
 }
-PLACES = {
-    State.BOOT: (0, 3), State.CONNECTED: (2, 3), State.READY: (4, 3), State.HOMING: (6.4, 5), State.ACTIVE: (7.2, 3),
-    State.STOPPING: (5.8, 1.2), State.FAULT: (2.2, 0.8), State.ESTOP: (0.4, 0.8), State.SHUTDOWN: (4.4, 0),
-}  # fmt: skip
 
 
 GAINS_BEGIN = "<!-- gains: made by `make docs` from Law.GAINS -->"
 GAINS_END = "<!-- end of gains -->"
-EVERYWHERE = {
-    (Event.ESTOP, State.ESTOP),
-    (Event.FAULT_ZERO, State.FAULT),
-    (Event.FAULT_STOP, State.FAULT),
-    (Event.EXIT, State.SHUTDOWN),
-}
-CAPTION = """orange: torque permitted; grey: nothing is sent
-not drawn, from every state: estop to ESTOP, a fault to FAULT (fault_stop by way of STOPPING where torque flows), exit
-to SHUTDOWN likewise"""
-
-
-def arrows() -> dict[tuple[State, State], list[Event]]:
-    """Events by the pair of states they join; self-transitions and those of EVERYWHERE left out."""
-    joined: dict[tuple[State, State], list[Event]] = defaultdict(list)
-    for (state, event), target in TABLE.items():
-        if state is not target and (event, target) not in EVERYWHERE:
-            joined[state, target].append(event)
-    return dict(joined)
 
 
 def states_page() -> str:
     """docs/states.md."""
-    lines = ["# States", "", "Made from `hil/cycle/state_machine.py` by `make docs`.", "", "![states](states.svg)", ""]
+    lines = [
+        "# States",
+        "",
+        "Made from `hil/cycle/state_machine.py` by `make docs`.",
+        "",
+        "![states](pictures/states.svg)",
+        "",
+    ]
     lines += ["| state | torque | sends | " + " | ".join(event.name for event in Event) + " |"]
     lines += ["|---" * (len(Event) + 3) + "|"]
     for state in State:
@@ -270,38 +252,6 @@ def laws_page() -> str:
     return f"{before}{GAINS_BEGIN}\n{gains_table()}{GAINS_END}{after}"
 
 
-def states_picture(path: Path) -> None:
-    """The table as a drawing (SVG)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    matplotlib.rcParams["svg.hashsalt"] = "hil"
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(12, 8))
-    for (state, target), events in arrows().items():
-        _arrow(axes, PLACES[state], PLACES[target], "\n".join(event.name.lower() for event in events))
-    for state, place in PLACES.items():
-        colour = "#ffd9a0" if state in TORQUE_STATES else "#dddddd" if state in SILENT_STATES else "#d7e8ff"
-        box = {"boxstyle": "round,pad=0.5", "facecolor": colour, "edgecolor": "#333333"}
-        axes.text(*place, state.name, ha="center", va="center", fontsize=11, bbox=box, zorder=3)
-    axes.set_xlim(-0.8, 8.2)
-    axes.set_ylim(-0.8, 5.8)
-    axes.axis("off")
-    axes.set_title(CAPTION, fontsize=9)
-    figure.savefig(path, metadata={"Date": None}, bbox_inches="tight")
-    pyplot.close(figure)
-
-
-def _arrow(axes: "Axes", start: tuple[float, float], end: tuple[float, float], label: str) -> None:
-    style = {"arrowstyle": "-|>", "color": "#777777", "shrinkA": 32, "shrinkB": 32, "connectionstyle": "arc3,rad=0.12"}
-    axes.annotate("", xy=end, xytext=start, arrowprops=style)
-    (x0, y0), (x1, y1) = start, end
-    across = (0.12 * (y1 - y0), -0.12 * (x1 - x0))
-    x, y = x0 + 0.45 * (x1 - x0) + 0.5 * across[0], y0 + 0.45 * (y1 - y0) + 0.5 * across[1]
-    axes.text(x, y, label, fontsize=6.5, ha="center", va="center", color="#444444", zorder=2)
-
-
 def viewer_files() -> dict[Path, str]:
     """Layouts for MCAP viewers of the shipped rigs whose axes differ, by where they are kept."""
     found = {}
@@ -327,7 +277,6 @@ def main() -> None:
         path.write_text(text, encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")
     (folder / "python.md").write_text(python_page(), encoding="utf-8")
-    states_picture(folder / "states.svg")
 
 
 if __name__ == "__main__":
