@@ -4,7 +4,7 @@ The constructor's defaults, the check of a rig file's [law.gains], the page docs
 all read that declaration.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 LARGEST = 1.7976931348623157e308
@@ -60,6 +60,17 @@ def declared(gains: Mapping[str, Any]) -> dict[str, Gain]:
         if problem := _problem(gain, [other for other in found if other != name]):
             raise ValueError(f"GAINS[{name!r}]: {problem}")
     return found
+
+
+def not_taken(made: Callable[..., Any], gains: Iterable[str]) -> list[str]:
+    """The gains among `gains` that a law's class does not take by name: a rig file or the tuner could not set them."""
+    import inspect  # of users' laws alone
+
+    parameters = inspect.signature(made).parameters.values()
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        return []
+    by_name = {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+    return [name for name in gains if name not in by_name]
 
 
 def _problem(gain: Gain, others: list[str]) -> str:

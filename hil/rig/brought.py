@@ -54,9 +54,18 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
             _run_task(task, kind)
     elif isinstance(task.get("file", ""), str) and task.get("file") and ("file" in changed or lacking):
         try:
-            task["axes"], task["samples"] = read_task_file(folder / task["file"])
+            file = place_of(task["file"], folder, chosen="file" in changed)
+            task["axes"], task["samples"] = read_task_file(file)
         except TaskFileError as error:
             raise BroughtError("\n".join(f"task.file: {line}" for line in str(error).splitlines())) from None
+
+
+def place_of(name: str, folder: Path, *, chosen: bool) -> Path:
+    """Where a file is that a rig names: beside the rig file. One that was chosen after it (`--set`) is where the user
+    stands; earlier versions looked beside the rig file for that, too, and a file there still serves.
+    """
+    here, beside = Path(name), folder / name
+    return here if chosen and (here.exists() or not beside.exists()) else beside
 
 
 def named_files(rig: RigConfig) -> dict[str, str]:
@@ -77,14 +86,15 @@ def _read_source(document: dict[str, Any], plugin: Kind, folder: Path, *, chosen
     if not isinstance(name, str) or not name or plugin.own(name):
         return
     file = file_of(name)
+    place = place_of(file, folder, chosen=chosen)
     try:
         if chosen or not source or str(source).startswith(DIGEST) == bool(file):
-            source = _text_of(folder / file) if file else package_digest(plugin, name)
+            source = _text_of(place) if file else package_digest(plugin, name)
     except (OSError, UnicodeDecodeError, UnsuitableFileError) as error:
         no_text = isinstance(error, UnicodeDecodeError)
         text = "no UTF-8 text" if no_text else getattr(error, "strerror", None) or error
-        place = folder / file if file else getattr(error, "filename", "")
-        raise BroughtError(f"{plugin.path} = {shown(name)}: {place}: {text}") from None
+        where = place if file else getattr(error, "filename", "")
+        raise BroughtError(f"{plugin.path} = {shown(name)}: {where}: {text}") from None
     if source:
         table["source"] = source
 
@@ -105,7 +115,9 @@ def _read_learnt(document: dict[str, Any], folder: Path, *, chosen: bool) -> Non
         from hil.rig.learnt_file import LearntFileError, read_learnt_file  # few rigs have one
 
         try:
-            law["learnt_on"], law["learnt_state"] = read_learnt_file(folder / law["learnt"], list(axes))
+            law["learnt_on"], law["learnt_state"] = read_learnt_file(
+                place_of(law["learnt"], folder, chosen=chosen), list(axes)
+            )
         except LearntFileError as error:
             raise BroughtError(f"law.learnt: {error}") from None
 

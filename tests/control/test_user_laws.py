@@ -112,6 +112,32 @@ def test_a_file_that_is_not_there_is_named(rig_file: Path) -> None:
         load_rig(rig_file, ["law.name=./none.py:Lqr"])
 
 
+def test_a_law_chosen_by_an_override_is_a_file_where_the_user_stands(
+    rig_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "own.py").write_text((tmp_path / "lqr.py").read_text() + "\nHERE = True\n")
+    monkeypatch.chdir(tmp_path / "here")
+    assert "HERE" in load_rig(rig_file, ["law.name=./own.py:Lqr"]).law.source
+    shutil.copy(tmp_path / "lqr.py", tmp_path / "own.py")
+    assert "HERE" in load_rig(rig_file, ["law.name=./own.py:Lqr"]).law.source  # not the one beside the rig file
+    assert (
+        "HERE" not in load_rig(rig_file, ["law.name=./lqr.py:Lqr"]).law.source
+    )  # which serves where there is no other
+    rig_file.write_text(rig_file.read_text().replace('name = "pd-feedforward"', 'name = "./own.py:Lqr"'))
+    assert "HERE" not in load_rig(rig_file).law.source  # a path in a file is relative to the file
+
+
+def test_a_gain_that_the_constructor_does_not_take_is_refused_with_its_name(rig_file: Path) -> None:
+    text = "from hil import Law\n\n\nclass Deaf(Law):\n    GAINS = {'heard': 1.0, 'unheard': None}\n"
+    text += "    def __init__(self, model, period, force_limit, heard=1.0):\n        pass\n"
+    text += "    def force(self, inputs):\n        return 0.0\n"
+    (rig_file.parent / "deaf.py").write_text(text)
+    rig = load_rig(rig_file, ["law.name=./deaf.py:Deaf"])
+    with pytest.raises(ValueError, match=r"GAINS has unheard, which Deaf\(\) does not take"):
+        make_axis_laws(rig.law, rig_model(rig), 1e-3, np.ones(2))
+
+
 def test_gains_are_checked_by_what_the_law_declares(rig_file: Path) -> None:
     for override, text in (
         ("law.gains.error=0", "law.gains.error = 0: expected a finite number >= 1e-09"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.base.plugins import where
 from drivers.base.toml_file import shown
-from hil.control.gain import Gain, declared
+from hil.control.gain import Gain, declared, not_taken
 from hil.control.law_registry import PACKAGE, is_built_in, law_class
 from hil.control.laws.base import Array, AxisLaws, Law, Model, axis_model
 from hil.control.laws.coupled import Coupled, interpreted_axis_laws
@@ -115,6 +115,9 @@ def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
         known = declared(made.GAINS)
     except ValueError as error:
         raise ValueError(f"law.name = {shown(law.name)}: {error}") from None
+    if not is_built_in(law) and (strange := not_taken(made, known)):
+        names = ", ".join(strange)
+        raise ValueError(f"law.name = {shown(law.name)}: GAINS has {names}, which {made.__name__}() does not take")
     return _checked_gains(law, {**known, **learning}, n_axes)
 
 
