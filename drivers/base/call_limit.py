@@ -45,6 +45,13 @@ class Watch:
         self.calls += 1
         self.within = True
 
+    def renew(self) -> None:
+        """One of the calls in a row has ended, and the next one begins, with the whole time again."""
+        if get_ident() != self._main:
+            self._others.begin()
+        else:
+            self.calls += 1
+
     def end(self) -> None:
         """It has ended, with an answer or without one."""
         if get_ident() != self._main:

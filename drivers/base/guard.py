@@ -1,6 +1,7 @@
 """The one guard around what users bring: calls in a limited time, whose failures name key, method, file and line."""
 
 from collections.abc import Callable
+from types import TracebackType
 from typing import Any
 
 from drivers.base.call_limit import FAILED, watch
@@ -11,12 +12,37 @@ class BadAnswerError(Exception):
     """A plug-in's method returned what it must not; the text says what is wrong with it."""
 
 
+class Limited:
+    """`with` around calls in a row, the same object in every tick: their time is limited, and what they raise goes to
+    `failed`, not to whoever stands around.
+    """
+
+    __slots__ = ("_failed",)
+
+    def __init__(self, failed: Callable[[BaseException], None]) -> None:
+        self._failed = failed
+
+    def __enter__(self) -> None:
+        watch.begin()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        watch.end()
+        if not isinstance(error, FAILED):
+            return False
+        self._failed(error)
+        return True
+
+
+next_call = watch.renew  # between calls in a row: the limit is that of one call, not of all
+
+
 class Guard:
     """Around a class of users, its objects and their methods.
 
     kind, name: the key of the rig file and what it says. made: the class. raises: what a failure becomes. file: of the
-    class, as tracebacks have it. A tick that calls several objects in a row begins and ends the watch itself, and asks
-    `blamed` what to say.
+    class, as tracebacks have it. One call at a time goes by `call`; calls of a tick go by `limited`.
     """
 
     def __init__(self, kind: Kind, name: str, made: Any, raises: type[Exception] = ValueError) -> None:
@@ -32,6 +58,19 @@ class Guard:
             raise self._raises(self.told(what, error)) from error
         finally:
             watch.end()
+
+    def limited(self, method: str, keep: Callable[[str], None] | None = None) -> Limited:
+        """Around calls of a tick, of the method of that name. keep: gets what to say of a failure; None: it is raised
+        as `raises`.
+        """
+
+        def failed(error: BaseException) -> None:
+            text = self.blamed(error, method)
+            if keep is None:
+                raise self._raises(text) from error
+            keep(text)
+
+        return Limited(failed)
 
     def told(self, what: str, error: BaseException | str) -> str:
         """What went wrong, with the key; of an exception with its file and line."""

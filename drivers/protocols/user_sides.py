@@ -11,8 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from drivers.base import plugins
-from drivers.base.call_limit import FAILED, watch
-from drivers.base.guard import BadAnswerError, Guard
+from drivers.base.guard import BadAnswerError, Guard, Limited
 from drivers.config import LAYOUT_KIND, Wiring
 from drivers.frame import ECHO, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import EVERY_STATUS, Command, LayoutError, Message, Reject, Sample
@@ -66,6 +65,7 @@ class UserHost:
         self._decode, self._encode = side.decode, side.encode
         self.name, self.n_axes = maker.name, wiring.n_axes
         self._failure = self._garbled = ""
+        self._decoding, self._encoding = Limited(self._undecoded), Limited(self._unsent)
         self.sequence_modulus, self.state_ns = (self._count(name) for name in _COUNTS)
         self.checksum, self.states, self.causes, self.fd = (self._switch(name) for name in _SWITCHES)
         self.tells = int(self._of_side("tells")) & EVERY_STATUS
@@ -131,19 +131,21 @@ class UserHost:
             if frame.can_id == self.echo_id:
                 self._clock.triggered(frame.timestamp_ns)
             return Reject.OWN_ECHO
-        watch.begin()
-        try:
+        self._frame = frame
+        with self._decoding:
             outcome = self._decode(frame)
             if isinstance(outcome, Reject):
                 return outcome
             if isinstance(outcome, tuple):
                 return tuple([self._checked(sample, frame) for sample in outcome])
             return self._checked(outcome, frame)
-        except FAILED as error:
-            self._garbled = self._maker.told(f"host().decode of {shown(frame)}", error)
-            return Reject.INVALID_VALUE
-        finally:
-            watch.end()
+        return Reject.INVALID_VALUE
+
+    def _undecoded(self, error: BaseException) -> None:
+        self._garbled = self._maker.told(f"host().decode of {shown(self._frame)}", error)
+
+    def _unsent(self, error: BaseException) -> None:
+        self._failure = self._maker.told("host().encode", error)
 
     def _checked(self, sample: Any, frame: Frame) -> Sample:
         if not isinstance(sample, Sample):
@@ -168,14 +170,9 @@ class UserHost:
             return []
         self._failure = ""
         self._clock.trigger()
-        watch.begin()
-        try:
+        with self._encoding:
             return checked_frames(self._encode(command), self._own, "messages() of the host")
-        except FAILED as error:
-            self._failure = self._maker.told("host().encode", error)
-            return []
-        finally:
-            watch.end()
+        return []
 
     def messages(self, period_ns: int) -> list[Message]:
         """See HostProtocol. Raises LayoutError."""

@@ -4,10 +4,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from drivers.base import plugins
+from drivers.base.guard import BadAnswerError, Guard
 from drivers.frame import Frame
 from drivers.sensors.hil_frame import HilSensorFrame
 from hil.camera.clock import Exposures
-from hil.camera.contract import CameraError, Features, Image, Seen, grey
+from hil.camera.contract import CameraError, Features, Image, Pixels, Seen, grey
 from hil.camera.encoders import Encoders
 from hil.camera.readings import Interpreter
 from hil.rig.camera import DETECTOR_KIND, DETECTORS, CameraConfig
@@ -18,24 +19,18 @@ def detector_of(camera: CameraConfig) -> Features:
     """The detector that [camera] names. Raises ValueError naming the key."""
     made = plugins.find(DETECTOR_KIND, camera.detector, camera.source)
     plugins.check_parameters(DETECTOR_KIND, camera.detector, made, camera.parameters, given=0)
-    try:
-        found: Features = made(**camera.parameters)
-    except Exception as error:
-        if isinstance(error, ValueError) and camera.detector in DETECTORS:
-            raise
-        raise ValueError(f"camera.detector: {plugins.blame(error, made, '__init__')}") from error
+    if camera.detector in DETECTORS:
+        ours: Features = made(**camera.parameters)
+        return ours
+    found: Features = Guard(DETECTOR_KIND, camera.detector, made).call("it cannot be made", made, **camera.parameters)
     return found
 
 
-def looked_at(detector: Features, image: Image, exposed_ns: int) -> Seen:
-    """What a detector makes of an image. Raises CameraError where it fails or answers something else."""
-    pixels = grey(image.pixels)
-    try:
-        seen = detector.of(pixels, exposed_ns)
-        if not isinstance(seen, Seen):
-            raise TypeError(f"of(image, stamp) answered {type(seen).__name__}, expected hil.Seen")
-    except Exception as error:
-        raise CameraError(f"camera.detector: {plugins.blame(error, type(detector), 'of')}") from error
+def looked_at(detector: Features, pixels: Pixels, exposed_ns: int) -> Seen:
+    """What a detector makes of an image. Raises BadAnswerError where it answers something else."""
+    seen = detector.of(pixels, exposed_ns)
+    if not isinstance(seen, Seen):
+        raise BadAnswerError(f"answered {type(seen).__name__}, expected hil.Seen")
     return seen
 
 
@@ -53,6 +48,7 @@ class CameraNode:
     def __init__(self, rig: RigConfig, detector: Features, interpreter: Interpreter, encoders: Encoders | None) -> None:
         assert rig.camera is not None
         self._camera, self._detector = rig.camera, detector
+        self._guard = Guard(DETECTOR_KIND, rig.camera.detector, type(detector), CameraError)
         self._interpreter, self._encoders = interpreter, encoders
         self.exposures = Exposures(round(rig.camera.latency * 1e9))
         self.counts = Counts()
@@ -72,7 +68,10 @@ class CameraNode:
     def look(self, image: Image) -> tuple[int, Seen] | None:
         """Instant of the exposure, ns, and what a new image shows; None for one that was there before."""
         exposed_ns = self.exposures.of(image)
-        return None if exposed_ns is None else (exposed_ns, looked_at(self._detector, image, exposed_ns))
+        if exposed_ns is None:
+            return None
+        pixels = grey(image.pixels)
+        return exposed_ns, self._guard.call("of(image, stamp)", looked_at, self._detector, pixels, exposed_ns)
 
     def told(self, exposed_ns: int, seen: Seen) -> list[Frame]:
         """The frames of an image that was looked at."""

@@ -49,13 +49,12 @@ def test_a_call_of_what_a_user_brought_is_over_before_the_next_begins(
     """Or else what ends calls that do not return would end the loop some seconds after the last one."""
     for path in (ROOT / "examples" / "laws" / "lqr.py", ROOT / "examples" / "estimators" / "luenberger.py"):
         shutil.copy(path, rig_file.parent)
-    begun: list[tuple[Watch, object]] = []  # and by what; which may call one object of the user's after the other
+    begun: list[tuple[Watch, object]] = []  # and for whom
     begin = Watch.begin
 
     def watched(watch: Watch) -> None:
-        caller = sys._getframe(1).f_code
-        assert not watch.within or begun[-1] == (watch, caller), "the call before has not ended"
-        begun.append((watch, caller))
+        assert not watch.within, "the call before has not ended"
+        begun.append((watch, sys._getframe(2).f_code))  # behind the guard
         begin(watch)
 
     monkeypatch.setattr(Watch, "begin", watched)

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.base import plugins
-from drivers.base.call_limit import FAILED, watch
-from drivers.base.guard import Guard
+from drivers.base.guard import Guard, next_call
 from hil.control.estimator.contract import Estimator, Measurement
 from hil.control.laws.base import Array, AxisLaws, Law, LawInputs, Model, axis_model
 from hil.control.number import Number, copy
@@ -34,6 +33,7 @@ class _Maker:
         self._made = plugins.find(ESTIMATOR_KIND, self._config.name, self._config.source)
         plugins.check_parameters(ESTIMATOR_KIND, self._config.name, self._made, self._config.parameters, given=3)
         self._guard = Guard(ESTIMATOR_KIND, self._config.name, self._made)
+        self.limited = self._guard.limited
 
     def make(self, axis: int, model: Model) -> Estimator:
         """A new one for an axis of the rig; model: of floats."""
@@ -42,10 +42,6 @@ class _Maker:
             "it cannot be made", self._made, model, self._period, self._resolutions[axis], **own
         )
         return made
-
-    def told(self, error: BaseException) -> str:
-        """What went wrong, with file and line."""
-        return self._guard.blamed(error, "update")
 
 
 class _Watched:
@@ -80,9 +76,10 @@ class EstimatedAxes:
     """
 
     def __init__(self, law: AxisLaws, rig: RigConfig, model: Any) -> None:
-        self._law, self._maker = law, _Maker(rig)
+        self._law, maker = law, _Maker(rig)
+        self._limited = maker.limited("update", self._fail)
         models = [axis_model(model, axis) for axis in range(len(rig.axes))]
-        self._estimators = [self._maker.make(axis, own) for axis, own in enumerate(models)]
+        self._estimators = [maker.make(axis, own) for axis, own in enumerate(models)]
         self._updates: list[Update] = [estimator.update for estimator in self._estimators]
         self._watched = [_Watched(own) for own in models]
         self._failure = ""
@@ -107,15 +104,13 @@ class EstimatedAxes:
         self._failure = ""
         for watched in self._watched:
             watched.reset()
-        watch.begin()
-        try:
+        with self._limited:
             for estimator, q in zip(self._estimators, position, strict=True):
                 estimator.reset(q)
-        except FAILED as error:
-            self._failure = self._maker.told(error)
-        finally:
-            watch.end()
         self._law.reset(position, force)
+
+    def _fail(self, why: str) -> None:
+        self._failure = why
 
     def force(self, axes: Sequence[Any]) -> list[float]:
         """See AxisLaws; NaN for all axes where an estimator has failed. The estimates of `axes` are replaced."""
@@ -124,17 +119,12 @@ class EstimatedAxes:
         return [math.nan] * len(axes) if self._failure else self._law.force(axes)
 
     def _estimate(self, axes: Sequence[Any]) -> None:
-        watch.begin()
-        try:
+        with self._limited:
             for x, watched, update in zip(axes, self._watched, self._updates, strict=True):
                 position, velocity = _numbers(update(watched.measured(x)))
                 if position - position != 0.0 or velocity - velocity != 0.0:
                     raise ValueError(f"update returned {position}, {velocity}")
                 x.position_estimate, x.velocity_estimate = position, velocity
-        except FAILED as error:
-            self._failure = self._maker.told(error)
-        finally:
-            watch.end()
 
 
 class EstimatedLaw(Law):
@@ -146,6 +136,7 @@ class EstimatedLaw(Law):
 
     def __init__(self, law: Law, rig: RigConfig, model: Model, axes: Sequence[int]) -> None:
         self._law, self._axes, self._maker = law, axes, _Maker(rig)
+        self._limited = self._maker.limited("update")
         self._models = [axis_model(model, index) for index in range(len(axes))]
         self._watched = _Watched(model)
         self._shape: tuple[int, ...] = ()
@@ -162,25 +153,17 @@ class EstimatedLaw(Law):
             self._maker.make(self._axes[place[-1]], self._models[place[-1]]) for place in np.ndindex(self._shape)
         ]
         self._updates = [estimator.update for estimator in estimators]
-        try:
+        with self._limited:
             for estimator, q in zip(estimators, np.ravel(position).tolist(), strict=True):
-                watch.begin()
+                next_call()
                 estimator.reset(q)
-        except FAILED as error:
-            raise ValueError(self._maker.told(error)) from error
-        finally:
-            watch.end()
         self._law.reset(position, force)
 
     def force(self, inputs: LawInputs) -> Array:
         """See Law. The estimates of `inputs` are replaced."""
         columns = [np.broadcast_to(values, self._shape).ravel().tolist() for values in self._watched.measured(inputs)]
-        try:
+        with self._limited:
             found = [self._estimate(*each) for each in zip(self._updates, *columns, strict=True)]
-        except FAILED as error:
-            raise ValueError(self._maker.told(error)) from error
-        finally:
-            watch.end()
         position, velocity = np.array(found).reshape(*self._shape, 2).transpose(-1, *range(len(self._shape)))
         inputs.position_estimate, inputs.velocity_estimate = position.copy(), velocity.copy()
         asked: Array = self._law.force(inputs)
@@ -188,7 +171,7 @@ class EstimatedLaw(Law):
 
     @staticmethod
     def _estimate(update: Update, *values: float) -> tuple[float, float]:
-        watch.begin()
+        next_call()
         measurement = Measurement(*values)
         return _numbers(update(measurement)) if math.isfinite(measurement.position) else (math.nan, math.nan)
 

@@ -4,11 +4,12 @@ Their names are in hil/control/law_registry.py, which also finds the laws that u
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from drivers.base.plugins import where
+from drivers.base.guard import Guard
 from drivers.base.toml_file import shown
 from hil.control.gain import Gain, declared, not_taken
 from hil.control.law_registry import PACKAGE, is_built_in, law_class
@@ -18,6 +19,7 @@ from hil.control.laws.iterative_learning import LEARNING_GAINS, IterativeLearnin
 from hil.control.laws.per_axis import PerAxis
 from hil.control.laws.users import OnArrays, PerElement, UserAxes
 from hil.control.number import Number
+from hil.rig.law_names import KIND
 from hil.rig.schema import LawConfig
 
 __all__ = ["law_on_arrays", "make_axis_laws", "make_law"]
@@ -79,12 +81,13 @@ def make_axis_laws(
         return interpreted_axis_laws(law, model, period, force_limit, repeat)
     made, n = law_class(law, __name__), model.mass.size
     gains = _known_gains(law, n)
+    make = made if ours else _guarded(law, made)
     if not ours and made.coupled:
-        return UserAxes([_construct(law, made, gains, model, period, force_limit, repeat)], law.name, n)
+        return UserAxes([_construct(law, make, gains, model, period, force_limit, repeat)], law.name, n)
     axes = []
     for axis in range(n):
         own, limit = _axis_gains(gains, axis), float(force_limit[axis])
-        axes.append(_construct(law, made, own, axis_model(model, axis), period, limit, repeat))
+        axes.append(_construct(law, make, own, axis_model(model, axis), period, limit, repeat))
         if law.learnt_state:
             axes[axis].begin_learnt(list(law.learnt_state[axis]))
     if not ours:
@@ -97,13 +100,19 @@ def law_on_arrays(law: LawConfig) -> Callable[..., Law]:
     made = law_class(law, __name__)
     if is_built_in(law):
         return made  # type: ignore[no-any-return]
+    one = _guarded(law, made)
 
     def make(model: Model, period: float, force_limit: Array, **gains: Any) -> Law:
         if made.elementwise:
-            return OnArrays(law.name, made(model, period, force_limit, **gains))
+            return OnArrays(law.name, one(model, period, force_limit, **gains))
         return OnArrays(law.name, PerElement(made, model, period, force_limit, gains))
 
     return make
+
+
+def _guarded(law: LawConfig, made: Callable[..., Law]) -> Callable[..., Law]:
+    """What makes a user's law, in a limited time. Raises ValueError naming the key, and file and line."""
+    return partial(Guard(KIND, law.name, made).call, "it cannot be made", made)
 
 
 def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
@@ -136,12 +145,7 @@ def _construct(
 ) -> Law:
     learning = {key: gains[key] for key in LEARNING_GAINS if key in gains}
     own = {key: value for key, value in gains.items() if key not in learning}
-    try:
-        inner = make(model, period, force_limit, **own)
-    except Exception as error:
-        if is_built_in(law):
-            raise
-        raise ValueError(f"law {law.name}: it cannot be made: {where(error)}") from error
+    inner = make(model, period, force_limit, **own)
     if not law.iterative_learning:
         return inner
     learning = {f"learning_{key}": own[key] for key in ("kp", "kd") if key in own} | learning

@@ -6,15 +6,15 @@ which line of which file it was. The next `reset` (the operator's, before anothe
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from drivers.base.call_limit import FAILED, watch
-from drivers.base.plugins import blame
+from drivers.base.guard import Guard, next_call
 from hil.control.laws.base import Array, Law, LawInputs, Model, Reference
 from hil.control.laws.coupled import PLAIN, gather
+from hil.rig.law_names import KIND
 
 
 class UserAxes:
@@ -26,7 +26,8 @@ class UserAxes:
     def __init__(self, laws: Sequence[Law], name: str, n_axes: int) -> None:
         self._laws = list(laws)
         self._forces = [law.force for law in laws]
-        self._name, self._n = name, n_axes
+        self._n = n_axes
+        self._limited = _guard(name, self._laws[0]).limited("force", self._fail)
         self._coupled = self._laws[0].coupled
         self._preview = max(law.preview for law in self._laws)
         self.failure = ""
@@ -34,13 +35,11 @@ class UserAxes:
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""
         self.failure = ""
-        watch.begin()
-        try:
+        with self._limited:
             self._reset(position, force)
-        except FAILED as error:
-            self.failure = told(self._name, self._laws[0], error)
-        finally:
-            watch.end()
+
+    def _fail(self, why: str) -> None:
+        self.failure = why
 
     def _reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         if self._coupled:
@@ -55,16 +54,10 @@ class UserAxes:
             for x in axes:
                 if not x.preview:  # the first tick after the axes were engaged: they rest
                     x.preview = [_copy(x.start) for _ in range(self._preview + 1)]
-        if self.failure:
-            return [math.nan] * self._n
-        watch.begin()
-        try:
-            return self._of_all(axes) if self._coupled else self._of_each(axes)
-        except FAILED as error:
-            self.failure = told(self._name, self._laws[0], error)
-            return [math.nan] * self._n
-        finally:
-            watch.end()
+        if not self.failure:
+            with self._limited:
+                return self._of_all(axes) if self._coupled else self._of_each(axes)
+        return [math.nan] * self._n
 
     @property
     def denominator_floors(self) -> int:
@@ -92,11 +85,10 @@ class UserAxes:
         return asked
 
 
-def told(name: str, law: Any, error: BaseException) -> str:
-    """What went wrong in a user's law, with the file and the line."""
+def _guard(name: str, law: Any) -> Guard:
+    """Of the class of a law that is made."""
     law = getattr(law, "_inner", law)  # inside iterative learning
-    made = law.made if isinstance(law, PerElement) else type(law)
-    return f"law {name}: {blame(error, made, 'force')}"
+    return Guard(KIND, name, law.made if isinstance(law, PerElement) else type(law))
 
 
 def _number(value: Any) -> float:
@@ -116,27 +108,21 @@ class OnArrays(Law):
     """
 
     def __init__(self, name: str, inner: Law) -> None:
-        self._name, self._inner = name, inner
+        self._inner = inner
+        self._limited = _guard(name, inner).limited("force")
         self.coupled, self.preview = inner.coupled, inner.preview
         self.told_of_learning = inner.told_of_learning  # type: ignore[misc]
         self.stiffness, self.damping = inner.stiffness, inner.damping
 
     def reset(self, position: Any, force: Any) -> None:
         """See Law."""
-        self._ask(self._inner.reset, position, force)
+        with self._limited:
+            self._inner.reset(position, force)
 
     def force(self, inputs: LawInputs) -> Any:
         """See Law."""
-        return self._ask(self._inner.force, inputs)
-
-    def _ask(self, method: Callable[..., Any], *arguments: Any) -> Any:
-        watch.begin()
-        try:
-            return method(*arguments)
-        except FAILED as error:
-            raise ValueError(told(self._name, self._inner, error)) from error
-        finally:
-            watch.end()
+        with self._limited:
+            return self._inner.force(inputs)
 
 
 class PerElement(Law):
@@ -166,10 +152,10 @@ class PerElement(Law):
         for index, limit in enumerate(limits):
             own = dict(zip(numbers, (column[index] for column in columns), strict=True))
             each = Model(*(column[index] for column in model))
-            watch.begin()  # the limit is that of one object, not of all
+            next_call()
             self._laws.append(self.made(each, self._period, limit, **own, **words))
         for law, q, tau in zip(self._laws, self._cells(position), self._cells(force), strict=True):
-            watch.begin()
+            next_call()
             law.reset(q, tau)
 
     def force(self, inputs: LawInputs) -> Array:
@@ -185,7 +171,7 @@ class PerElement(Law):
                 **{name: column[index] for name, column in plain.items()},
                 **{name: column[index] for name, column in references.items()},
             )
-            watch.begin()
+            next_call()
             asked.append(law.force(one))
         return np.array(asked, dtype=np.float64).reshape(self._shape)
 

@@ -1,11 +1,10 @@
 """Asking a motion: a call in a limited time, whose answer is checked before anything is done with it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from drivers.base import plugins
-from drivers.base.call_limit import FAILED, watch
 from drivers.base.guard import Guard
 from hil.control.motion.contract import Observation, References, Retreat, Surroundings
 from hil.control.plans.axis_plan import MotionLimits
@@ -38,11 +37,12 @@ class AskedMotion:
         config = rig.motion
         made = plugins.find(MOTION_KIND, config.name, config.source)
         plugins.check_parameters(MOTION_KIND, config.name, made, config.parameters, given=1)
-        self._guard = Guard(MOTION_KIND, config.name, made)
+        guard = Guard(MOTION_KIND, config.name, made)
+        self._beginning, self._step = (guard.limited(method, self._fail) for method in ("begin", "step"))
         self._n = len(rig.axes)
         around = surroundings(rig, limits)
-        self.motion: Any = self._guard.call("it cannot be made", made, around, **config.parameters)
-        self.retreat: Retreat | None = self._guard.call("", self._declared, around)
+        self.motion: Any = guard.call("it cannot be made", made, around, **config.parameters)
+        self.retreat: Retreat | None = guard.call("", self._declared, around)
         self.failure = ""
 
     def _declared(self, around: Surroundings) -> Retreat | None:
@@ -65,25 +65,18 @@ class AskedMotion:
     def begin(self, position: Sequence[float]) -> None:
         """From rest at `position`, m; what it failed of before is forgotten."""
         self.failure = ""
-        self._call("begin", lambda: self.motion.begin(list(position)))
+        with self._beginning:
+            self.motion.begin(list(position))
 
     def step(self, seen: Observation) -> References | None:
         """Its answer; None where there is none that can be used, and `failure` says why."""
-        if self.failure:
-            return None
-        answer: References | None = self._call("step", lambda: self._checked(self.motion.step(seen)))
-        return answer
-
-    def _call(self, name: str, work: Callable[[], Any]) -> Any:
-        """What `work` returns; None where it failed in the motion's method of that name."""
-        watch.begin()
-        try:
-            return work()
-        except FAILED as error:
-            self.failure = self._guard.blamed(error, name)
-        finally:
-            watch.end()
+        if not self.failure:
+            with self._step:
+                return self._checked(self.motion.step(seen))
         return None
+
+    def _fail(self, why: str) -> None:
+        self.failure = why
 
     def _checked(self, answer: Any) -> References:
         """Raises TypeError or ValueError."""
