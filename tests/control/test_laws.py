@@ -12,8 +12,8 @@ from hil.control.nominal_model import blank_inputs
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
 from hil.rig.schema import LawConfig
+from hil.studies.population import CORNERS
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Trial
-from hil.studies.tune.objective import CORNERS
 from tests.support.paths import RIGS
 
 PERIOD = 1e-3
@@ -224,9 +224,9 @@ def test_structured_kalman_holds_sub_micrometre_error_on_tasks_of_all_sizes() ->
     move = {"kind": "point_to_point", "target": [0.1, 0.1]}
     chosen = [
         Trial("own", own, 5.0),
-        *(Trial("corner", own, 5.0, *corner) for corner in CORNERS[1:]),
+        *(Trial("corner", own, 5.0, *corner) for corner in CORNERS.values()),
         Trial("own, RMS", own, 1.0, rms=True),
-        *(Trial("corner, RMS", own, 1.0, *corner, rms=True) for corner in CORNERS[1:]),
+        *(Trial("corner, RMS", own, 1.0, *corner, rms=True) for corner in CORNERS.values()),
         Trial("off the grid", {**own, "phase": -0.00094}, 30.0),
         Trial("late commands", own, 15.0, jitter=50e-6),
         Trial("lost commands", own, 10.0, loss=0.01),

@@ -9,7 +9,7 @@ from hil.control.trajectories.chosen_axes import ChosenAxes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.evidence.command import _rows
-from hil.studies.evidence.stages import FRICTION, PRESLIDING, TOLD, columns, nominal, only, overrides, stage_of
+from hil.studies.evidence.stages import PRESLIDING, TOLD, columns, nominal, only, overrides, stage_of
 from hil.studies.evidence.trials import (
     LONG,
     MOVE,
@@ -24,6 +24,7 @@ from hil.studies.evidence.trials import (
     run,
     trajectory_of,
 )
+from hil.studies.population import FRICTION
 from sim_plant.physics.truth import Truth
 from tests.support.paths import RIGS
 

@@ -13,16 +13,10 @@ from hil.rig.file import load_rig
 from hil.rig.provenance import referenced_files, unpacked_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.crew import crew, resumed
+from hil.studies.population import CORNERS
 from hil.virtual.sim import usable
 
 LEARNING = "+learning"  # suffix of a law's name: inside iterative learning
-CORNERS = {
-    "nominal": [],
-    "light, slippery": ["plant.mass_scale=0.8", "plant.friction_scale=0.7"],
-    "light, sticky": ["plant.mass_scale=0.8", "plant.friction_scale=1.3"],
-    "heavy, slippery": ["plant.mass_scale=1.2", "plant.friction_scale=0.7"],
-    "heavy, sticky": ["plant.mass_scale=1.2", "plant.friction_scale=1.3"],
-}
 OFF_GRID = 0.3  # of a period
 RIPPLE, RIPPLE_PERIOD = 0.01, 0.05  # of the force limit; m, where the rig file has no ripple of its own
 
@@ -127,7 +121,12 @@ def cases(
 ) -> list[Case]:  # fmt: skip
     """Every combination asked for; corners and disturbances at the rig's own rate, other rates nominal."""
     rig = load_rig(path, overrides)
-    chosen = dict(CORNERS) if corners else {"nominal": CORNERS["nominal"]}
+    chosen: dict[str, list[str]] = {"nominal": []}
+    if corners:
+        chosen |= {
+            name: [f"plant.mass_scale={mass}", f"plant.friction_scale={friction}"]
+            for name, (mass, friction) in CORNERS.items()
+        }
     if disturbed:
         chosen |= disturbances(rig)
     for rate in rates:

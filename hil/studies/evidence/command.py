@@ -1,6 +1,5 @@
 """The command: draws, runs and prints."""
 
-import os
 import time
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -10,10 +9,10 @@ import typer
 
 from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
 from hil.cli.output import write_json
-from hil.cli.processes import worker_pool
 from hil.control.laws.base import Array
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
+from hil.studies.crew import crew, resumed
 from hil.studies.evidence.stages import HEAD
 from hil.studies.evidence.stages import overrides as made_with
 from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REPEATS, Job, jobs, run
@@ -52,8 +51,8 @@ def evidence(
     if not work:
         raise typer.BadParameter(f"--trials {trials}: they are {'; '.join(trial.name for trial in TRIALS)}")
     console = Console(stderr=json_target == "-")
-    with worker_pool(workers or len(os.sched_getaffinity(0))) as pool:
-        found = list(pool.map(run, work))
+    with crew(workers) as hands:
+        found = list(resumed(hands, run, work))
     rows = _rows(names, work, found)
     _show(console, rig, names, rows, f"median / 95 % of {stages} stages (number of the worst), seed {seed}")
     console.print(f"{time.monotonic() - begun:.0f} s")

@@ -7,15 +7,15 @@ along the travel, cogging, a cable, an unknown constant force, noise of half a c
 
 from collections.abc import Sequence
 from dataclasses import fields
-from random import Random
 
 import numpy as np
 
 from hil.rig.schema import RigConfig
+from hil.studies.population import FRICTION, MASS, Range, between, drawn, truth_of
 from sim_plant.config import CoggingConfig, ModeConfig, PlantConfig
 from sim_plant.physics.truth import Truth
 
-MASS, FRICTION, LAG, MODE = (0.8, 1.2), (0.7, 1.3), (0.8, 1.2), (0.9, 1.1)  # uniform, factors on what the model says
+LAG, MODE = (0.8, 1.2), (0.9, 1.1)  # uniform, factors on what the model says
 PRESLIDING = (0.3e-6, 30e-6)  # m (rad), log-uniform
 DAMPING = (0.15, 0.5)  # ratio of the stuck axis
 VARIATION, VARIATION_PERIOD = 0.1, (5e-3, 20e-3)  # of friction along the travel, random phase
@@ -49,15 +49,14 @@ def nominal(rig: RigConfig, mode_hz: float) -> RigConfig:
 
 def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantConfig:
     """[plant] of stage `number`: a function of the arguments alone."""
-    random, names = Random(f"{seed}/{number}"), list(rig.axes)
+    random, names = drawn(seed, number), list(rig.axes)
     models = [axis.model for axis in rig.axes.values()]
     n = len(models)
 
-    def uniform(limits: tuple[float, float]) -> list[float]:
+    def uniform(limits: Range) -> list[float]:
         return [random.uniform(*limits) for _ in range(n)]
 
     mass, friction, lag, mode = uniform(MASS), uniform(FRICTION), uniform(LAG), uniform(MODE)
-    low, high = PRESLIDING
     dry = [m.coulomb for m in models]
     return PlantConfig(
         mass=[m.mass * k for m, k in zip(models, mass, strict=True)],
@@ -65,7 +64,7 @@ def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantCon
         viscous=[m.viscous * k for m, k in zip(models, friction, strict=True)],
         quadratic=[m.quadratic for m in models],
         gravity=[m.gravity for m in models],
-        presliding=[low * (high / low) ** random.random() for _ in models],
+        presliding=[between(PRESLIDING, random.random()) for _ in models],
         presliding_damping=uniform(DAMPING),
         torque_lag=[NOMINAL_LAG * k for k in lag],
         friction_variation=VARIATION,
@@ -91,7 +90,7 @@ def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantCon
 
 def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
     """What stage `number` is really like, (n_axes,)."""
-    return Truth.from_config(plant_of(rig, seed, number, mode_hz), len(rig.axes), list(rig.axes))
+    return truth_of(rig, plant_of(rig, seed, number, mode_hz))
 
 
 def overrides(rig: RigConfig, seed: int, number: int, mode_hz: float) -> list[str]:

@@ -19,6 +19,7 @@ from hil.control.trajectories.injection import injection
 from hil.control.trajectories.segments import Segment, Segments, move, rest
 from hil.rig.schema import InjectionConfig, RigConfig
 from hil.studies.evidence.stages import BIAS, columns, nominal, only, stage_of
+from hil.studies.population import run as run_stages
 from hil.virtual.batch import FIRST_ON_TASK, BatchRun
 from sim_plant.physics.truth import Truth
 
@@ -154,13 +155,16 @@ def _errors(rig: RigConfig, truth: Truth, trajectory: Trajectory, count: int, di
     error = np.empty((count, *truth.shape))
     dry = np.array([axis.model.coulomb for axis in rig.axes.values()])
     changes_at = round(_bias_at() / (rig.period_ns * 1e-9)) if disturbed else -1
-    with np.errstate(all="ignore"):
-        for k in range(-FIRST_ON_TASK, count):
-            if k == changes_at:
-                batch.change(replace(truth, bias=truth.bias - BIAS * dry))
-            batch.tick()
-            if k >= 0:
-                error[k] = batch.error
+
+    def before(k: int) -> None:
+        if k == changes_at:
+            batch.change(replace(truth, bias=truth.bias - BIAS * dry))
+
+    def after(k: int) -> None:
+        if k >= 0:
+            error[k] = batch.error
+
+    run_stages(batch, range(-FIRST_ON_TASK, count), before, after)
     return error
 
 

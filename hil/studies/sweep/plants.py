@@ -8,7 +8,6 @@ plants are saved as rig files; `hil sim` on one of them gives the same error, bi
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +22,12 @@ from hil.events.baseline import BEYOND
 from hil.rig.file import load_rig
 from hil.rig.former_keys import modernise
 from hil.rig.schema import RigConfig, RigError
+from hil.studies.population import FRICTION, MASS, drawn, run, stacked
 from hil.virtual.batch import FIRST_ON_TASK, BatchRun
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.sim import simulate
-from sim_plant.physics.stage import Truth
 
 CHUNK = 2500  # plants run as one array: fewer spend their time between array operations, more do not fit a core's cache
-MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # ranges of the scales
 DELTA, RIPPLE, STRIBECK = (0.0, 0.3), (0.0, 0.05), (0.0, 0.2)  # as fractions of the nominal Coulomb friction
 STARTUP_LIMIT = 1000  # ticks
 
@@ -58,7 +56,7 @@ class Figures(NamedTuple):
 
 def plant_parameters(rig: RigConfig, seed: int, number: int, hard: bool) -> dict[str, Any]:
     """[plant] keys of plant `number`: a function of the arguments alone. hard: with ripple and Stribeck."""
-    random = Random(f"{seed}/{number}")
+    random = drawn(seed, number)
     coulomb = rig.plant.coulomb
     keys: dict[str, Any] = {
         "mass_scale": random.uniform(*MASS),
@@ -82,26 +80,29 @@ def run_chunk(job: Job) -> Figures:
     rig = RigConfig.model_validate_json(job.rig)
     n = len(rig.axes)
     plants = [plant_rig(rig, job.seed, job.first + index, job.hard).plant for index in range(job.plants)]
-    batch = BatchRun(rig, Truth.stack([Truth.from_config(plant, n, rig.axis_names) for plant in plants]))
+    batch = BatchRun(rig, stacked(rig, plants))
     largest, squares, peak, changes = (np.zeros((job.plants, n)) for _ in range(4))
     last = np.zeros((job.plants, n))
     scratch = np.zeros((job.plants, n))
-    with np.errstate(all="ignore"):
-        for tick in range(job.ticks):
-            last[...] = batch.force
-            batch.tick()
-            if tick < job.steady:
-                continue
-            np.abs(batch.error, out=scratch)
-            np.maximum(largest, scratch, out=largest)
+
+    def before(tick: int) -> None:
+        last[...] = batch.force
+
+    def after(tick: int) -> None:
+        if tick < job.steady:
+            return
+        np.abs(batch.error, out=scratch)
+        np.maximum(largest, scratch, out=largest)
+        np.multiply(scratch, scratch, out=scratch)
+        np.add(squares, scratch, out=squares)
+        np.abs(batch.force, out=scratch)
+        np.maximum(peak, scratch, out=peak)
+        if tick > job.steady:
+            np.subtract(batch.force, last, out=scratch)
             np.multiply(scratch, scratch, out=scratch)
-            np.add(squares, scratch, out=squares)
-            np.abs(batch.force, out=scratch)
-            np.maximum(peak, scratch, out=peak)
-            if tick > job.steady:
-                np.subtract(batch.force, last, out=scratch)
-                np.multiply(scratch, scratch, out=scratch)
-                np.add(changes, scratch, out=changes)
+            np.add(changes, scratch, out=changes)
+
+    run(batch, range(job.ticks), before, after)
     steady = job.ticks - job.steady
     return Figures(largest, np.sqrt(squares / steady), peak, np.sqrt(changes / max(steady - 1, 1)))
 

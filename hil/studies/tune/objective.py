@@ -17,11 +17,11 @@ from hil.control.gain import Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
+from hil.studies.population import CORNERS, FRICTION, MASS
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Figures, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
-from hil.studies.tune.stage_trials import FRICTION, MASS, StageTrials
+from hil.studies.tune.stage_trials import StageTrials
 
-CORNERS = ((1.0, 1.0), (0.8, 0.7), (0.8, 1.3), (1.2, 0.7), (1.2, 1.3))  # scales of mass and friction
 SETTLE_S = 4.0
 WINDOW_S = 4.0
 PLAN_DWELL_S = 0.3  # of the injection plan's dwells, where they need not be as long as they are
@@ -105,8 +105,8 @@ def _figure_trials(rig: RigConfig, whole: float) -> list[Trial]:
     late = 2.0 * math.pi * task.frequency_hz * 0.3 * rig.period_ns * 1e-9
     chosen = {
         "own task": Trial("", own, 4.0),
-        "light, sticky": Trial("", own, 4.0, *CORNERS[2]),
-        "heavy, slippery": Trial("", own, 4.0, *CORNERS[3]),
+        "light, sticky": Trial("", own, 4.0, *CORNERS["light, sticky"]),
+        "heavy, slippery": Trial("", own, 4.0, *CORNERS["heavy, slippery"]),
         "own, late commands": Trial("", own, 12.0, jitter=50e-6),
         "own, lost commands": Trial("", own, 8.0, loss=0.01),
         "own, off the grid": Trial("", figure(1.0, 1.0, phase=-late), 20.0),
@@ -143,7 +143,7 @@ def _plan_trials(plan: InjectionConfig) -> list[Trial]:
         # A few per cent off the rig's own plant, as a stage is from one day to the next.
         Trial("heavier, stickier", cells(2), PLAN_COUNTS, 1.02, 1.08, rms=True),
         Trial("lighter, late commands", cells(2), PLAN_COUNTS, 0.98, 0.92, jitter=50e-6, rms=True),
-        *(Trial(f"far, {plant}", cells(1), FAR_COUNTS, *plant, rms=True) for plant in CORNERS[1:]),
+        *(Trial(f"far, {plant}", cells(1), FAR_COUNTS, *plant, rms=True) for plant in CORNERS.values()),
     ]
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from hil.rig.schema import RigConfig
+from hil.studies.population import FRICTION, MASS
+from hil.studies.population import between as log_between
 from hil.studies.tune.candidate_simulation import Trial
 
 UNKNOWN = 15.0  # times T^2 F / m: see above
@@ -23,7 +25,6 @@ STRIBECK = 0.3
 PEAK_WIDTH = 0.25  # of the moves' greatest speed
 MOVE_S, DWELL_S, GREATEST_MOVE = 0.15, 0.1, 0.5e-3
 SMALL = 20e-6  # m (rad): a move within presliding friction
-MASS, FRICTION = (0.8, 1.2), (0.7, 1.3)  # of plants that are drawn
 
 
 class StageTrials:
@@ -139,7 +140,7 @@ class StageTrials:
             plant: dict[str, Any] = {"bias": self._model.coulomb * between(-BIAS, BIAS)}
             period, phase = self._move * between(0.5, 4.0), between(0.0, 6.283)
             if real:
-                plant["presliding"] = least * (greatest / least) ** between(0.0, 1.0)
+                plant["presliding"] = log_between((least, greatest), between(0.0, 1.0))
                 plant["torque_lag"] = self._lag * between(0.8, 1.2)
                 plant |= self._cogging(period, phase)
                 if self._mode:
