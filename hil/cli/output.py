@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import naming, write_text
 from hil.rig.plant_notes import plant_notes
 from hil.rig.schema import RigConfig
 
@@ -66,8 +66,7 @@ def write_json(document: Any, target: str) -> None:
     if target == "-":
         sys.stdout.write(text)
     else:
-        with naming(target):
-            Path(target).write_text(text, encoding="utf-8")
+        write_text(target, text)
 
 
 def _without_nan(value: Any) -> Any:

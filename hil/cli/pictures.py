@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import save_picture
 from hil.cli.marks import Mark
 from hil.rig.schema import RigConfig
 
@@ -76,10 +76,8 @@ def tracking_picture(
         figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
         if words := _latched_words(marks, 40 * max(n_axes, 2)):
             figure.supxlabel(words, x=0.01, ha="left", fontsize=7, color="red", family="monospace")
-        path.parent.mkdir(parents=True, exist_ok=True)
         told = {"Description": "\n".join(mark.line for mark in marks)} if path.suffix == ".png" and marks else None
-        with naming(path):
-            figure.savefig(path, dpi=110, metadata=told)
+        save_picture(figure, path, dpi=110, metadata=told)
 
 
 def axis_svg(rig: RigConfig, run: Tracked, axis: int) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drivers.base.named_file import save_picture
 from hil.analysis.frequency_response import COLUMNS
 from hil.cli.pictures import STYLE, UNITS
 from hil.identify.lockstep import Findings
@@ -30,8 +31,7 @@ def identification_picture(
             _travel(row[2], row[3], one, kinds[name])
             _loops(row[4], one, kinds[name])
             row[0].set_ylabel(f"{name}: {row[0].get_ylabel()}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
+        save_picture(figure, path, dpi=110)
 
 
 def _not_measured(*panels: Axes) -> None:

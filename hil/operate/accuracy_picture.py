@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import save_picture
 from hil.analysis.positioning import positioning
 from hil.cli.output import metres
 from hil.cli.pictures import STYLE, UNITS
@@ -36,6 +36,4 @@ def accuracy_picture(path: Path, found: Mapping[str, Deviations], kinds: Mapping
             panel.set_ylabel(f"deviation, {short}")
             panel.legend(title="approached; bars: 2 s")
         figure.suptitle(title)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with naming(path):
-            figure.savefig(path, dpi=110)
+        save_picture(figure, path, dpi=110)

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from hil.control.laws.base import Array
 from hil.rig.schema import RigError
@@ -43,8 +43,7 @@ def write_approaches(path: Path, found: Mapping[str, Deviations]) -> None:
                     target = axis.targets[place]
                     encoder = target + float(deviations[place, run])
                     rows.writerow((name, run + 1, direction, repr(target), repr(encoder)))
-    with naming(path):
-        path.write_text(text.getvalue(), encoding="utf-8")
+    write_text(path, text.getvalue())
 
 
 def read_reference(path: Path, axes: list[str]) -> dict[str, Deviations]:

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import save_picture
 from drivers.bus_load.schedulability import Analysis, Response, faults_tolerated
 from drivers.config import KERNEL_INTERFACES
 from drivers.frame import EXTENDED
@@ -251,7 +251,5 @@ def draw_tick(rig: RigConfig, analysis: Analysis, target: Path) -> None:
     axes.set_xlim(left=0)
     axes.set_xlabel("µs after the tick's start (bar: the frame at its longest, ending at worst; tick mark: deadline)")
     axes.set_title(f"{rig.name}, {rig.bus.protocol}, {rig.rate_hz:g} Hz: worst-case load {analysis.bus_load:.1%}")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with naming(target):
-        figure.savefig(target, dpi=120)
+    save_picture(figure, target)
     pyplot.close(figure)

@@ -12,7 +12,7 @@ from typing import Annotated
 import tomlkit
 import typer
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from drivers.config import KERNEL_INTERFACES, BusConfig
 from hil.operate.installed import (
     RIGS,
@@ -180,15 +180,13 @@ def _place_rig(root: Path, rig: RigConfig, files: Files, *, replace: bool) -> No
 
     They are the user's: no manifest lists them.
     """
-    encoding = {"encoding": "utf-8", "errors": "surrogateescape"}
     places = {root / RIGS / name: text for name, text in files.items()}
     for place, text in places.items():
-        if place.exists() and place.read_text(**encoding) != text and not replace:
+        if place.exists() and place.read_text(encoding="utf-8", errors="surrogateescape") != text and not replace:
             raise InstallError(f"{place} exists and is different; edit it there and install it, or use --replace")
     for place, text in places.items():
         place.parent.mkdir(parents=True, exist_ok=True)
-        with naming(place):
-            place.write_text(text, **encoding)
+        write_text(place, text)
         place.chmod(0o644)
 
 

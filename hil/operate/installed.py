@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 
 MANIFEST = "etc/hil/installed.json"
 RIGS = "etc/hil/rigs"
@@ -44,8 +44,7 @@ def write_manifest(root: Path, manifest: dict[str, str]) -> None:
     """Raises OSError that names it."""
     place = root / MANIFEST
     place.parent.mkdir(parents=True, exist_ok=True)
-    with naming(place):
-        place.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+    write_text(place, json.dumps(manifest, indent=1, sort_keys=True) + "\n")
 
 
 def is_masked(path: Path) -> bool:
@@ -83,8 +82,7 @@ def put(root: Path, files: Files, links: Links, manifest: dict[str, str]) -> Non
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_symlink():
             path.unlink()  # what it points to is somebody else's
-        with naming(path):
-            path.write_text(content)
+        write_text(path, content)
         manifest[relative] = _digest(content.encode())
     for relative, target in links.items():
         path = root / relative

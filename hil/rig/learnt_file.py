@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 
 LARGEST = 2**26  # bytes
 
@@ -19,8 +19,7 @@ class LearntFileError(ValueError):
 
 def write_learnt_file(path: Path, rig_name: str, learnt_on: str, state: dict[str, list[float]]) -> None:
     """state: by axis, as its law gives it. Raises OSError."""
-    with naming(path):
-        path.write_text(json.dumps({"rig": rig_name, "rig_hash": learnt_on, "state": state}) + "\n", encoding="utf-8")
+    write_text(path, json.dumps({"rig": rig_name, "rig_hash": learnt_on, "state": state}) + "\n")
 
 
 def read_learnt_file(path: Path, axes: list[str]) -> tuple[str, list[list[float]]]:

@@ -20,7 +20,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from hil.analysis.figures_of_merit import axis_statistics
 from hil.control.laws.base import Law
 from hil.cycle.fault_table import Fault
@@ -199,8 +199,7 @@ class Run:
         events = [(e.run_ns * 1e-9, e.line) for e in self.log] or [(event.time, event.text) for event in self.events]
         facts = {"rig hash": rig_hash(self.rig), **self._facts()}
         story = Story(self.summary(), events, facts, self._failure(), self._latched())
-        with naming(path):
-            Path(path).write_text(report_page(self.rig, self, story), encoding="utf-8")
+        write_text(path, report_page(self.rig, self, story))
         return Path(path)
 
     def _facts(self) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import save_picture
 from hil.rig.schema import RigConfig
 
 Row = dict[str, Any]
@@ -126,7 +126,5 @@ def draw(path: Path, rig: RigConfig, rows: Sequence[Row]) -> None:
     handles, names = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside right upper", fontsize=8)
     figure.suptitle(f"{rig.name}, {rig.rate_hz:g} Hz")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with naming(path):
-        figure.savefig(path, dpi=120)
+    save_picture(figure, path)
     pyplot.close(figure)

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from hil.studies.fault_campaign.matrix import Cell
 
 
@@ -125,8 +125,7 @@ def write_html(cells: Sequence[Cell], path: Path) -> None:
         f"Grey: nothing to detect, nothing happened. Sand: the layout cannot tell the fault from the truth.</p>"
         f"<table><tr><th></th>{head}</tr>{''.join(rows)}</table>"
     )
-    with naming(path):
-        path.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _square(cells: Sequence[Cell]) -> str:

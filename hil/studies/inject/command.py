@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.console import Console
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from drivers.protocols.base import HostProtocol
 from hil.cli.options import JsonTarget, Overrides, RigFile
 from hil.cli.output import writable, write_json
@@ -251,8 +251,7 @@ def _leave(
     if report_target:
         from hil.studies.inject.report import batch_page
 
-        with naming(report_target):
-            Path(report_target).write_text(batch_page(rig, batch, places, lines), encoding="utf-8")
+        write_text(report_target, batch_page(rig, batch, places, lines))
         console.print(f"page: {report_target}")
     if json_target:
         write_json(document(batch, lines, places), json_target)

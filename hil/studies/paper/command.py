@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from hil.cli.options import JsonTarget
 from hil.cli.output import write_json
 from hil.studies.paper.experiment import STEPS, Job
@@ -51,8 +51,7 @@ def reproduce(
         runs = run_claims(wanted, lambda job, share: bars.update(tasks[job], completed=share), workers)
     outcomes = [outcome_of(claim, runs) for claim in wanted]
     figures = draw(runs, folder)
-    with naming(folder / "report.html"):
-        (folder / "report.html").write_text(page(outcomes, figures), encoding="utf-8")
+    write_text(folder / "report.html", page(outcomes, figures))
     _show(console, outcomes)
     console.print(f"report {folder / 'report.html'} with {len(figures)} figures; {time.monotonic() - started:.0f} s")
     if json_target:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import save_picture, write_text
 from drivers.families import layouts, sides_of
 from hil.control.law_registry import file_name
 from hil.control.laws.base import Array
@@ -159,8 +159,7 @@ def save_worst(
         modernise(document)
         _bring_up_to(document, plant_rig(rig, seed, number, hard))
         path = folder / f"{file_name(rig.law.name)}-plant-{number}.toml"
-        with naming(path):
-            path.write_text(tomlkit.dumps(document), encoding="utf-8")
+        write_text(path, tomlkit.dumps(document))
         paths.append(path)
     return paths
 
@@ -205,8 +204,7 @@ def plot(path: Path, rig: RigConfig, figures: Figures) -> None:
     axes[0].set_ylabel("share of plants at or below")
     axes[0].legend()
     figure.suptitle(f"{rig.name}, {rig.law.name}: {len(figures.max_error)} plants")
-    with naming(path):
-        figure.savefig(path, dpi=120)
+    save_picture(figure, path)
     pyplot.close(figure)
 
 
