@@ -8,7 +8,7 @@ import typer
 
 from hil.cli.commands import Entry, add_commands, first_word, load
 from hil.cli.failures import failure
-from hil.cli.help_text import in_words, present_spelling
+from hil.cli.help_text import Overview, in_words, present_spelling
 from hil.cli.streams import say
 from hil.rig.control_path import control_path
 from hil.rig.former_keys import show_former_keys
@@ -87,6 +87,7 @@ Without hardware it controls an emulated stage.
 
 Begin with:
 
+\b
     hil demo              watch an emulated stage for 20 s
     hil new stage.toml    describe your own stage
     hil check stage.toml  check it before anything moves
@@ -117,7 +118,7 @@ def _options(
 
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line with `wanted` loaded and all others as lines of help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+    app = typer.Typer(cls=Overview, no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
     app.callback(help=OVERVIEW)(_options)
     for group, entries in COMMANDS.items():
         add_commands(app, entries, wanted, group)

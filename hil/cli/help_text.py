@@ -3,10 +3,38 @@
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 FORMER_SPELLINGS = {"--output": "--out", "--jobs": "--workers"}  # of 0.1.0; taken for one more version
 PRINT_JSON = {"doctor", "events"}  # commands whose --json takes no file
 WORDS = {"Path": "PATH", "str": "TEXT", "int": "NUMBER", "float": "NUMBER", "bool": ""}
+
+
+class Overview(TyperGroup):
+    """The list of all commands, by groups, without rich: loading it takes as long as loading numpy."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """See click. Without a word, the list is shown."""
+        if not args and not ctx.resilient_parsing:
+            print(ctx.get_help())
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """See click."""
+        self.rich_markup_mode = None
+        super().format_help(ctx, formatter)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """See click."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            heading = getattr(command, "rich_help_panel", None) or "Commands"
+            groups.setdefault(heading, []).append((name, command.help or ""))
+        widest = max(map(len, self.commands))
+        for heading, rows in groups.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(widest), text) for name, text in rows])
 
 
 def in_words(command: Any) -> Any:

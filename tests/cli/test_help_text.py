@@ -33,8 +33,14 @@ def test_help_shows_every_bracket_of_its_texts(
 def test_the_first_screen_says_what_hil_is_and_has_every_command_in_a_group() -> None:
     text = subprocess.run([sys.executable, "-m", "hil", "--help"], capture_output=True, text=True, check=True).stdout
     assert "controls a cell-injection stage" in text
-    assert [group for group in COMMANDS if f"─ {group} ─" not in text] == []
-    assert [name for group in COMMANDS.values() for name in group if f"│ {name} " not in text] == []
+    assert [group for group in COMMANDS if f"\n{group}:\n" not in text] == []
+    assert [name for group in COMMANDS.values() for name in group if f"\n  {name} " not in text] == []
+
+
+def test_without_a_word_the_first_screen_is_shown(hil_here: CommandLine) -> None:
+    asked = hil_here()
+    assert asked.returncode == 2
+    assert asked.stdout == hil_here("--help").stdout
 
 
 def test_types_are_words(hil_here: CommandLine) -> None:

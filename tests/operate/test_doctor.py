@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
-from hil.operate import doctor
+from hil.operate import doctor, machine
 from tests.vm.doctor_truth import untruths
 
 
@@ -174,6 +174,26 @@ def test_memory_and_disk_are_told_apart():
     assert doctor.in_memory(Path("/dev/shm"))
     assert not doctor.in_memory(Path("/proc"))
     assert not doctor.in_memory(Path("/does/not/exist"))
+
+
+@pytest.mark.parametrize(
+    ("stated", "mapped", "lacks"),
+    [
+        ("'--enable-optimizations' '--with-lto'", "/usr/bin/python3.11", []),
+        ("'--enable-shared'", "/usr/lib/libpython3.11.so.1.0", ["shared library", "profile", "link-time optimization"]),
+        ("'--enable-optimizations'", "/usr/bin/python3.11", ["link-time optimization"]),
+    ],
+)
+def test_how_python_was_built_is_said(tmp_path, monkeypatch, stated, mapped, lacks):
+    maps = tmp_path / "maps"
+    maps.write_text(f"7f19fdc00000-7f19fdcf5000 r--p 00000000 fe:00 26933  {mapped}\n")
+    monkeypatch.setattr(machine.sysconfig, "get_config_var", {"CONFIG_ARGS": stated}.get)
+    found = machine.python_lacks(maps)
+    assert len(found) == len(lacks)
+    assert all(text in told for text, told in zip(lacks, found, strict=True))
+    finding = doctor.python_finding(found)
+    assert (finding.level == "ok") is (not lacks)
+    assert all(told in finding.detail for told in found)
 
 
 def test_a_missing_tool_comes_with_the_way_to_get_it():
