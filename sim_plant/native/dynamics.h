@@ -24,7 +24,7 @@ typedef struct {
     double surface, direction, membrane, puncture_depth, drag;
     /* of Dynamics */
     double inverse_mass, inverse_load, stiffness, peak, inverse_limit, inverse_lag, slowness;
-    double ring_rate, ring_time, ring_scale, amplitudes, rate, speed_rate, stuck_rate;
+    double ring_rate, ring_time, ring_scale, amplitudes, rate, speed_rate, stuck_rate, compliance, stuck_time;
     /* Disturbance, Encoder */
     double noise, walk, encoder_noise, encoder_error, encoder_wavenumber, encoder_latency;
     uint64_t noise_key, walk_key, encoder_key;

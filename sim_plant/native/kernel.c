@@ -6,23 +6,28 @@
 
 enum { MAX_EVENTS = 8, MAX_ITERATIONS = 60 };
 
-static const double COUNTS[] = {1,  2,  3,   4,   6,   8,   12,  16,  24,   32,  48,
+static const double COUNTS[] = {1,  2,  3,   4,   5,  6,   8,   12,  16,  24,   32,  48,
                                 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536};
 enum { N_COUNTS = sizeof COUNTS / sizeof *COUNTS };
 
 #define MODE_STEP 0.28
-#define BRISTLE_STEP 0.22
+#define BRISTLE_STEP 0.19
 #define TURN_STEP 1e-8
+#define MODE_LEAST 0.01
+#define BRISTLE_RING 1.2e4
+#define BRISTLE_BENT 4.0
+#define BRISTLE_LEAST 0.001
 #define BREAKING_LOOSE 0.3
 #define MOST_TURN_STEPS 16.0
-#define SLOPE_STEP 0.1
+#define SLOPE_STEP 0.08
 
 static double effort(const axis *a, double external, double command, double h) {
     const motion *at = &a->at;
-    double drive = external + command, speed = fabs(at->velocity);
+    double drive = external + command, speed = fabs(at->velocity), push = 0.0;
     double pull = a->mode_stiffness * fabs(at->load_position - at->position) + a->cable_stiffness * fabs(at->position);
     if (HAS(a, BRISTLE)) {
-        pull = pull + fabs(drive - a->stiffness * at->bristle) + BREAKING_LOOSE * a->coulomb;
+        push = fabs(drive - a->stiffness * at->bristle);
+        pull = pull + push + BREAKING_LOOSE * a->coulomb;
     } else {
         pull = pull + fabs(drive) + a->coulomb + a->stribeck;
     }
@@ -33,7 +38,7 @@ static double effort(const axis *a, double external, double command, double h) {
     double work = h * (a->rate + fastest * a->speed_rate);
     if (HAS(a, MODE)) {
         double swing = fabs(at->load_position - at->position) + a->ring_time * fabs(at->load_velocity - at->velocity);
-        work = greater(work, h * a->ring_rate * sqrt(sqrt(greater(swing * a->ring_scale, 1.0))));
+        work = greater(work, h * a->ring_rate * sqrt(sqrt(greater(swing * a->ring_scale, MODE_LEAST))));
     }
     if (HAS(a, STRIBECK)) {
         double nearest = speed - reach;
@@ -45,9 +50,13 @@ static double effort(const axis *a, double external, double command, double h) {
         double towards = direction(at->velocity), openness = fabs(1.0 - towards * at->bristle * a->inverse_limit);
         openness = speed <= reach ? 2.0 : openness;
         double rushing = fastest * a->inverse_limit, held = h * BREAKING_LOOSE * a->coulomb * a->inverse_mass;
-        double turns = sqrt(speed <= reach ? fabs(reach - held) * h * (1.0 / TURN_STEP) : 0.0);
+        double bend = at->bristle * a->inverse_limit;
+        double turns = sqrt(speed <= reach ? bend * bend * fabs(reach - held) * h * (1.0 / TURN_STEP) : 0.0);
         work = greater(work, turns > MOST_TURN_STEPS ? MOST_TURN_STEPS : turns);
-        work = greater(work, (h / BRISTLE_STEP) * sqrt(openness * (a->stuck_rate + rushing * rushing)));
+        double swing = push * a->compliance + speed * a->stuck_time, part = swing * a->inverse_limit;
+        double ring = greater(greater(swing * BRISTLE_RING, BRISTLE_BENT * part * part), BRISTLE_LEAST);
+        ring = sqrt(sqrt(ring > 1.0 ? 1.0 : ring));
+        work = greater(work, (h / BRISTLE_STEP) * ring * sqrt(openness * (a->stuck_rate + rushing * rushing)));
     }
     return work;
 }

@@ -35,15 +35,20 @@ from sim_plant.physics.number import (
 )
 from sim_plant.physics.structure import Motion, Structure
 
-MODE_STEP: Final = 0.28  # rad of the mode's ring a step, at most; ring-down is then off by x^4 / (120 damping) of it
-MODE_ERROR: Final = 3e-10  # m (rad), of the ring that is there
+# A step of x rad is off by x^4 / 120 of a ring's amplitude, for each radian: so much in metres says how long it may be.
+MODE_STEP: Final = 0.28  # rad of the mode's ring, where that leaves MODE_ERROR of its ring-down
+MODE_ERROR: Final = 6e-10  # m (rad)
+MODE_LEAST: Final = 0.01  # of such a ring: a smaller one has the steps of this one, 0.9 rad
 LEAST_DAMPING: Final = 0.01  # of a mode, in that
-BRISTLE_STEP: Final = 0.22  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
+BRISTLE_STEP: Final = 0.19  # of sqrt(openness (4 s0 / m1 + (speed / limit)^2)): a tenth of a radian of a stuck ring
+BRISTLE_RING: Final = 1.2e4  # 1/m (1/rad): a ring of one over this, where such a step leaves 6e-11 m for each radian
+BRISTLE_BENT: Final = 4.0  # a ring of half the limit, where friction is no spring any more, is such a ring too
+BRISTLE_LEAST: Final = 0.001  # of such a ring: a smaller one has the steps of this one, half a radian
 TURN_STEP: Final = 1e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
 BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
 MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP: Final = 0.4  # rad of a sinusoid
-SLOPE_STEP: Final = 0.1  # of the other rates, and of v_s on the way through a Stribeck peak
+SLOPE_STEP: Final = 0.08  # of the other rates, and of v_s on the way through a Stribeck peak
 
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
 
@@ -124,6 +129,10 @@ class Dynamics:
         self._rate: Number = rate
         self._speed_rate: Number = per_speed + 2.0 * abs(s.quadratic) * self.inverse_mass * (1.0 / SLOPE_STEP)
         self._stuck_rate: Number = 4.0 * self.stiffness * self.inverse_mass
+        self._compliance: Number = 0.0 * motor
+        self._stuck_time: Number = 0.0 * motor
+        if self.has_bristle:
+            self._compliance, self._stuck_time = 1.0 / self.stiffness, root(motor / self.stiffness)
 
     def parameters(self) -> list[Number]:
         """Of one axis: all of its numbers, in the order of `axis` in sim_plant/native/dynamics.h."""
@@ -131,6 +140,7 @@ class Dynamics:
         of_motor = [self.inverse_mass, self.inverse_load, self.stiffness, self.peak, self.inverse_limit]
         of_ring = [self._ring_rate, self._ring_time, self._ring_scale]
         of_effort = [self._amplitudes, self._rate, self._speed_rate, self._stuck_rate]
+        of_effort += [self._compliance, self._stuck_time]
         return [*values, *of_motor, self.inverse_lag, self._slowness, *of_ring, *of_effort]
 
     def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
@@ -139,9 +149,11 @@ class Dynamics:
         external, command = forces
         drive = external + command
         speed = abs(at.velocity)
+        push: Number = 0.0
         pull = s.mode_stiffness * abs(at.load_position - at.position) + s.cable_stiffness * abs(at.position)
         if self.has_bristle:  # friction changes with the motion alone, though fast where it breaks loose
-            pull = pull + abs(drive - self.stiffness * at.bristle) + BREAKING_LOOSE * s.coulomb
+            push = abs(drive - self.stiffness * at.bristle)
+            pull = pull + push + BREAKING_LOOSE * s.coulomb
         else:
             pull = pull + abs(drive) + s.coulomb + s.stribeck
         if self.has_lag:
@@ -151,7 +163,7 @@ class Dynamics:
         work = h * (self._rate + fastest * self._speed_rate)
         if self.has_mode:
             swing = abs(at.load_position - at.position) + self._ring_time * abs(at.load_velocity - at.velocity)
-            work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, 1.0))))
+            work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, MODE_LEAST))))
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
@@ -163,10 +175,15 @@ class Dynamics:
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
             held = h * BREAKING_LOOSE * s.coulomb * self.inverse_mass  # no part of what turns it round
-            turning = select(speed <= reach, abs(reach - held) * h * (1.0 / TURN_STEP), 0.0)
+            bend = at.bristle * self.inverse_limit  # what turning round makes of friction grows with it
+            turning = select(speed <= reach, bend * bend * abs(reach - held) * h * (1.0 / TURN_STEP), 0.0)
             turns = root(turning)
             work = greater(work, select(turns > MOST_TURN_STEPS, MOST_TURN_STEPS, turns))
-            work = greater(work, (h / BRISTLE_STEP) * root(openness * (self._stuck_rate + rushing * rushing)))
+            swing = push * self._compliance + speed * self._stuck_time
+            part = swing * self.inverse_limit
+            ring = greater(greater(swing * BRISTLE_RING, BRISTLE_BENT * part * part), BRISTLE_LEAST)
+            ring = root(root(select(ring > 1.0, 1.0, ring)))
+            work = greater(work, (h / BRISTLE_STEP) * ring * root(openness * (self._stuck_rate + rushing * rushing)))
         return work
 
     def _prepare_lag(self, h: Number) -> Triple:

@@ -12,7 +12,7 @@ from typing import Final
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.structure import Motion, Structure
 
-COUNTS = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536]
+COUNTS = [1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536]
 MAX_EVENTS: Final = 8  # of one step
 MAX_ITERATIONS: Final = 60
 

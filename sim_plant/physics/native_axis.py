@@ -17,7 +17,7 @@ Advance = Callable[[int, int, float, float, int, int], int]
 Show = Callable[[int, float, int], float]
 
 _MOTION: Final = 10  # words of a motion; of a point: 3
-_PARAMETERS: Final = 2 + 24 + 6 * LINES + 14 + 6
+_PARAMETERS: Final = 2 + 24 + 6 * LINES + 16 + 6
 _KEYS: Final = 3
 _COMMAND: Final = _PARAMETERS + _KEYS
 _STEPS: Final = _COMMAND + 1

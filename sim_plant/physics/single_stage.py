@@ -10,7 +10,9 @@ from sim_plant.physics.real_axis import RealAxis, piece_times
 from sim_plant.physics.single_axis import SingleAxis
 
 IDEAL_PIECE_NS: Final = 1_000_000  # of constant force, at most, for an ideal axis
-REAL_PIECE_NS: Final = 500_000  # of constant noise for one that deviates; its steps are chosen anew for each
+# Of constant noise, at most, for one that deviates; its steps are chosen anew for each. Half a period of 1 kHz, and the
+# hundredth that one tick may be longer than another.
+REAL_PIECE_NS: Final = 505_000
 
 
 def encoder_of(values: tuple[float, float, float, float], key: tuple[Key, Key], read: int) -> Encoder:
