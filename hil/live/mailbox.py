@@ -112,9 +112,12 @@ class Mailbox(Closing):
         return 0 <= now_ns - self._beat < RECORDER_TIMEOUT_NS
 
     def mend(self) -> None:
-        """Write the head anew where the file was cut short or overwritten."""
+        """Write head and counts anew where the file was cut short or overwritten: senders hold one count against the
+        other, and with one of them lost they would find the box full for ever. Commands under way are lost.
+        """
         if shortened(self._map) or self._words[_MAGIC] != MAGIC:
             self.mended += 1
+            self._words[_POSTED] = self._words[_TAKEN] = self._taken
             self._words[_MAGIC] = MAGIC
 
     @property

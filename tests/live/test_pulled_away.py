@@ -20,6 +20,7 @@ from hil.live.stop_page import open_page
 from tests.support.paths import ROOT
 
 SLOTS = 1000
+SLOTS_OF_BOX = 64
 
 
 @pytest.mark.requirement(id="SR-7.2")
@@ -65,6 +66,19 @@ def test_files_cut_short_end_nothing_and_stop_nothing(size: int, tmp_path: Path)
         with RingReader(folder / "ring") as another:
             assert another.metadata == {"rig": "one"}
             assert another.written == ring.written
+
+
+@pytest.mark.requirement(id="SR-7.2")
+@pytest.mark.parametrize("size", [0, 100, 127, 128, 135, 136, 200, 4096])
+def test_a_mailbox_that_was_cut_takes_commands_again_however_many_came_before(size: int, tmp_path: Path) -> None:
+    with Mailbox.create(tmp_path / "mailbox") as box, Mailbox(tmp_path / "mailbox") as sender:
+        for number in range(3 * SLOTS_OF_BOX):
+            if number == 2 * SLOTS_OF_BOX:
+                os.truncate(tmp_path / "mailbox", size)
+                box.poll()
+                box.mend()
+            sender.post(CommandKind.RESET, time.monotonic_ns() + 10**9)
+            assert [command.kind for command in box.poll()] == [CommandKind.RESET]
 
 
 def test_a_bus_error_of_another_cause_ends_the_process_as_ever(tmp_path: Path) -> None:
