@@ -162,6 +162,11 @@ class PulseLoop:
         self._index += 1
         return seen
 
+    @property
+    def force(self) -> Array:
+        """Asked for in the latest tick, beyond what the reference needs (N), (rows, n_axes)."""
+        return self._net[0]
+
     def motion(self) -> Array:
         """True error after the latest tick, moved on by one period at its rate (m)."""
         return self.plant.error + self.plant.rate * self._period

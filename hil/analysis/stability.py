@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.analysis.pulse_loop import DECAYED, GROWN, pulse_and_kick, pulse_response
+from hil.analysis.restoring import pushes_away
 from hil.control.estimator.gains import keep_design
 from hil.control.laws.base import Array
 from hil.rig.schema import RigConfig, RigError
@@ -27,6 +28,7 @@ STABLE_RADIUS = 1.0 - 1e-6
 NEGLIGIBLE = 1e-5  # singular values below this fraction of the greatest are rounding, or drift of a settling filter
 OFFSET_S = 600.0  # within which a kicked axis has to be back
 OFFSET_LEFT = 0.01  # of the greatest offset: it is back
+SLOW = 0.5  # of a swing: its mean over an eighth of the motion is more than this
 ROUNDING = 1e-9  # of a pole: one that is nearer to 1 is 1
 RATES_HZ = (50.0, 10_000.0)  # looked at
 RATE_TOLERANCE = 1e-3
@@ -240,18 +242,20 @@ def is_stable(answer: Array, poles: list[complex]) -> bool:
 
 def offset_s(motion: Array, period: float) -> float:
     """When (s) a kicked axis is back, of its motion (ticks,); inf where it does not come nearer. 0 where it is back by
-    the end, or swings, which its poles tell. period: s.
+    the end, or swings quickly, which its poles tell. period: s.
 
     Beyond the end by the two slowest modes, fitted to means over eighths (Prony's method): how it came to where it is,
     and how it leaves.
     """
     width, half = len(motion) // 8, motion[len(motion) // 2 :]
-    if not np.all(np.abs(motion) < np.inf) or half.min() * half.max() <= 0.0:
-        return 0.0
-    left = np.abs(half[-width:]).max() / (OFFSET_LEFT * np.abs(motion).max())
-    if left <= 1.0:
+    if not np.all(np.abs(motion) < np.inf):
         return 0.0
     averages = motion[-7 * width :].reshape(7, width).mean(axis=1)
+    if half.min() * half.max() <= 0.0 and np.abs(averages[-4:]).max() < SLOW * np.abs(half).max():
+        return 0.0
+    left = np.abs(half).max() / (OFFSET_LEFT * np.abs(motion).max())
+    if left <= 1.0:
+        return 0.0
     fitted, *_ = np.linalg.lstsq(np.stack([averages[1:-1], averages[:-2]], axis=1), averages[2:], rcond=1e-9)
     kept = float(np.abs(np.roots([1.0, *-fitted])).max())
     if kept >= 1.0 - ROUNDING:
@@ -259,11 +263,11 @@ def offset_s(motion: Array, period: float) -> float:
     return (len(motion) + width * math.log(left) / -math.log(kept)) * period
 
 
-def _judged(motion: Array, kicked: Array, period: float) -> AxisStability:
-    """Of one axis, (ticks,) each; its margins are still to be found."""
+def _judged(motion: Array, kicked: Array, period: float, away: bool = False) -> AxisStability:
+    """Of one axis, (ticks,) each; its margins are still to be found. away: the law pushes it off, however slowly."""
     poles = realise_poles(motion[:REALISED])
     stable = is_stable(motion, poles)
-    back = offset_s(kicked, period) if stable else 0.0
+    back = (math.inf if away else offset_s(kicked, period)) if stable else 0.0
     return AxisStability(stable and back <= OFFSET_S, poles, None, None, None, offset_s=back)
 
 
@@ -280,7 +284,8 @@ def refuse_unstable(rig: RigConfig) -> None:
 
 def _report(rig: RigConfig, ticks: int) -> StabilityReport:
     _, motion, kicked = pulse_and_kick(rig, ticks)
-    found = [_judged(*columns, rig.period_ns * 1e-9) for columns in zip(motion.T, kicked.T, strict=True)]
+    columns = zip(motion.T, kicked.T, pushes_away(rig), strict=True)
+    found = [_judged(moved, back, rig.period_ns * 1e-9, bool(away)) for moved, back, away in columns]
     return StabilityReport(rig.law.name, rig.rate_hz, dict(zip(rig.axes, found, strict=True)))
 
 
@@ -334,11 +339,12 @@ def check_stability(
     else:
         answer, motion = pulse_response(rig, ticks)
         offset = np.zeros(motion.shape)
+    away = pushes_away(rig) if kicked else np.zeros(len(rig.axes), dtype=bool)
     rates: list[float | None] = [*_lowest_rates(rig, motion)] if lowest_rate else [None] * len(rig.axes)
     differences = _finite_difference_rates(rig) if lowest_rate else rates
     axes = {}
     for index, name in enumerate(rig.axes):
-        axis = _judged(motion[:, index], offset[:, index], rig.period_ns * 1e-9)
+        axis = _judged(motion[:, index], offset[:, index], rig.period_ns * 1e-9, bool(away[index]))
         found = margins(answer[:, index]) if axis.stable else LoopMargins(None, None, None)
         axes[name] = replace(
             axis,
