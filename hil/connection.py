@@ -9,13 +9,14 @@ from typing import Any, cast
 
 import numpy as np
 
+from hil.cycle.command_desk import LOADS
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.events.event import Event as Happened
 from hil.live.mapped_file import Closing
-from hil.live.task_loading import task_document
-from hil.rig.file import build_rig, task_of_file
+from hil.live.task_loading import law_document, task_document
+from hil.rig.file import build_rig, law_of_file, task_of_file
 from hil.rig.schema import RigConfig
 from hil.runs.columns import Columns, Event
 from hil.runs.mover import Mover
@@ -103,12 +104,12 @@ class LiveRig(Closing):
 
     def command(self, action: str) -> Verdict:
         """Ask the control process: activate, activate_hold, stop, reset, home, estop, shutdown or heartbeat; its
-        verdict. Another task goes by `load_task`.
+        verdict. Another task goes by `load_task`, another law by `set_law`.
 
         accepted: whether it did; reason: why not; state: after it. Raises ValueError for another word, NoGatewayError
         where nobody takes it; `hil estop` then still stops the rig.
         """
-        kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.LOAD_TASK}
+        kinds = {kind.name.lower(): kind for kind in CommandKind if kind not in LOADS}
         if action not in kinds:
             raise ValueError(f"{action!r}: the commands are {', '.join(kinds)}")
         with self._commander() as client:
@@ -134,6 +135,25 @@ class LiveRig(Closing):
         document = task_document(chosen)
         with self._commander() as client:  # only now: who says nothing for long loses the connection
             return client.load_task(document)
+
+    def set_law(
+        self, law: str | os.PathLike[str] | dict[str, Any] | None = None, *, gains: dict[str, Any] | None = None
+    ) -> Verdict:
+        """Another law, or other gains, while the rig is at rest, READY or held for goals. law: a TOML file with a table
+        [law], or such a table; None: that of the rig file. gains: of that law, instead of those it has there.
+
+        The loop is checked as by `hil check`, and an unstable one refused. Under torque the force goes on without a
+        step. The law lasts until the control process ends. Only hil's own laws are set, and none that learns. Raises
+        RigError for what is no law of this rig, NoGatewayError as `command`.
+        """
+        rig = self._rig()
+        if isinstance(law, dict):
+            chosen = build_rig({**rig.model_dump(mode="json"), "law": law}).law
+        else:
+            chosen = law_of_file(rig, Path(law) if law is not None else None)
+        document = law_document(chosen.model_copy(update={"gains": {**chosen.gains, **(gains or {})}}))
+        with self._commander() as client:
+            return client.set_law(document)
 
     def _rig(self) -> RigConfig:
         if self._commands and self._credentials:

@@ -7,6 +7,7 @@ may have (axes.NAME.model.presliding). All corners are rows of one batch.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 
 from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.analysis.pulse_loop import CRUISE, PulseLoop, responses
-from hil.analysis.stability import REALISED, LoopMargins, is_stable, margins, realise_poles
+from hil.analysis.stability import REALISED, LoopMargins, check_stability, is_stable, margins, realise_poles
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
 from hil.rig.measured_table import Tolerances
@@ -164,6 +165,18 @@ def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:
     """
     corners = [*_distinct(rig, sliding_corners()), *_distinct(rig, stuck_corners())]
     return _findings(rig, corners, ticks)
+
+
+def corner_problems(found: Sequence[CornerFinding]) -> list[str]:
+    """A line for each loop that is unstable: nobody should move that."""
+    return [text for finding in found if (text := finding.lacks(least=True))]
+
+
+def loop_problems(rig: RigConfig) -> list[str]:
+    """Why nobody should close this rig's loop, a line each: it is unstable on the model, or off it. Raises ValueError
+    as check_stability and check_corners.
+    """
+    return check_stability(rig).problems() or corner_problems(check_corners(rig))
 
 
 def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:

@@ -8,16 +8,19 @@ the nominal model says friction and gravity take of it.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter, VelocityBlend
-from hil.control.laws import make_axis_laws
+from hil.control.laws import AxisLawMaker, make_axis_laws
 from hil.control.laws.base import AxisLaws, axis_inputs, axis_model
+from hil.control.laws.handover import Handover
 from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
 from hil.control.trajectories import task_repeat
+from hil.cycle.tick import LoadedLaw
 from hil.rig.schema import RigConfig
 
 
@@ -26,7 +29,7 @@ class Axes:
 
     def __init__(self, rig: RigConfig) -> None:
         n, axes = len(rig.axes), list(rig.axes.values())
-        model = rig_model(rig)
+        self._model = model = rig_model(rig)
         self.models = [axis_model(model, index) for index in range(n)]
         gains, variance = design_gains(rig)
         self.filters = [MotionFilter(gains[:, i].tolist(), self.models[i].mass) for i in range(n)]
@@ -34,16 +37,42 @@ class Axes:
         self.innovation_limit: list[float] = np.sqrt(variance * rig.safety.nis_limit).tolist()  # m
         learning = rig.law.iterative_learning
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns, rig.counts) if learning else None
-        force = np.array([axis.limits.force for axis in axes])
-        self.law: AxisLaws = make_axis_laws(rig.law, model, rig.period_ns * 1e-9, force, repeat)
+        self._period_s, self._limit = rig.period_ns * 1e-9, np.array([axis.limits.force for axis in axes])
+        self.law: AxisLaws = make_axis_laws(rig.law, model, self._period_s, self._limit, repeat)
+        self._estimated: Any = None
         if rig.estimator.is_users:
             from hil.control.estimator.users import EstimatedAxes  # few rigs have one
 
-            self.law = EstimatedAxes(self.law, rig, model)
+            self._estimated = self.law = EstimatedAxes(self.law, rig, model)
+        self._asked: LoadedLaw | None = None
+        self._maker: AxisLawMaker | None = None
         self.inputs = [axis_inputs() for _ in range(n)]
         self.setpoints = Setpoints(self.inputs, rig.period_ns)
         self.zero = [0.0] * n
         self.measured = self.net_last = self.net_before = self.zero
+
+    def make_law(self, asked: LoadedLaw) -> bool:
+        """A piece of making a law: one axis. Returns whether it is made. Raises ValueError as make_axis_laws."""
+        if self._asked is not asked or self._maker is None:
+            self._asked = asked
+            self._maker = AxisLawMaker(asked.law, self._model, self._period_s, self._limit, None, asked.designed)
+            return False
+        return self._maker.work()
+
+    def take_law(self, asked: LoadedLaw) -> bool:
+        """From now on that law, without a step of the force. What `make_law` has made of it need not be made again.
+        Returns True.
+        """
+        while not self.make_law(asked):
+            pass
+        assert self._maker is not None
+        law = self._maker.made()
+        self._asked = self._maker = None
+        if self._estimated is not None:
+            self._estimated.law = Handover(self._estimated.law, law, self._period_s)
+        else:
+            self.law = Handover(self.law, law, self._period_s)
+        return True
 
     def rest(self) -> None:
         """At rest where the axes are: filters, setpoints and law know nothing of earlier runs."""

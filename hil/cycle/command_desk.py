@@ -16,6 +16,9 @@ EVENTS: dict[int, Event] = {
 }
 
 
+LOADS: frozenset[int] = frozenset({CommandKind.LOAD_TASK, CommandKind.SET_LAW})  # what comes with a document
+
+
 class CommandDesk:
     """Checks sequence and expiry, remembers the heartbeat, hands events to the state machine."""
 
@@ -31,9 +34,11 @@ class CommandDesk:
         commands: Sequence[OperatorCommand],
         now_ns: int,
         act: Callable[[Event], bool],
-        load: Callable[[], bool],
+        load: Callable[[int], bool],
     ) -> None:
-        """Give each acceptable command's event to `act`, a task's loading to `load`, which say whether it was taken."""
+        """Give each acceptable command's event to `act`, the kind of one that loads to `load`, which say whether it was
+        taken.
+        """
         self.handled = []
         for command in commands:
             accepted = self._accept(command, now_ns, act, load)
@@ -41,7 +46,7 @@ class CommandDesk:
             self.handled.append((command, accepted))
 
     def _accept(
-        self, command: OperatorCommand, now_ns: int, act: Callable[[Event], bool], load: Callable[[], bool]
+        self, command: OperatorCommand, now_ns: int, act: Callable[[Event], bool], load: Callable[[int], bool]
     ) -> bool:
         if command.kind == CommandKind.ESTOP:
             return act(Event.ESTOP)  # stale or replayed, an emergency stop is obeyed
@@ -51,8 +56,8 @@ class CommandDesk:
         if command.kind == CommandKind.HEARTBEAT:
             self.heartbeat_ns = now_ns
             return True
-        if command.kind == CommandKind.LOAD_TASK:
-            return load()
+        if command.kind in LOADS:
+            return load(command.kind)
         event = EVENTS.get(command.kind)
         if event is Event.ACTIVATE:
             self.hold_asked = command.kind == CommandKind.ACTIVATE_HOLD

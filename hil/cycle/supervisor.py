@@ -46,7 +46,7 @@ from hil.cycle.readings import Readings
 from hil.cycle.record import MAX_COMMANDS
 from hil.cycle.sampling import Sampling
 from hil.cycle.state_machine import SILENT_STATES, TORQUE_STATES, Event, State, StateMachine
-from hil.cycle.tick import Tick
+from hil.cycle.tick import CommandKind, Tick
 from hil.cycle.withdrawal import WITHIN_S, Withdrawal
 from hil.rig.schema import RigConfig
 
@@ -125,12 +125,9 @@ class Supervisor:
         if tick.stop and self.machine.state not in (State.STOPPING, State.SHUTDOWN):
             self._handle(Event.EXIT, tick)
         if tick.commands:
-            self.commands.handle(
-                tick.commands[:MAX_COMMANDS],
-                tick.now_ns,
-                lambda event: self._operate(event, tick),
-                lambda: self._load_task(tick),
-            )
+            commands, now_ns = tick.commands[:MAX_COMMANDS], tick.now_ns
+            act, load = lambda event: self._operate(event, tick), lambda kind: self._load(kind, tick)
+            self.commands.handle(commands, now_ns, act, load)
         else:
             self.commands.handled = []
         if tick.estop:  # after the operator: no RESET of the same tick undoes it
@@ -205,17 +202,19 @@ class Supervisor:
 
     @property
     def at_rest(self) -> bool:
-        """Another task may be loaded: the stage is READY, or holds for goals."""
+        """Another task or law may be loaded: the stage is READY, or holds for goals."""
         return self.machine.state is State.READY or self.goals.word is MotionWord.HOLD
 
-    def _load_task(self, tick: Tick) -> bool:
-        """Another task, while the stage is at rest, if it may begin where each axis stands. A law that learns from the
-        repeats of the rig's own task cannot take another.
+    def _load(self, kind: int, tick: Tick) -> bool:
+        """Another task or law, while the stage is at rest. A law that learns from the repeats of the rig's own task
+        takes neither.
         """
-        task = tick.task
-        if task is None or not self.at_rest or self._rig.law.iterative_learning:
+        if not self.at_rest or self._rig.law.iterative_learning:
             return False
-        if not self._within(task.start_ranges):
+        if kind == CommandKind.SET_LAW:
+            return tick.law is not None and self._axes.take_law(tick.law)
+        task = tick.task
+        if task is None or not self._within(task.start_ranges):
             return False
         self._plan, self.start_ranges = task.plan, list(task.start_ranges)
         return True

@@ -9,8 +9,11 @@ import numpy as np
 from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
 from hil.cycle.goal import Goal
+from hil.rig.schema import LawConfig
 
-__all__ = ["BusState", "CommandKind", "CycleResult", "LoadedTask", "OperatorCommand", "PortCounters", "Tick"]
+__all__ = [
+    "BusState", "CommandKind", "CycleResult", "LoadedLaw", "LoadedTask", "OperatorCommand", "PortCounters", "Tick",
+]  # fmt: skip
 
 
 class CommandKind(IntEnum):
@@ -25,6 +28,7 @@ class CommandKind(IntEnum):
     HEARTBEAT = 7
     LOAD_TASK = 8  # another task, Tick.task, while the stage is at rest
     ACTIVATE_HOLD = 9  # as ACTIVATE, but to hold where the stage stands, for goals
+    SET_LAW = 10  # another law, or the same with other gains, Tick.law, while the stage is at rest
 
 
 class OperatorCommand(NamedTuple):
@@ -47,6 +51,17 @@ class LoadedTask(NamedTuple):
     document: str
 
 
+class LoadedLaw(NamedTuple):
+    """A law to take the place of the one that runs. designed: of laws that were made from it elsewhere
+    (hil.control.laws.designed_laws), so that making it takes no time; empty: it is found. document: its [law] as JSON,
+    for the recording.
+    """
+
+    law: LawConfig
+    designed: Sequence[Sequence[float]]
+    document: str
+
+
 class Tick:
     """Everything but the frames that a cycle step may depend on.
 
@@ -54,7 +69,8 @@ class Tick:
     now_ns: when the shell woke. commands: in order of arrival. stop: SIGTERM or SIGINT was seen.
     recorder_ok: the sidecar's recorder is alive. realtime_ok: the kernel granted what [timing] asks for.
     rig_ok: the rig file is still the one this process was started with. estop: somebody pressed stop since the last
-    tick (hil estop). task: what a LOAD_TASK among the commands loads. goals: in order of arrival.
+    tick (hil estop). task: what a LOAD_TASK among the commands loads. law: what a SET_LAW sets. goals: in order of
+    arrival.
     """
 
     __slots__ = (
@@ -62,6 +78,7 @@ class Tick:
         "estop",
         "goals",
         "index",
+        "law",
         "now_ns",
         "port",
         "realtime_ok",
@@ -86,6 +103,7 @@ class Tick:
         rig_ok: bool = True,
         estop: bool = False,
         task: LoadedTask | None = None,
+        law: LoadedLaw | None = None,
         goals: tuple[Goal, ...] = (),
     ) -> None:
         self.index = index
@@ -99,6 +117,7 @@ class Tick:
         self.rig_ok = rig_ok
         self.estop = estop
         self.task = task
+        self.law = law
         self.goals = goals
 
 

@@ -21,10 +21,11 @@ from typing import Final, NamedTuple
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from drivers.protocols.base import HostProtocol
+from hil.cycle.command_desk import LOADS
 from hil.cycle.goal import Goal, GoalKind, MotionWord
 from hil.cycle.state_machine import TORQUE_STATES, State
 from hil.cycle.step import RECORD, ControlCycle
-from hil.cycle.tick import CommandKind, LoadedTask, OperatorCommand, Tick
+from hil.cycle.tick import CommandKind, LoadedLaw, LoadedTask, OperatorCommand, Tick
 from hil.events.notes import Note, NoteWriter
 from hil.live.goal_page import GoalPage
 from hil.live.journal import Journal
@@ -109,6 +110,7 @@ class ControlLoop:
         self._recall_due: list[Port] = []  # by segment, what may still hold frames
         self._next_rebind = 0
         self._task: LoadedTask | None = None  # taken in, for the LOAD_TASK that is to come
+        self._law: LoadedLaw | None = None  # the same for SET_LAW
         self._intake: TaskIntake | None = None
         self._task_number = parts.mailbox.task_posted
         self._pause: tuple[Goal, ...] = ()  # of a path whose client is gone: for the next tick
@@ -170,6 +172,7 @@ class ControlLoop:
             rig_ok=self._rig_ok,
             estop=estop,
             task=self._task if commands else None,
+            law=self._law if commands else None,
             goals=goals or self._pause,
         )
         result = self._cycle.step(tick, frames)
@@ -245,7 +248,7 @@ class ControlLoop:
         self._told = state, notes.told
 
     def _look_at_pages(self) -> None:
-        """A task that was sent, and who moves the rig."""
+        """A task or law that was sent, and who moves the rig."""
         self._look_for_task()
         self._look_at_lease()
 
@@ -253,16 +256,16 @@ class ControlLoop:
         number = self._mailbox.task_posted
         if number != self._task_number:
             self._task_number = number
-            self._intake = TaskIntake(self.parts.task_file, number, self._cycle.rig)
+            self._intake = TaskIntake(self.parts.task_file, number, self._cycle.rig, self._cycle.axes.make_law)
 
     def _take_task_in(self, intake: TaskIntake) -> None:
-        """A piece of a task's file, while no axis moves under torque."""
+        """A piece of the file of a task or law, while no axis moves under torque."""
         if self._cycle.state in TORQUE_STATES and not self._cycle.supervisor.at_rest:
             return
         intake.work()
         if intake.done:
-            self._task, self._intake = intake.task, None
-            self._mailbox.answer_task(intake.number, ready=intake.task is not None)
+            self._task, self._law, self._intake = intake.task, intake.law, None
+            self._mailbox.answer_task(intake.number, ready=intake.task is not None or intake.law is not None)
 
     def _look_at_lease(self) -> None:
         """Outside ACTIVE nobody moves the rig. A path whose client is gone pauses; every other plan ends by itself."""
@@ -300,8 +303,8 @@ class ControlLoop:
     def _after_commands(self) -> None:
         """An operator's shutdown that the cycle has accepted ends this process as SIGTERM does."""
         handled = self._cycle.commands.handled
-        if any(c.kind == CommandKind.LOAD_TASK for c, _ in handled):
-            self._task = None  # whatever became of it
+        if any(c.kind in LOADS for c, _ in handled):
+            self._task = self._law = None  # whatever became of it
         if self._cycle.state is not State.ACTIVE:
             self._goals.revoke()
         self.stop = self.stop or any(c.kind == CommandKind.SHUTDOWN and accepted for c, accepted in handled)

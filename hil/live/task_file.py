@@ -1,10 +1,10 @@
-"""How another task reaches the control process: planned elsewhere, taken in by small pieces between ticks.
+"""How another task or law reaches the control process: planned elsewhere, taken in by small pieces between ticks.
 
 Rules:
 - The sidecar plans; the control process only reads numbers, PIECES segments a tick, while no axis moves under torque.
 - Nothing in the file, whatever its bytes, can raise in the control process: what is damaged is not taken.
 
-Layout: a header (magic, number of the task, length of the head, segments, columns), the head (JSON), the segments
+Layout: a header (magic, number of task or law, length of the head, segments, columns), the head (JSON), the segments
 (duration, phase, six coefficients a column), a CRC-32 of all of it.
 """
 
@@ -12,7 +12,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from hil.control.trajectories import plan_task
 from hil.control.trajectories.injection import OverCells
 from hil.control.trajectories.paths import AlongPath
 from hil.control.trajectories.segments import Segment, Segments, segment
-from hil.cycle.tick import LoadedTask
-from hil.rig.schema import RigConfig, TaskConfig
+from hil.cycle.tick import LoadedLaw, LoadedTask
+from hil.rig.schema import LawConfig, RigConfig, TaskConfig
 
 MAGIC = b"HILTASK1"
 PIECES = 16  # segments a tick: some tens of microseconds
@@ -35,6 +35,15 @@ def task_bytes(number: int, task: LoadedTask, rig: RigConfig) -> bytes:
     """The file of a task that was planned here. number: by which its sender knows it. rig: whose task it is."""
     head, segments = _taken_apart(task, rig)
     head["ranges"] = [list(ends) for ends in task.start_ranges]
+    return _packed(number, head, segments)
+
+
+def law_bytes(number: int, law: LoadedLaw) -> bytes:
+    """The file of a law that was made here. number: by which its sender knows it."""
+    return _packed(number, {"law": json.loads(law.document), "designed": law.designed}, [])
+
+
+def _packed(number: int, head: dict[str, Any], segments: Sequence[Segment]) -> bytes:
     text = json.dumps(head).encode()
     columns = len(segments[0].rows) if segments else 0
     row = _row(columns)
@@ -60,15 +69,23 @@ def _row(columns: int) -> struct.Struct:
     return struct.Struct(f"<qq{6 * columns}d")
 
 
+def _made_by_the_tick(_law: LoadedLaw) -> bool:
+    return True
+
+
 class TaskIntake:
-    """Takes a task's file in, a piece at every `work`. done: nothing is left to do; task: what came of it, None where
-    the file was no task.
+    """Takes a task's or a law's file in, a piece at every `work`. make: a piece of making the law; says whether it is
+    made. done: nothing is left to do; task, law: what came of it, None where the file was none.
     """
 
-    def __init__(self, path: Path, number: int, rig: RigConfig) -> None:
+    def __init__(
+        self, path: Path, number: int, rig: RigConfig, make: Callable[[LoadedLaw], bool] = _made_by_the_tick
+    ) -> None:
         self.number = number
         self.done = False
         self.task: LoadedTask | None = None
+        self.law: LoadedLaw | None = None
+        self._make = make
         self._path, self._rig = path, rig
         self._fd = -1
         self._head: dict[str, Any] = {}
@@ -86,9 +103,12 @@ class TaskIntake:
                 self._open()
             elif len(self._segments) < self._count:
                 self._take()
-            else:
+            elif self.law is None:
                 self._finish()
+            elif self._make(self.law):
+                self._end()
         except Exception:  # of many kinds, for bytes of any kind
+            self.law = None
             self._end()
 
     def _read(self, length: int) -> bytes:
@@ -123,6 +143,10 @@ class TaskIntake:
         (crc,) = _CRC.unpack(self._read(_CRC.size))
         if crc != self._crc:
             raise ValueError("damaged")
+        if "law" in self._head:
+            document, designed = json.dumps(self._head["law"]), self._head["designed"]
+            self.law = LoadedLaw(LawConfig.model_validate(self._head["law"]), designed, document)
+            return
         ranges = [(float(low), float(high)) for low, high in self._head["ranges"]]
         if len(ranges) != len(self._rig.axes):
             raise ValueError("of another rig")

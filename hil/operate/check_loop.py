@@ -49,11 +49,6 @@ def frd_document(rig: RigConfig, response: LoopResponse) -> dict[str, Any]:
     }
 
 
-def corner_problems(found: Sequence[CornerFinding]) -> list[str]:
-    """A line for each loop that is unstable: nobody should move that."""
-    return [text for finding in found if (text := finding.lacks(least=True))]
-
-
 def corner_notes(found: Sequence[CornerFinding]) -> list[str]:
     """A line for each that is stable but has less margin than is good."""
     return [text for finding in found if finding.stable and (text := finding.lacks())]

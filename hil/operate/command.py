@@ -8,6 +8,7 @@ import contextlib
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -19,9 +20,9 @@ from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.options import shipped_rig
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import nearest
-from hil.live.task_loading import task_document
+from hil.live.task_loading import law_document, task_document
 from hil.operate.estop import stop_rig
-from hil.rig.file import load_rig, task_of_file
+from hil.rig.file import law_of_file, load_rig, task_of_file
 from hil.rig.schema import RigConfig
 from hil.telemetry.command_client import CommandClient, NoGatewayError, Verdict, local_client, remote_client
 from hil.telemetry.credentials import Credentials, CredentialsError
@@ -39,6 +40,7 @@ class Action(StrEnum):
     SHUTDOWN = "shutdown"
     HEARTBEAT = "heartbeat"
     LOAD_TASK = "load-task"
+    SET_LAW = "set-law"
 
 
 def command(
@@ -48,12 +50,13 @@ def command(
     ],
     action: Annotated[Action, typer.Argument(help="what to ask for", show_default=False)],
     file: Annotated[
-        Path | None, typer.Argument(help="load-task: CSV or NPZ with a path, or TOML with a table [task]")
+        Path | None,
+        typer.Argument(help="load-task: CSV or NPZ with a path, or TOML with a table [task]; set-law: with [law]"),
     ] = None,
     *,
     overrides: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="load-task: a key of [task], task.repeat=true"),
+        typer.Option("--set", metavar="KEY=VALUE", help="a key of [task] or [law]: task.repeat=true, law.gains.kp=9e4"),
     ] = None,
     connect: Annotated[str | None, typer.Option(help="host:port of a sidecar elsewhere [this machine's]")] = None,
     credentials: Annotated[Path | None, typer.Option(help="directory with an operator's, for --connect")] = None,
@@ -61,12 +64,7 @@ def command(
 ) -> None:
     """Exit status 0: the control process took it; 1: refused, with the reason; 69: nobody to ask."""
     config = config_of(rig)
-    if (action is Action.LOAD_TASK) != (file is not None):
-        raise typer.BadParameter("load-task, and nothing else, takes a file", param_hint="FILE")
-    task = task_of_file(config, file, overrides or ()) if file else None
-    if task:
-        for note in excursion_notes(config.model_copy(update={"task": task})):
-            print(note, file=sys.stderr)
+    document = _document(config, action, file, overrides or ())
     if connect and credentials is None:
         raise typer.BadParameter("commands from elsewhere need --credentials", param_hint="--connect")
     if action is Action.ESTOP and not connect:
@@ -74,8 +72,9 @@ def command(
     try:
         client = remote_client(connect, Credentials(credentials)) if connect and credentials else at_hand(config.name)
         with client:
-            if task:
-                accepted = _say(client, action, client.load_task(task_document(task)))
+            if document:
+                load = client.load_task if action is Action.LOAD_TASK else client.set_law
+                accepted = _say(client, action, load(document))
             else:
                 accepted = _hold(client, action, config) if hold else _ask(client, action)
     except (NoGatewayError, CredentialsError) as error:
@@ -86,6 +85,22 @@ def command(
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     if not accepted:
         raise typer.Exit(1)
+
+
+def _document(rig: RigConfig, action: Action, file: Path | None, overrides: Sequence[str]) -> str:
+    """The task or law that goes with an action, JSON; empty for one that takes none. Raises RigError, BadParameter."""
+    if action is Action.LOAD_TASK and file is not None:
+        task = task_of_file(rig, file, overrides)
+        for note in excursion_notes(rig.model_copy(update={"task": task})):
+            print(note, file=sys.stderr)
+        return task_document(task)
+    if action is Action.SET_LAW and (file is not None or overrides):
+        return law_document(law_of_file(rig, file, overrides))
+    if action is Action.LOAD_TASK or file is not None:
+        raise typer.BadParameter("load-task takes a file, set-law may, and nothing else does", param_hint="FILE")
+    if action is Action.SET_LAW or overrides:
+        raise typer.BadParameter("set-law and load-task, and nothing else, take a key of theirs", param_hint="--set")
+    return ""
 
 
 def config_of(rig: Path) -> RigConfig:

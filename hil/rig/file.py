@@ -15,7 +15,7 @@ from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.layout import demands, host_layout
 from hil.rig.reference import nearest
-from hil.rig.schema import RigConfig, RigError, TaskConfig
+from hil.rig.schema import LawConfig, RigConfig, RigError, TaskConfig
 
 DEEPEST_OVERRIDE = 8  # keys in one another
 # Of a table with a `name`: what belongs to the class it names. An override of the name comes first and drops them.
@@ -163,23 +163,47 @@ def task_of_file(rig: RigConfig, path: Path, overrides: Sequence[str] = ()) -> T
     """Another task for a rig: of a TOML file the table [task], of a CSV or NPZ file the path. overrides: key=value, of
     [task] alone. Raises RigError naming file, key or row and column.
     """
-    if path.suffix.lower() == ".toml":
-        try:
-            table = read_toml(path).get("task")
-        except OSError as error:
-            raise RigError([f"{path}: {error.strerror or error}"]) from None
-        except TomlError as error:
-            raise RigError([f"{path}: {error}"]) from None
-        if table is None:
-            raise RigError([f"{path}: there is no table [task]"])
-    else:
-        table = {"kind": "path", "file": path.name}
-    if strange := [text for text in overrides if not text.strip().startswith("task.")]:
-        raise RigError([f"--set {shown(strange[0])}: only keys of [task] can be chosen here"])
+    toml = path.suffix.lower() == ".toml"
+    table = _table_of(path, "task") if toml else {"kind": "path", "file": path.name}
+    _only("task", overrides)
     try:
         return build_rig({**rig.model_dump(mode="json"), "task": table}, overrides, folder=path.parent).task
     except RigError as error:
         raise error.of_file(path) from None
+
+
+def law_of_file(rig: RigConfig, path: Path | None, overrides: Sequence[str] = ()) -> LawConfig:
+    """Another law for a rig: the table [law] of a TOML file, or the rig's own. overrides: key=value, of [law] alone.
+    Raises RigError naming file or key.
+    """
+    _only("law", overrides)
+    renamed = any(text.partition("=")[0].strip() == "law.name" for text in overrides)
+    kept = {"name", "tuned"} if renamed else {"name", "tuned", "gains"}  # gains are those of the law named
+    table = _table_of(path, "law") if path else rig.law.model_dump(mode="json", include=kept)
+    folder = path.parent if path else Path()
+    try:
+        return build_rig({**rig.model_dump(mode="json"), "law": table}, overrides, folder=folder).law
+    except RigError as error:
+        raise (error.of_file(path) if path else error) from None
+
+
+def _table_of(path: Path, name: str) -> Any:
+    """A table of a TOML file. Raises RigError."""
+    try:
+        table = read_toml(path).get(name)
+    except OSError as error:
+        raise RigError([f"{path}: {error.strerror or error}"]) from None
+    except TomlError as error:
+        raise RigError([f"{path}: {error}"]) from None
+    if table is None:
+        raise RigError([f"{path}: there is no table [{name}]"])
+    return table
+
+
+def _only(table: str, overrides: Sequence[str]) -> None:
+    """Raises RigError where an override is of another table."""
+    if strange := [text for text in overrides if not text.strip().startswith(f"{table}.")]:
+        raise RigError([f"--set {shown(strange[0])}: only keys of [{table}] can be chosen here"])
 
 
 def rig_hash(rig: RigConfig) -> str:

@@ -61,18 +61,25 @@ class CommandClient(Closing):
 
     def load_task(self, document: str) -> Verdict:
         """Ask for another task, a [task] as JSON, and wait until it is loaded or refused. Raises NoGatewayError."""
+        return self._load(CommandKind.LOAD_TASK, document)
+
+    def set_law(self, document: str) -> Verdict:
+        """Ask for another law, a [law] as JSON, and wait until it is set or refused. Raises NoGatewayError."""
+        return self._load(CommandKind.SET_LAW, document)
+
+    def _load(self, kind: CommandKind, document: str) -> Verdict:
         data = zlib.compress(document.encode())
         parts = [data[at : at + PART] for at in range(0, len(data), PART)]
         for part in parts[:-1]:
-            verdict = self.command(CommandKind.LOAD_TASK, part, more=True)
+            verdict = self.command(kind, part, more=True)
             if not verdict.accepted:
                 return verdict
-        return self.command(CommandKind.LOAD_TASK, parts[-1], patience_s=TASK_S)
+        return self.command(kind, parts[-1], patience_s=TASK_S)
 
     def command(
         self, kind: CommandKind, task: bytes = b"", *, more: bool = False, patience_s: float = REPLY_S
     ) -> Verdict:
-        """Ask, and wait for the verdict. task: a part of one, of a LOAD_TASK. Raises NoGatewayError."""
+        """Ask, and wait for the verdict. task: a part of what LOAD_TASK and SET_LAW load. Raises NoGatewayError."""
         reply = self._ask(pb.CommandRequest(kind=kind, task=task, more=more), patience_s)
         return self._verified(kind, reply) if self._ring and reply.tick else _told(reply)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.base.toml_file import short
 from hil.analysis.feasibility import violations
+from hil.cycle.command_desk import LOADS
 from hil.cycle.goal import MotionWord
 from hil.cycle.limits import axis_limits, motion_limits
 from hil.cycle.rest_watch import SETTLED_S
@@ -40,7 +41,7 @@ _MOST_PROBLEMS, _LONGEST_PROBLEM = 3, 160  # in a reply: it has to fit a message
 class _Pending(NamedTuple):
     asked: Asked
     until_ns: int
-    task: Prepared = Prepared("")  # of a LOAD_TASK
+    loaded: Prepared = Prepared("")  # of a LOAD_TASK or SET_LAW
 
 
 class Gateway:
@@ -48,7 +49,7 @@ class Gateway:
 
     rig: longest life of a command, and why its task cannot begin somewhere; of a run, `follow` tells the one that
     counts. stop: the rig's stop page. record: takes every entry. problems: what stands against the drives now, in
-    words (hil/events/notes.py). task: where the file of another task goes. goals: of clients elsewhere.
+    words (hil/events/notes.py). task: where the file of another task or law goes. goals: of clients elsewhere.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Gateway:
         if not reason and asked.request.HasField("goal"):
             self.goals.take(asked, now_ns)
             return
-        if not reason and asked.request.kind == CommandKind.LOAD_TASK:
+        if not reason and asked.request.kind in LOADS:
             reason = self._collect(asked)
             if not reason and asked.request.more:
                 asked.connection.answer(pb.CommandReply(accepted=True, now_ns=now_ns, sequence=asked.request.sequence))
@@ -120,16 +121,16 @@ class Gateway:
 
     @staticmethod
     def _collect(asked: Asked) -> str:
-        """Put a part of a task behind the others."""
+        """Put a part of a task or law behind the others."""
         connection = asked.connection
         connection.upload += asked.request.task
         if len(connection.upload) <= MOST_BYTES:
             return ""
         connection.upload = b""
-        return f"the task is longer than {MOST_BYTES} bytes, compressed"
+        return f"what is sent is longer than {MOST_BYTES} bytes, compressed"
 
     def advance(self, mailbox: Mailbox | None, now_ns: int, state: str) -> None:
-        """Go on with goals, and with a task that is being loaded."""
+        """Go on with goals, and with a task or law that is being loaded."""
         self.goals.advance(now_ns)
         ended = self._loader.advance(mailbox, now_ns)
         if ended is None:
@@ -178,9 +179,9 @@ class Gateway:
                     reason = "" if accepted else self._explain(kind, expires_ns, record)
                     reply = _reply(record, first + int(place), now_ns, reason)
                     reply.posted = int(command["sequence"])
-                    if accepted and pending.task.rig is not None:
-                        self._rig = pending.task.rig
-                    self._answer(pending.asked, reply, pending.task.document)
+                    if accepted and pending.loaded.rig is not None:
+                        self._rig = pending.loaded.rig
+                    self._answer(pending.asked, reply, pending.loaded.document)
 
     def _explain(self, kind: CommandKind, expires_ns: int, record: np.void) -> str:
         """Why it was refused, and what stands against the drives, which is most often why."""
@@ -258,6 +259,8 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
         return "refused: " + (" and ".join(reasons) or missing_heartbeat)
     if kind is CommandKind.LOAD_TASK and (state is State.READY or record["motion"] == MotionWord.HOLD):
         return "refused: the task cannot begin where the axes stand"
+    if kind is CommandKind.SET_LAW and (state is State.READY or record["motion"] == MotionWord.HOLD):
+        return "refused: it came without a law"
     if kind is CommandKind.RESET and state in (State.FAULT, State.ESTOP):
         moving = " and ".join(_moving(rig, record))
         cause = f"the cause of the fault is still there, or an axis moved in the last {SETTLED_S:g} s"

@@ -23,7 +23,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from drivers.frame import Frame
 from hil.cycle.record import RECORD
-from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, Tick
+from hil.cycle.tick import CommandKind, CycleResult, Tick
 from hil.events.event import Event
 from hil.rig.provenance import describe_run
 from hil.rig.schema import RigConfig
@@ -250,7 +250,9 @@ class LockstepRecorder:
     def observe(self, tick: Tick, _frames: Sequence[Frame], result: CycleResult) -> None:
         """Take one tick in."""
         if tick.task:
-            self._note_task(tick, tick.task)
+            self._note_loaded(tick, CommandKind.LOAD_TASK, tick.task.document)
+        if tick.law:
+            self._note_loaded(tick, CommandKind.SET_LAW, tick.law.document)
         self._records[self._held] = result.record
         self._held += 1
         if self._held == BATCH:
@@ -262,10 +264,9 @@ class LockstepRecorder:
             self._recorder.write("events", event.time_ns, encode(event, self._told, 0).SerializeToString())
             self._told += 1
 
-    def _note_task(self, tick: Tick, task: LoadedTask) -> None:
-        kind = CommandKind.LOAD_TASK
+    def _note_loaded(self, tick: Tick, kind: CommandKind, document: str) -> None:
         posted = next(command.sequence for command in tick.commands if command.kind == kind)
-        entry = pb.CommandEntry(kind=kind, when_ns=tick.now_ns, posted=posted, task=task.document.encode())
+        entry = pb.CommandEntry(kind=kind, when_ns=tick.now_ns, posted=posted, task=document.encode())
         self._recorder.write("commands", tick.now_ns, entry.SerializeToString())
 
     def _flush(self) -> None:

@@ -27,15 +27,15 @@ def learnt_of_run(
     """The rig of a recording, and by axis what its law had learnt; no axis where it learns no repeats by itself.
     permitted, prepare: as of replay_run. Raises RecordingError, RigError.
     """
-    from hil.virtual.replay import Tasks, new_cycle, steps
+    from hil.virtual.replay import Loads, new_cycle, steps
 
     with ExitStack() as stack:
         rig, base_dir = stack.enter_context(rig_of_run(recording.metadata))
         stack.enter_context(plugins.only(permitted))
         prepare()
-        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
+        cycle, loads = new_cycle(rig, base_dir), Loads(recording, rig)
         for step in steps(recording):
-            step.tick.task = tasks.of(step.tick)
+            loads.into(step.tick)
             cycle.step(step.tick, step.received)
         laws = getattr(cycle.axes.law, "laws", [])
         states = [law.learnt_state() for law in laws]

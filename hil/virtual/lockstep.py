@@ -23,9 +23,9 @@ from drivers.wire.wire import Wire
 from hil.cycle.goal import Goal
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
-from hil.cycle.tick import CommandKind, CycleResult, LoadedTask, OperatorCommand, Tick
-from hil.live.task_loading import loaded_task, rig_with_task, task_document
-from hil.rig.schema import RigConfig, TaskConfig
+from hil.cycle.tick import CommandKind, CycleResult, LoadedLaw, LoadedTask, OperatorCommand, Tick
+from hil.live.task_loading import law_document, loaded_law, loaded_task, rig_with_law, rig_with_task, task_document
+from hil.rig.schema import LawConfig, RigConfig, TaskConfig
 from hil.virtual.emulate import emulated_outputs, emulated_sensors
 from sim_plant.drives.servo import NEVER_NS
 from sim_plant.emulator import EmulatedStage
@@ -96,6 +96,7 @@ class LockstepRun:
         self.estop = False  # the stop line is pressed: for one tick
         self.truth = self.stage.sampled  # positions, velocities at the samples the latest tick worked on, m, m/s
         self._task: LoadedTask | None = None  # to be loaded in the next tick
+        self._law: LoadedLaw | None = None  # to be set in it
         self.grants = {"recorder_ok": True, "realtime_ok": True, "rig_ok": True}  # as Tick has them
 
     def _wired(self) -> Wire | WireSegments:
@@ -147,6 +148,10 @@ class LockstepRun:
         """Ask for another task in the next tick; it is taken in READY. Raises RigError, ValueError as plan_task."""
         self._task = loaded_task(rig_with_task(self.rig, task_document(task)))
 
+    def set_law(self, law: LawConfig) -> None:
+        """Ask for another law in the next tick; it is taken at rest. Raises RigError, ValueError as make_axis_laws."""
+        self._law = loaded_law(rig_with_law(self.rig, law_document(law)))
+
     def skip(self, slots: int) -> None:
         """Let `slots` periods pass without a tick: the control process was held up."""
         self.index += slots
@@ -178,10 +183,11 @@ class LockstepRun:
             stop=self.stop,
             estop=self.estop,
             task=self._task,
+            law=self._law,
             goals=tuple(self.goals),
             **self.grants,
         )
-        self._task = None
+        self._task = self._law = None
         self.goals = []
         self.estop = False
         result = self.cycle.step(tick, frames)
@@ -222,8 +228,9 @@ class LockstepRun:
 
     def _commands(self, now: int) -> tuple[OperatorCommand, ...]:
         commands = []
-        load = (CommandKind.LOAD_TASK,) if self._task else ()
-        for kind in (*self._operator(self, self.index), *load):
+        task = (CommandKind.LOAD_TASK,) if self._task else ()
+        law = (CommandKind.SET_LAW,) if self._law else ()
+        for kind in (*self._operator(self, self.index), *task, *law):
             self._command_sequence += 1
             commands.append(OperatorCommand(kind, self._command_sequence, now + _COMMAND_LIFE_NS))
         return tuple(commands)

@@ -13,12 +13,13 @@ from google.protobuf.message import DecodeError
 
 from drivers.base import plugins
 from drivers.frame import Frame
+from hil.cycle.command_desk import LOADS
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
 from hil.cycle.step import ControlCycle
-from hil.cycle.tick import CommandKind, LoadedTask, Tick
+from hil.cycle.tick import CommandKind, Tick
 from hil.events.event import Event
 from hil.events.sources import events_of
-from hil.live.task_loading import loaded_task, rig_with_task
+from hil.live.task_loading import loaded_law, loaded_task, rig_with_law, rig_with_task
 from hil.rig.baseline_file import is_baseline
 from hil.rig.carried_code import carried_code
 from hil.rig.provenance import other_version, rig_of_run
@@ -68,9 +69,13 @@ def new_cycle(rig: RigConfig, base_dir: Path) -> ControlCycle:
 
 
 class _Comparison:
-    """Runs a second rig over the same ticks; how its force differs, in open loop: the stage did not feel it."""
+    """Runs a second rig over the same ticks; how its force differs, in open loop: the stage did not feel it.
 
-    def __init__(self, rig: RigConfig, base_dir: Path) -> None:
+    recorded: the rig that ran. Laws that were set while it did are set here only where both have one law.
+    """
+
+    def __init__(self, rig: RigConfig, base_dir: Path, recorded: RigConfig) -> None:
+        self._keeps_law = rig.law != recorded.law
         self._names = rig.axis_names
         self._cycle = new_cycle(rig, base_dir)
         self._squares = np.zeros(len(self._names))
@@ -80,6 +85,8 @@ class _Comparison:
 
     def step(self, recorded: codec.RecordedTick, force: np.ndarray) -> None:
         n = len(self._names)
+        if self._keeps_law:
+            recorded.tick.law = None
         other = self._cycle.step(recorded.tick, recorded.received).record["force"][:n]
         difference = np.abs(other - force[:n])
         self._squares += difference**2
@@ -103,8 +110,8 @@ def _check(step: codec.RecordedTick) -> None:
         raise ValueError(f"the times or counters of tick {tick.index}")
 
 
-def loaded_tasks(recording: Recording) -> dict[int, str]:
-    """The tasks that were loaded on the way, by the number of the command that did."""
+def loaded_documents(recording: Recording) -> dict[int, str]:
+    """The tasks and laws that were loaded on the way, by the number of the command that did."""
     found = {}
     for item in recording:
         if item.topic == "commands":
@@ -112,34 +119,38 @@ def loaded_tasks(recording: Recording) -> dict[int, str]:
                 entry = pb.CommandEntry.FromString(item.data)
             except DecodeError as error:
                 raise RecordingError(f"{recording.path}: a command makes no sense: {error}") from None
-            if entry.kind == CommandKind.LOAD_TASK and entry.task:
+            if entry.kind in LOADS and entry.task:
                 found[entry.posted] = entry.task.decode(errors="replace")
     return found
 
 
-class Tasks:
-    """What a recording's LOAD_TASK commands load, planned anew for a rig."""
+class Loads:
+    """What a recording's LOAD_TASK and SET_LAW commands load, made anew for a rig."""
 
     def __init__(self, recording: Recording, rig: RigConfig) -> None:
         self._recording, self._rig = recording, rig
         self._documents: dict[int, str] | None = None
 
-    def of(self, tick: Tick) -> LoadedTask | None:
-        """That of a tick's command, if it has one. Raises RecordingError."""
+    def into(self, tick: Tick) -> None:
+        """Give a tick what its commands load, if they do. Raises RecordingError."""
         for command in tick.commands:
-            if command.kind == CommandKind.LOAD_TASK:
+            if command.kind in LOADS:
                 if self._documents is None:
-                    self._documents = loaded_tasks(self._recording)
-                return self._planned(self._documents.get(command.sequence, ""), tick.index)
-        return None
+                    self._documents = loaded_documents(self._recording)
+                self._load(tick, command.kind, self._documents.get(command.sequence, ""))
 
-    def _planned(self, document: str, index: int) -> LoadedTask:
+    def _load(self, tick: Tick, kind: int, document: str) -> None:
+        what = "law" if kind == CommandKind.SET_LAW else "task"
+        named = f"{self._recording.path}: the {what} that tick {tick.index} loads"
         if not document:
-            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads is not in it")
+            raise RecordingError(f"{named} is not in it")
         try:
-            return loaded_task(rig_with_task(self._rig, document))
+            if kind == CommandKind.SET_LAW:
+                tick.law = loaded_law(rig_with_law(self._rig, document))
+            else:
+                tick.task = loaded_task(rig_with_task(self._rig, document))
         except (RigError, ValueError) as error:
-            raise RecordingError(f"{self._recording.path}: the task that tick {index} loads: {error}") from None
+            raise RecordingError(f"{named}: {error}") from None
 
 
 def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
@@ -186,10 +197,10 @@ def replay_run(
         stack.enter_context(plugins.only({*permitted, *(code.digest for code in chosen)}))
         prepare()
         report = Replayed(str(path), rig.name, meta["rig_hash"], meta["version"])
-        cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
+        cycle, loads = new_cycle(rig, base_dir), Loads(recording, rig)
         baseline = meta.get("baseline")
         stream = events_of(rig, baseline if is_baseline(baseline, rig.axis_names) else None)
-        other = _Comparison(*changed) if changed else None
+        other = _Comparison(*changed, rig) if changed else None
         gaps = Gaps()
         for step in steps(recording):
             gaps.add(step.ring, 1, 0, damaged=recording.truncated)
@@ -197,7 +208,7 @@ def replay_run(
                 report.gap_at = report.ticks if report.gap_at is None else report.gap_at
                 report.not_compared += 1
                 continue
-            step.tick.task = tasks.of(step.tick)
+            loads.into(step.tick)
             result = cycle.step(step.tick, step.received)
             report.events += stream.observe(cycle, result.record)
             report.ticks += 1
@@ -235,12 +246,12 @@ def exact_motion(path: Path) -> dict[str, np.ndarray] | None:
     kept: list[bytes] = []
     with rig_of_run(recording.metadata) as (rig, base_dir), plugins.only(()):
         try:
-            cycle, tasks = new_cycle(rig, base_dir), Tasks(recording, rig)
+            cycle, loads = new_cycle(rig, base_dir), Loads(recording, rig)
         except RigError:
             return None
         fields = [*_EXACT, "readings"] if rig.sensors else _EXACT
         for step in steps(recording):
-            step.tick.task = tasks.of(step.tick)
+            loads.into(step.tick)
             result = cycle.step(step.tick, step.received)
             if step.ring != len(kept) or bytes_of(result.frames) != bytes_of(step.sent):
                 return None

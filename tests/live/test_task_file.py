@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.cycle.state_machine import State
-from hil.live.task_file import PIECES, TaskIntake, task_bytes
-from hil.live.task_loading import loaded_task
+from hil.cycle.tick import CommandKind, LoadedLaw, OperatorCommand
+from hil.live.task_file import PIECES, TaskIntake, law_bytes, task_bytes
+from hil.live.task_loading import loaded_law, loaded_task
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from tests.live.test_loop import NO_ACK, UnpoweredDrives, loop_beside
@@ -101,6 +102,43 @@ def test_the_task_of_another_number_or_rig_is_not_taken(tmp_path: Path) -> None:
     assert missing.task is None
 
 
+@pytest.mark.parametrize("overrides", [["law.name=structured-kalman"], ["law.name=pid", "law.gains.ki=[1.5, 2.5]"]])
+def test_the_law_that_arrives_is_the_law_that_was_sent(overrides: list[str], tmp_path: Path) -> None:
+    rig, made = load_rig(RIGS / "paper.toml", overrides), []
+    sent = loaded_law(rig)
+    (tmp_path / "law").write_bytes(law_bytes(7, sent))
+
+    def make(law: LoadedLaw) -> bool:
+        made.append(law)
+        return len(made) == 3
+
+    intake = TaskIntake(tmp_path / "law", 7, rig, make)
+    for pieces in range(5):
+        assert not intake.done, pieces
+        intake.work()
+    assert intake.done
+    assert intake.task is None
+    assert intake.law is not None
+    assert made == [intake.law] * 3
+    assert intake.law.law.effective_gains() == rig.law.effective_gains()
+    assert (intake.law.law.name, intake.law.designed) == (rig.law.name, sent.designed)
+
+
+def test_a_law_that_cannot_be_made_or_is_damaged_is_none(tmp_path: Path) -> None:
+    rig = rig_with("hold")
+    data = law_bytes(7, loaded_law(rig))
+
+    def make(_law: LoadedLaw) -> bool:
+        raise ValueError("law.gains.kp")
+
+    for at in (*range(0, len(data), 7), len(data)):
+        (tmp_path / "law").write_bytes(data[:at] + bytes([(data[at] ^ 1)]) + data[at + 1 :] if at < len(data) else data)
+        intake = TaskIntake(tmp_path / "law", 7, rig, make)
+        while not intake.done:
+            intake.work()
+        assert intake.law is intake.task is None
+
+
 class Box:
     """A mailbox in which somebody has posted task 7."""
 
@@ -138,4 +176,28 @@ def test_the_loop_takes_a_task_in_piece_by_piece_while_no_axis_is_under_torque(
         assert loop._task is intake.task is not None
         loop._look_for_task()
         assert loop._intake is None, "it is the same one"
+        loop.parts.ring.close()
+
+
+@pytest.mark.replaces_methods
+def test_the_loop_makes_a_law_axis_by_axis_and_forgets_it_with_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with loop_beside(UnpoweredDrives(NO_ACK, []), tmp_path, monkeypatch) as loop:
+        box, axes = Box(), loop._cycle.axes
+        loop.parts.task_file.write_bytes(law_bytes(7, loaded_law(loop._cycle.rig)))
+        monkeypatch.setattr(loop, "_mailbox", box)
+        loop._look_for_task()
+        pieces = 0
+        while loop._intake is not None:
+            loop._take_task_in(loop._intake)
+            pieces += 1
+        assert pieces == 3 + len(loop._cycle.rig.axes)  # header, checksum, gains, and a law for each axis
+        assert box.answers == [(7, True)]
+        law = loop._law
+        assert law is not None
+        assert axes.make_law(law), "nothing is left to do in the tick"
+        loop._cycle.commands.handled = [(OperatorCommand(CommandKind.SET_LAW, 1, 0), True)]
+        loop._after_commands()
+        assert loop._law is None
         loop.parts.ring.close()

@@ -174,7 +174,7 @@ def test_the_recording_holds_the_task(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_lost_the_task_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(LockstepRecorder, "_note_task", lambda *_: None)
+    monkeypatch.setattr(LockstepRecorder, "_note_loaded", lambda *_: None)
     recorded(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match=r"the task that tick \d+ loads is not in it"):
         replay_run(tmp_path / "run.mcap")

@@ -46,6 +46,7 @@ ROOMS = {
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
          "tests/control/test_repeat_memory.py", *_RUNS,
+         "tests/control/test_handover.py", "tests/live/test_law_setting.py",
          "tests/control/test_laws.py", "tests/control/test_gain.py", _PAGES, "tests/control/test_user_laws.py",
          "tests/virtual/test_learnt.py"),
     ),

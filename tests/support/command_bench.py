@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.cycle.record import RECORD
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind, LoadedTask
+from hil.cycle.tick import CommandKind, LoadedLaw, LoadedTask
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingReader, RingWriter
 from hil.live.stop_line import StopLine
@@ -23,7 +23,8 @@ from hil.telemetry.gateway import Gateway
 from tests.support.paths import RIGS
 
 RIG = load_rig(RIGS / "microscope-ideal.toml", ["safety.command_expiry_s=0.5"])
-ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE, CommandKind.LOAD_TASK})
+ACCEPTED = frozenset({CommandKind.STOP, CommandKind.HEARTBEAT, CommandKind.ACTIVATE, CommandKind.LOAD_TASK,
+                      CommandKind.SET_LAW})  # fmt: skip
 
 
 class CommandBench:
@@ -44,6 +45,7 @@ class CommandBench:
         self._server = CommandServer(directory / "commands", remote)
         self._gateway = Gateway(RIG, directory / "stop", self.entries.append, lambda: self.problems, directory / "task")
         self.tasks: list[LoadedTask | None] = []  # what was taken in
+        self.laws: list[LoadedLaw] = []  # the same of laws
         self._seen = 0
         self._thread = threading.Thread(target=self._run)
 
@@ -71,8 +73,11 @@ class CommandBench:
             intake = TaskIntake(self.directory / "task", self._seen, RIG)
             while not intake.done:
                 intake.work()
-            self.tasks.append(intake.task)
-            self._mailbox.answer_task(self._seen, ready=intake.task is not None)
+            if intake.law is None:
+                self.tasks.append(intake.task)
+            else:
+                self.laws.append(intake.law)
+            self._mailbox.answer_task(self._seen, ready=intake.task is not None or intake.law is not None)
         pressed, commands, record = self._stop.pressed(), self._mailbox.poll(), self._record
         state = State.ESTOP if pressed else State.READY
         record["now_ns"], record["state"], record["flags"] = now_ns, state, ESTOP * pressed

@@ -159,7 +159,7 @@ def test_parts_of_a_task_are_accepted_until_they_are_too_long_and_then_forgotten
     assert len(desk.connection.upload) == MOST_BYTES
     assert desk.entries == [], "a part is no command"
     desk.take(CommandKind.LOAD_TASK, 3, task=b"x", more=True)
-    assert desk.replies[-1].reason == "the task is longer than 2097152 bytes, compressed"
+    assert desk.replies[-1].reason == "what is sent is longer than 2097152 bytes, compressed"
     assert desk.connection.upload == b""
 
 
@@ -244,6 +244,8 @@ STILL_THERE = "the cause of the fault is still there, or an axis moved in the la
          "start"),
         (CommandKind.LOAD_TASK, tick(), 0, [], "refused: the task cannot begin where the axes stand"),
         (CommandKind.LOAD_TASK, tick(State.HOMING), 0, [], "LOAD_TASK is not possible in state HOMING"),
+        (CommandKind.SET_LAW, tick(), 0, [], "refused: it came without a law"),
+        (CommandKind.SET_LAW, tick(State.HOMING), 0, [], "SET_LAW is not possible in state HOMING"),
         (CommandKind.RESET, tick(State.FAULT), 0, [], f"refused in FAULT: {STILL_THERE}"),
         (CommandKind.RESET, tick(State.ESTOP), 0, [], f"refused in ESTOP: {STILL_THERE}"),
         (CommandKind.RESET, tick(State.READY), 0, [], "RESET is not possible in state READY"),

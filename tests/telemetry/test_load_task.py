@@ -16,12 +16,13 @@ import hil
 from hil.cli.app import build_app
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import runtime_paths
+from hil.live.task_loading import law_document
 from hil.telemetry.command_client import CommandClient, local_client, remote_client
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.task_loader import MOST_BYTES
 from hil.virtual.replay import replay_run
 from tests.support.certificates import certificates
-from tests.support.command_bench import CommandBench
+from tests.support.command_bench import RIG, CommandBench
 from tests.support.live_rig import PAPER, Control, emulated
 from tests.support.paths import ROOT
 from tests.telemetry.test_commands import free_port
@@ -105,6 +106,36 @@ def test_a_dead_control_process_is_told(tmp_path: Path, monkeypatch: pytest.Monk
     with CommandBench(tmp_path / "rig") as bench, local_client(bench.directory) as asking:
         bench.dead = True
         assert "not ready after" in asking.load_task(json.dumps(SMALL)).reason
+
+
+def test_a_law_is_set_and_recorded(client: tuple[CommandClient, CommandBench]) -> None:
+    asking, bench = client
+    chosen = RIG.law.model_copy(update={"name": "pd-feedforward"})
+    verdict = asking.set_law(law_document(chosen))
+    assert (verdict.accepted, verdict.reason) == (True, "")
+    (entry,) = bench.entries
+    assert (entry.kind, entry.accepted, entry.posted) == (CommandKind.SET_LAW, True, 1)
+    assert json.loads(entry.task) == {"name": "pd-feedforward", "gains": chosen.effective_gains()}
+    (law,) = bench.laws
+    assert law.law.gains == chosen.effective_gains() != {}
+    assert bench.tasks == []
+
+
+@pytest.mark.parametrize(("law", "text"), [
+    ({"name": "pd-feedforward", "gains": {"kp": 1e9, "kd": 150.0}},
+     "law 'pd-feedforward' is unstable on axis 'x' at 1000 Hz"),  # as `hil check` has it
+    ({"name": "pd-feedforward", "gains": {"kq": 1.0}}, "law.gains.kq: pd-feedforward has kp, kd"),
+    ({"name": "./evil.py:Evil"}, "one of hil's own laws is set"),
+    ({"name": "pid", "iterative_learning": True}, "a law that learns is not set"),
+])  # fmt: skip
+def test_a_law_that_cannot_be_is_refused_with_its_reason(
+    law: dict[str, object], text: str, client: tuple[CommandClient, CommandBench]
+) -> None:
+    asking, bench = client
+    verdict = asking.set_law(json.dumps(law))
+    assert not verdict.accepted
+    assert text in verdict.reason
+    assert bench.laws == []
 
 
 # live -----------------------------------------------------------------------------------------------------------------

@@ -72,11 +72,11 @@ class _Watched:
 class EstimatedAxes:
     """AxisLaws (laws/base.py) of a rig's law behind its users' estimators, one an axis. model: arrays (n_axes,).
 
-    laws: those of the law, where it has one an axis. Raises ValueError naming the key.
+    law: behind the estimators. laws: those of the law, where it has one an axis. Raises ValueError naming the key.
     """
 
     def __init__(self, law: AxisLaws, rig: RigConfig, model: Any) -> None:
-        self._law, maker = law, _Maker(rig)
+        self.law, maker = law, _Maker(rig)
         self._limited = maker.limited("update", self._fail)
         models = [axis_model(model, axis) for axis in range(len(rig.axes))]
         self._estimators = [maker.make(axis, own) for axis, own in enumerate(models)]
@@ -87,17 +87,17 @@ class EstimatedAxes:
     @property
     def laws(self) -> Sequence[Law]:
         """See PerAxis."""
-        return getattr(self._law, "laws", ())
+        return getattr(self.law, "laws", ())
 
     @property
     def failure(self) -> str:
         """Why the estimator no longer counts, or else the law."""
-        return self._failure or self._law.failure
+        return self._failure or self.law.failure
 
     @property
     def denominator_floors(self) -> int:
         """See AxisLaws."""
-        return self._law.denominator_floors
+        return self.law.denominator_floors
 
     def reset(self, position: Sequence[float], force: Sequence[float]) -> None:
         """See AxisLaws."""
@@ -107,7 +107,7 @@ class EstimatedAxes:
         with self._limited:
             for estimator, q in zip(self._estimators, position, strict=True):
                 estimator.reset(q)
-        self._law.reset(position, force)
+        self.law.reset(position, force)
 
     def _fail(self, why: str) -> None:
         self._failure = why
@@ -116,7 +116,7 @@ class EstimatedAxes:
         """See AxisLaws; NaN for all axes where an estimator has failed. The estimates of `axes` are replaced."""
         if not self._failure:
             self._estimate(axes)
-        return [math.nan] * len(axes) if self._failure else self._law.force(axes)
+        return [math.nan] * len(axes) if self._failure else self.law.force(axes)
 
     def _estimate(self, axes: Sequence[Any]) -> None:
         with self._limited:

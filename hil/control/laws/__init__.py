@@ -3,7 +3,7 @@
 Their names are in hil/control/law_registry.py, which also finds the laws that users bring.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ from hil.control.number import Number
 from hil.rig.law_names import KIND
 from hil.rig.schema import LawConfig
 
-__all__ = ["law_on_arrays", "make_axis_laws", "make_law"]
+__all__ = ["AxisLawMaker", "designed_laws", "law_on_arrays", "make_axis_laws", "make_law"]
 
 
 def _word(key: str, value: Any, gain: Gain) -> str:
@@ -80,19 +80,68 @@ def make_axis_laws(
     if not ours and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
         return interpreted_axis_laws(law, model, period, force_limit, repeat)
     made, n = law_class(law, __name__), model.mass.size
-    gains = _known_gains(law, n)
-    make = made if ours else _guarded(law, made)
     if not ours and made.coupled:
-        return UserAxes([_construct(law, make, gains, model, period, force_limit, repeat)], law.name, n)
-    axes = []
-    for axis in range(n):
-        own, limit = _axis_gains(gains, axis), float(force_limit[axis])
-        axes.append(_construct(law, make, own, axis_model(model, axis), period, limit, repeat))
+        whole = _construct(law, _guarded(law, made), _known_gains(law, n), model, period, force_limit, repeat)
+        return UserAxes([whole], law.name, n)
+    maker = AxisLawMaker(law, model, period, force_limit, repeat)
+    while not maker.work():
+        pass
+    return maker.made()
+
+
+class AxisLawMaker:
+    """make_axis_laws for laws of one axis each, one at a time: a tick of a rig that runs has no time for all.
+
+    designed: by axis, what `designed_laws` says of laws that were made from the same arguments. Raises ValueError as
+    make_axis_laws.
+    """
+
+    def __init__(
+        self, law: LawConfig, model: Any, period: float, force_limit: Array, repeat: tuple[int, int] | None = None,
+        designed: Sequence[Sequence[float]] = (),
+    ) -> None:  # fmt: skip
+        self._law, self._model, self._period, self._limit, self._repeat = law, model, period, force_limit, repeat
+        self._designed, self._count = designed, int(model.mass.size)
+        self._gains = _known_gains(law, self._count)
+        made = law_class(law, __name__)
+        self._make = made if is_built_in(law) else _guarded(law, made)
+        self._axes: list[Law] = []
+        self._coupled: AxisLaws | None = None
+
+    def work(self) -> bool:
+        """One axis more. Returns whether all are made."""
+        if self.whole:
+            return True
+        axis, law, period = len(self._axes), self._law, self._period
+        gains = _axis_gains(self._gains, axis)
+        if self._designed:
+            gains["designed"] = list(self._designed[axis])
+        model, limit = axis_model(self._model, axis), float(self._limit[axis])
+        made = _construct(law, self._make, gains, model, period, limit, self._repeat)
         if law.learnt_state:
-            axes[axis].begin_learnt(list(law.learnt_state[axis]))
-    if not ours:
-        return UserAxes(axes, law.name, n)
-    return Coupled(law, model, period, force_limit, repeat) if axes[0].coupled else PerAxis(axes)
+            made.begin_learnt(list(law.learnt_state[axis]))
+        if made.coupled:
+            self._coupled = Coupled(law, self._model, period, self._limit, self._repeat)
+        else:
+            self._axes.append(made)
+        return self.whole
+
+    @property
+    def whole(self) -> bool:
+        """Whether all axes are made."""
+        return self._coupled is not None or len(self._axes) == self._count
+
+    def made(self) -> AxisLaws:
+        """What came of it, once `work` has said that all are made."""
+        if self._coupled is not None:
+            return self._coupled
+        return PerAxis(self._axes) if is_built_in(self._law) else UserAxes(self._axes, self._law.name, self._count)
+
+
+def designed_laws(laws: AxisLaws) -> list[list[float]]:
+    """By axis, what took long to find for laws that were made here: `designed` of AxisLawMaker. Empty: nothing did."""
+    found = [law.designed() for law in laws.laws] if isinstance(laws, PerAxis) else []
+    return found if any(found) else []
 
 
 def law_on_arrays(law: LawConfig) -> Callable[..., Law]:

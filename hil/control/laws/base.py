@@ -157,6 +157,12 @@ class Law(ABC):
         """Begin with that from the next reset on. Raises ValueError naming law.learnt."""
         raise ValueError("law.learnt: this law keeps nothing that it learns")
 
+    def designed(self) -> list[Number]:
+        """Of a law that takes long to make: what took long, which makes the same law at once as its argument
+        `designed`.
+        """
+        return []
+
     def found_of_pulse(self, ticks: int) -> list[Number]:
         """Of a law that learns repeats by itself: what it finds, N, at the end of each period, of a force of 1 N in the
         first that it is not told of.

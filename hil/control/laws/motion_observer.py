@@ -18,6 +18,7 @@ from hil.control.laws.base import Model
 from hil.control.laws.breakaway import anywhere
 from hil.control.number import Number, at_least, at_most, root, select, zeros_like
 
+ORDER = 7  # of the transition: the state, and the force
 LEAST_LAG = 1e-3  # of a period: what no lag is calculated as
 SQUARINGS, TERMS = 12, 8  # of the matrix exponential
 SLOWEST_FADE = 0.995  # a period, of a mode that the model does not damp
@@ -101,6 +102,10 @@ class Gains:
     def __init__(self, e: Number, v: Number, x: Number, n: Number, d: Number) -> None:
         self.e, self.v, self.x, self.n, self.d = e, v, x, n, d
 
+    def values(self) -> list[Number]:
+        """In the order of the arguments."""
+        return [self.e, self.v, self.x, self.n, self.d]
+
     def blend(self, one: "Gains", other: "Gains", share: Number) -> None:
         """Become `one` with `share` (0 to 1) of `other`."""
         self.e = one.e + share * (other.e - one.e)
@@ -113,8 +118,10 @@ class Gains:
 class MotionModel:
     """The axis over one period: coefficients of the state [e, v, f, x, n, d], and the gains of an observer of it."""
 
-    def __init__(self, model: Model, period: float, mode_share: Number = 1.0) -> None:
-        """mode_share: of the model's mode frequency that the observer takes the mode to have."""
+    def __init__(self, model: Model, period: float, mode_share: Number = 1.0, transition: Matrix | None = None) -> None:
+        """mode_share: of the model's mode frequency that the observer takes the mode to have. transition: (7, 7), as
+        another such model of this axis has it; None: it is found.
+        """
         zero = zeros_like(model.mass)
         one = zero + 1.0
         load = zero + model.mode_load
@@ -132,7 +139,7 @@ class MotionModel:
         lag = at_least(zero + model.torque_lag * (1.0 / period), LEAST_LAG)
         # In periods, and in forces of 2 m / T^2 a metre: a constant force of 1 moves the axis by 1 in a period.
         o = zero
-        f = _exponential([
+        f = transition or _exponential([
             [o, one, o, o, o, o, o],
             [o, o, one + 1.0, o, o, -one - 1.0, o],
             [o, o, -one / lag, o, o, o, one / lag],
@@ -141,6 +148,7 @@ class MotionModel:
             [o, o, o, o, o, o, o],
             [o, o, o, o, o, o, o],
         ], one)  # fmt: skip
+        self.transition = f
         self._transition, self._one = [row[:6] for row in f[:6]], one
         metre, self._period = period * period / (2.0 * model.mass), period
         rate = metre / period

@@ -33,7 +33,7 @@ from typing import Any, ClassVar
 from hil.control.gain import TINIEST, Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
-from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver
+from hil.control.laws.motion_observer import ORDER, Channel, Gains, MotionModel, MotionObserver
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
 from hil.control.laws.presliding_gains import of_model
@@ -88,6 +88,7 @@ class PreslidingKalman(Law):
     }
 
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
+        designed: list[Number] = gains.pop("designed", [])
         given, shape = with_defaults(self.GAINS, gains), model.mass
         swings = full_like(shape, model.mode_frequency) * root(1.0 / (1.0 - full_like(shape, model.mode_load))) * period
 
@@ -98,10 +99,15 @@ class PreslidingKalman(Law):
             return full_like(shape, value)
 
         self._model, self._period, self._limit = model, period, full_like(shape, force_limit)
-        self._motion = motion = MotionModel(model, period, gain("mode_share"))
-        mode_noise = gain("mode_noise")
-        self._moving = motion.gains(gain("force_noise"), gain("disturbance_noise"), mode_noise)
-        self._resting = motion.gains(gain("rest_force_noise"), gain("rest_disturbance_noise"), mode_noise)
+        if designed:
+            rows = [designed[at : at + ORDER] for at in range(0, ORDER * ORDER, ORDER)]
+            self._motion = motion = MotionModel(model, period, gain("mode_share"), rows)
+            self._moving, self._resting = Gains(*designed[-10:-5]), Gains(*designed[-5:])
+        else:
+            self._motion = motion = MotionModel(model, period, gain("mode_share"))
+            mode_noise = gain("mode_noise")
+            self._moving = motion.gains(gain("force_noise"), gain("disturbance_noise"), mode_noise)
+            self._resting = motion.gains(gain("rest_force_noise"), gain("rest_disturbance_noise"), mode_noise)
         omega, rest_omega = gain("bandwidth") * (1.0 / period), gain("rest_bandwidth") * (1.0 / period)
         soft_omega = gain("soft_bandwidth") * (1.0 / period)
         self.stiffness = shape * (omega * omega)
@@ -144,6 +150,11 @@ class PreslidingKalman(Law):
             raise ValueError(f"law.learnt: it has {len(state)} values; a state of this law has at least {KEPT}")
         self._memory.begin_with(state[KEPT:])
         self._kept = state[:KEPT]
+
+    def designed(self) -> list[Number]:
+        """See Law: the observer's transition over a period, and its gains in motion and at rest."""
+        found = [value for row in self._motion.transition for value in row]
+        return found + self._moving.values() + self._resting.values()
 
     def found_of_pulse(self, ticks: int) -> list[Number]:
         """See Law; in motion."""
