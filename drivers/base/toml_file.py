@@ -1,5 +1,6 @@
 """Configuration files in TOML: read within stated limits of size and nesting; and values as a refusal shows them."""
 
+import json
 import os
 import re
 import tomllib
@@ -13,6 +14,7 @@ DEEPEST = 32  # points in the keys of one line; tomllib takes a time that grows 
 MOST_PROBLEMS = 50  # shown of one file
 _SHOWN = 120  # characters of a value in a refusal
 _STRING = re.compile(r""" "(?:[^"\\]|\\.)*" | '[^']*' """, re.VERBOSE)  # on one line
+_BARE = re.compile(r"[A-Za-z0-9_-]+")  # a key that needs no quotes
 _DECIMAL = re.compile(r"(?<![\w.])\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
 
 
@@ -52,6 +54,30 @@ def _refuse_deep_keys(text: str) -> None:
             continue
         if _DECIMAL.sub("", _STRING.sub('""', line)).count(".") > DEEPEST:
             raise TomlError(f"not a TOML document we can read: line {number}: nested too deeply: over {DEEPEST} points")
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it on one line: tables inline, keys whose value is None left out."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(_pairs(value)) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def toml_text(document: dict[str, Any]) -> str:
+    """A document as TOML, a line for each of its keys."""
+    return "".join(f"{pair}\n" for pair in _pairs(document))
+
+
+def _pairs(table: dict[str, Any]) -> list[str]:
+    return [
+        f"{key if _BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False)} = {toml_value(value)}"
+        for key, value in table.items()
+        if value is not None
+    ]
 
 
 def shown(value: Any) -> str:

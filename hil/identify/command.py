@@ -2,12 +2,13 @@
 
 import datetime
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hil.cli.exit_status import EXIT_FILE
+from hil.cli.exit_status import EXIT_FAULT, EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
 from hil.cli.output import drawable, write_json
 from hil.identify.estimate import Estimate
@@ -33,6 +34,14 @@ def identify(
     recording: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="identify from this recording; nothing is run")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="in real time on the rig; with bus.interface=local on an emulated stage")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="folder of the live recordings; the same again goes on where it ended [runs/<time>]"),
+    ] = None,
+    agreed: Annotated[bool, typer.Option("--yes", help="ask nothing before the rig moves")] = False,
     write: Annotated[Path | None, typer.Option(help="new rig file with the identified model")] = None,
     picture: Annotated[
         Path | None,
@@ -48,8 +57,8 @@ def identify(
 ) -> None:
     """Identify mass, friction, presliding, lag and resonance of each axis, with 95 % intervals.
 
-    Without --from, the experiments run in virtual time against the emulated stage, never on a real one. Exit status 4:
-    a value of the model was refused.
+    Without --from and --live, the experiments run in virtual time against the emulated stage. Exit status 3: one ended
+    in a fault; 4: a value of the model was refused; 69: a live one did not come to its end.
     """
     from rich.console import Console
 
@@ -57,8 +66,15 @@ def identify(
     names = named_axes(axes, config.axis_names)
     if write and write.exists():
         raise typer.BadParameter(f"{write} exists; name a new file", param_hint="--write")
+    if live and recording:
+        raise typer.BadParameter("nothing moves with --from", param_hint="--live")
+    if (out or agreed) and not live:
+        raise typer.BadParameter("of --live alone", param_hint="--out" if out else "--yes")
     console = Console(stderr=json_target == "-")
-    findings, evidence = _found(config, rig, names, recording, _experiments(only), console)
+    if live:
+        findings, evidence = _found_live(config, rig, names, _experiments(only), console, out, agreed=agreed)
+    else:
+        findings, evidence = _found(config, rig, names, recording, _experiments(only), console)
     _show(console, config, findings)
     if json_target:
         write_json(_document(config, findings, evidence), json_target)
@@ -79,6 +95,8 @@ def identify(
         console.print(
             f"next: hil identify {rig} --write NEW.toml, then hil check NEW.toml", markup=False, soft_wrap=True
         )
+    if any(one.ended for one in findings.values()):
+        raise typer.Exit(EXIT_FAULT)
     if any(name not in NOT_SEEN for one in findings.values() for name in one.refused):
         raise typer.Exit(EXIT_REFUSED)
 
@@ -108,17 +126,51 @@ def _found(
 ) -> tuple[dict[str, Findings], str]:
     """By axis, and the evidence in words."""
     if recording is None:
-        found = run_experiments(
-            config, rig.parent, names, lambda text: console.print(text, markup=False, highlight=False), only
-        )
-        traces = [f"{name} {what} {trace[:12]}" for name in names for what, trace in found[name].evidence.items()]
-        return found, f"in virtual time: {', '.join(traces)}"
+        found = run_experiments(config, rig.parent, names, _teller(console), only)
+        return found, f"in virtual time: {_traces(found)}"
     run = load_run(recording)
     if missing := [name for name in names if name not in run.axes]:
         raise RigError([f"{recording}: no axis {missing[0]}; it has {', '.join(run.axes)}"])
     file = recording / "run.mcap" if recording.is_dir() else recording
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     return {name: from_run(run, name) for name in names}, f"{file.name} sha256 {digest[:16]}"
+
+
+def _found_live(
+    config: RigConfig, rig: Path, names: list[str], only: list[str], console: Any, out: Path | None, *, agreed: bool
+) -> tuple[dict[str, Findings], str]:
+    """By axis, from experiments in real time, and the evidence in words."""
+    from hil.identify.live import LiveError, LiveExperiments, live_runtime  # the processes of a live run
+    from hil.operate.demo_live import Signals
+    from hil.telemetry.blackbox import run_directory
+
+    def agrees(words: str) -> bool:
+        console.print(words, markup=False, highlight=False, soft_wrap=True)
+        return agreed or typer.confirm("Does it move freely, and may it move now?")
+
+    folder = out or run_directory()
+    try:
+        with live_runtime(config) as runtime:
+            runner = LiveExperiments(folder, console, Signals(), agrees, runtime)
+            found = run_experiments(config, rig.parent, names, _teller(console), only, runner)
+    except LiveError as error:
+        console.print(f"hil: {error}\nto go on from there: --live --out {folder}", markup=False, soft_wrap=True)
+        raise typer.Exit(EXIT_UNAVAILABLE) from None
+    return found, f"in real time, {folder}: {_traces(found)}"
+
+
+def _teller(console: Any) -> Callable[[str], None]:
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False)
+
+    return tell
+
+
+def _traces(found: dict[str, Findings]) -> str:
+    """Hashes of the runs."""
+    return ", ".join(
+        f"{name} {what} {trace[:12]}" for name, one in found.items() for what, trace in one.evidence.items()
+    )
 
 
 def _experiments(only: str) -> list[str]:

@@ -1,12 +1,12 @@
-"""The experiments in virtual time against the emulated stage, one after the other, and what follows from each.
+"""The experiments one after the other, and what follows from each; by default in virtual time, on the emulated stage.
 
-All axes named are excited in the same run; the emulated ones do not disturb each other. Nothing here reads [plant]:
-what is found comes from the forces and positions that a run of the real stage has, too.
+Nothing here reads [plant]: what is found comes from the forces and positions that a run of the real stage has, too.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,18 +27,44 @@ SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
 ROUGH_LAG = 2e-4  # s, until the frequency response has told it
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
+MOST_LOST = 5e-3  # of a live run's ticks
+
 Told = Callable[[str], None]
+
+
+class Trial(NamedTuple):
+    """One experiment of one axis as a run. document: of its rig, whose files are relative to `folder`. seconds: of task
+    time.
+    """
+
+    axis: str
+    experiment: str
+    plan: Plan
+    document: dict[str, Any]
+    folder: Path
+    seconds: float
+
+
+Runner = Callable[[Trial], tuple[Run, str]]  # runs it; with a hash of the run
+
+
+def in_virtual_time(trial: Trial) -> tuple[Run, str]:
+    """The Runner of the emulated stage."""
+    run = simulate(Rig.build(trial.document, trial.folder), trial.seconds + BEFORE_S + AFTER_S)
+    return run, run.trace_sha256
 
 
 @dataclass
 class Findings:
-    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment. To look at: the
-    frequency response with the axis fitted to it, what the travel showed, and loops of position (m) and force (N).
+    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
+    that ended the experiments, empty where none did. To look at: the frequency response with the axis fitted to it,
+    what the travel showed, and loops of position (m) and force (N).
     """
 
     found: dict[str, Estimate] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     evidence: dict[str, str] = field(default_factory=dict)
+    ended: str = ""
     response: Response | None = None
     dynamics: AxisDynamics | None = None
     travel: TravelCurves | None = None
@@ -62,25 +88,44 @@ class Signals:
 
 
 def signals(run: Run, axis: str) -> Signals:
-    """A command of one tick acts from the sample that the next tick brings; only ticks of the task count."""
-    at = run.axes.index(axis)
-    seconds = run.columns["task_ns"][:-1] * 1e-9
+    """A command of one tick acts from the sample that the next tick brings; only ticks of the task count.
+
+    The few ticks that a live run lost are filled in: the drive kept its force, and positions lie between their
+    neighbours. Raises Refused where more than MOST_LOST of them are missing.
+    """
+    at, index = run.axes.index(axis), run.columns["index"]
+    every = np.arange(index[0], index[-1] + 1) if len(index) else index
+    if len(every) - len(index) > MOST_LOST * len(every):
+        raise Refused(f"{len(every) - len(index)} of {len(every)} ticks are missing; limit {MOST_LOST * 100:g} %")
+    last = np.searchsorted(index, every, side="right") - 1
+    whole = len(every) == len(index)
+    position = run.columns["position"][:, at] if whole else np.interp(every, index, run.columns["position"][:, at])
+    task_ns = run.columns["task_ns"][last]
+    task_ns = np.where(task_ns >= 0, task_ns + (every - index[last]) * run.rig.period_ns, task_ns)
+    seconds = task_ns[:-1] * 1e-9
     during = seconds >= 0.0
-    force, position = run.columns["force"][:-1, at][during], run.columns["position"][1:, at][during]
+    force, position = run.columns["force"][last[:-1], at][during], position[1:][during]
     config = run.rig
     return Signals(force, position, seconds[during], config.period_ns * 1e-9, config.axes[axis].encoder_resolution)
 
 
 def identify(
-    rig: RigConfig, folder: Path, names: Sequence[str], told: Told = print, only: Sequence[str] = tuple(EXPERIMENTS)
+    rig: RigConfig,
+    folder: Path,
+    names: Sequence[str],
+    told: Told = print,
+    only: Sequence[str] = tuple(EXPERIMENTS),
+    runner: Runner = in_virtual_time,
 ) -> dict[str, Findings]:
     """Run the experiments and fit them. What one is not told by those left out, the rig file's model says. One that
     ends in a fault is the last; what it was to find is refused.
     """
-    return {name: _identify_axis(rig, folder, name, told, only) for name in names}
+    return {name: _identify_axis(rig, folder, name, told, only, runner) for name in names}
 
 
-def _identify_axis(rig: RigConfig, folder: Path, name: str, told: Told, only: Sequence[str]) -> Findings:
+def _identify_axis(
+    rig: RigConfig, folder: Path, name: str, told: Told, only: Sequence[str], runner: Runner
+) -> Findings:
     """One axis alone, so that what it does to itself ends nobody else's experiments."""
     findings, axis = Findings(), rig.axes[name]
     known = Known(axis.model.mass, -axis.model.gravity, axis.model.coulomb)
@@ -90,19 +135,21 @@ def _identify_axis(rig: RigConfig, folder: Path, name: str, told: Told, only: Se
         plan = make(axis, known, APPROACH_S)
         document, seconds = rig_document(rig, name, plan, APPROACH_S)
         told(f"{name}, {experiment}: {seconds:.0f} s")
-        run = simulate(Rig.build(document, folder), seconds + BEFORE_S + AFTER_S)
-        findings.evidence[experiment] = run.trace_sha256
+        run, findings.evidence[experiment] = runner(Trial(name, experiment, plan, document, folder, seconds))
         if faults := run.summary()["faults"]:
-            findings.refused[experiment] = f"the run ended in {', '.join(faults)}"
+            findings.ended = ", ".join(faults)
+            findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
-        known = _fitted(experiment, signals(run, name), plan, axis, findings, known)
+        known = _fitted(experiment, run, name, plan, axis, findings, known)
     return findings
 
 
-def _fitted(experiment: str, of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+def _fitted(
+    experiment: str, run: Run, name: str, plan: Plan, axis: AxisConfig, findings: Findings, known: Known
+) -> Known:
     """Add what the experiment tells; what the next ones are to go by."""
     try:
-        return FITS[experiment](of, plan, axis, findings, known)
+        return FITS[experiment](signals(run, name), plan, axis, findings, known)
     except Refused as refused:
         findings.refused[experiment] = refused.reason
         return known
@@ -185,9 +232,10 @@ FITS: Mapping[str, Callable[[Signals, Plan, AxisConfig, Findings, Known], Known]
 
 def from_run(run: Run, axis: str) -> Findings:
     """What an ordinary run tells of an axis: the force balance of its task's motion."""
-    of, findings = signals(run, axis), Findings()
+    findings = Findings()
     lag = run.rig.axes[axis].model.torque_lag
     try:
+        of = signals(run, axis)
         if not of.force.size:
             raise Refused("no task ran")
         fit = balance([Record(of.force, of.position, of.period, of.count, lag, round(0.2 / of.period))])

@@ -64,13 +64,14 @@ class Interrupted(Exception):  # not an error
 
 
 class Scene(NamedTuple):
-    """The demo's rig and its folders."""
+    """The demo's rig and its folders. emulated: the stage is, and is started, too."""
 
     rig: RigConfig
     rig_file: Path
     overrides: tuple[str, ...]
     runtime: Path
     out: Path
+    emulated: bool = True
 
     @property
     def paths(self) -> RuntimePaths:
@@ -168,10 +169,13 @@ class Demo:
         rig = [str(scene.rig_file), *overrides]
         listen = ["--listen", DEFAULT_ENDPOINT, "--or-free-port", "--out", str(scene.out)]
         start = self._family.start
-        self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
+        self.emulator = None
+        if scene.emulated:
+            self.emulator = start("emulator", ["emulate", *rig], environment, scene.out / "emulator.log")
         self.sidecar = start("sidecar", ["sidecar", *rig, *listen], environment, scene.out / "sidecar.log")
         # It is there once the drives are on the bus: a frame nobody acknowledges is a fault.
-        self._await_file(scene.paths.emulator, "the emulated stage was not on the bus")
+        if scene.emulated:
+            self._await_file(scene.paths.emulator, "the emulated stage was not on the bus")
         self.control = start("control process", ["run", *rig], environment, scene.out / "control.log")
         pids = ", ".join(f"{child.name} {child.pid}" for child in self._family.children)
         self.console.print(f"started {pids}", soft_wrap=True)
@@ -307,10 +311,11 @@ class Demo:
         if self.control.exit_status is None and not self.control.end(STOP_S):
             self.troubles.append(self.control.fate())
         self.sidecar.end(STOP_S)
-        self.emulator.end(STOP_S)
+        if self.emulator:
+            self.emulator.end(STOP_S)
         if self.busy:
             self.troubles.clear()  # its processes ended late, too
-        else:
+        elif self.emulator:
             self._report_drives()
 
     def _report_drives(self) -> None:

@@ -23,9 +23,14 @@ SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
 
 
-def hidden(axis: str, seed: int, number: int, mode_hz: float, off: float | None) -> tuple[RigConfig, dict[str, float]]:
-    """A one-axis rig that knows little of its stage, and the stage's truth."""
-    whole = only(nominal(load_rig(by_name("rigs", Path(RIG))), mode_hz), [axis])
+def hidden(
+    axis: str, seed: int, number: int, mode_hz: float, off: float | None, count: float = 0.0
+) -> tuple[RigConfig, dict[str, float]]:
+    """A one-axis rig that knows little of its stage, and the stage's truth. count: of the encoder, m (rad); 0: the rig
+    file's.
+    """
+    other = [f"axes.{axis}.encoder_resolution={count}"] if count else []
+    whole = only(nominal(load_rig(by_name("rigs", Path(RIG)), other), mode_hz), [axis])
     plant = plant_of(whole, seed, number, mode_hz)
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
     model = whole.axes[axis].model
@@ -87,11 +92,12 @@ def main() -> None:
     parser.add_argument("--mode", type=float, default=150.0, help="Hz; 0: rigid")
     parser.add_argument("--off", type=float, default=0.3, help="share by which the model is too small")
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
+    parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     words = parser.parse_args()
     errors, held = defaultdict(list), defaultdict(list)
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
-        rig, truth = hidden(words.axis, words.seed, number, words.mode, off)
+        rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count)
         found = identify(rig, Path("."), [words.axis], lambda text: None)[words.axis]
         for name, why in found.refused.items():
             print(f"stage {number}: {name} refused: {why}", flush=True)

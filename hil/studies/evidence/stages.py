@@ -10,6 +10,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from drivers.base.toml_file import toml_value
 from hil.rig.schema import RigConfig
 from hil.studies.population import FRICTION, MASS, Range, between, drawn, truth_of
 from sim_plant.config import CoggingConfig, ModeConfig, PlantConfig
@@ -98,16 +99,7 @@ def overrides(rig: RigConfig, seed: int, number: int, mode_hz: float) -> list[st
     plant = plant_of(rig, seed, number, mode_hz).model_dump(mode="json", exclude=OWN, exclude_none=True)
     known = nominal(rig, mode_hz).axes
     told = [f"axes.{name}.model.{key}={getattr(known[name].model, key)!r}" for name in known for key in TOLD]
-    return [*told, *(f"plant.{key}={_toml(value)}" for key, value in plant.items())]
-
-
-def _toml(value: object) -> str:
-    """A value of a plant as TOML writes it."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    return [*told, *(f"plant.{key}={toml_value(value)}" for key, value in plant.items())]
 
 
 def only(rig: RigConfig, names: Sequence[str]) -> RigConfig:

@@ -1,0 +1,92 @@
+"""Experiments in real time: what is agreed to, what is kept, ticks that are lost; and a push on a live stage."""
+
+import io
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hil.identify.estimate import Refused
+from hil.identify.experiments import EXPERIMENTS, Known, rig_document
+from hil.identify.live import LiveError, LiveExperiments, live_document, live_runtime
+from hil.identify.lockstep import APPROACH_S, Trial, identify, signals
+from hil.operate.demo_live import Signals
+from hil.runs.api import simulate
+from hil.runs.rigs import Rig
+from tests.identify import rigs
+
+
+@pytest.fixture
+def no_signals(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of this process are pytest's
+
+
+def a_push(interface: str, folder: Path) -> Trial:
+    rig = rigs.one_axis(bus={"interface": interface}).config
+    axis = rig.axes["x"]
+    plan = EXPERIMENTS["push"](axis, Known(axis.model.mass), APPROACH_S)
+    document, seconds = rig_document(rig, "x", plan, APPROACH_S)
+    return Trial("x", "push", plan, document, folder, seconds)
+
+
+def experiments(out: Path, asked: list[str], *, agrees: bool = False) -> LiveExperiments:
+    def ask(words: str) -> bool:
+        asked.append(words)
+        return agrees
+
+    return LiveExperiments(out, Console(file=io.StringIO()), Signals(), ask, out)
+
+
+@pytest.mark.usefixtures("no_signals")
+def test_nothing_moves_on_a_rig_without_the_operator(tmp_path: Path) -> None:
+    asked: list[str] = []
+    with pytest.raises(LiveError, match="not agreed to"):
+        experiments(tmp_path, asked)(a_push("can0", tmp_path))
+    (words,) = asked
+    for said in ("x, push: 12 s", "travel -0.02 to 0.02", "at most 15 N", "hil estop one"):
+        assert said in words
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("no_signals")
+def test_an_experiment_that_was_recorded_is_not_run_again_for_the_same_rig_and_plan(tmp_path: Path) -> None:
+    trial, asked = a_push("can0", tmp_path), list[str]()
+    kept = tmp_path / "x-push"
+    kept.mkdir()
+    simulate(Rig.build(live_document(trial.document)), 0.5, record=kept / "run.mcap")
+    run, digest = experiments(tmp_path, asked)(trial)
+    assert (len(run.time), len(digest), asked) == (500, 64, [])
+    other = a_push("can1", tmp_path)
+    with pytest.raises(LiveError):
+        experiments(tmp_path, asked)(other)
+    assert len(asked) == 1
+
+
+def test_a_few_lost_ticks_are_filled_in_and_many_are_refused() -> None:
+    task = {"kind": "point_to_point", "axes": ["x"], "target": [2e-3], "move_s": 0.15, "dwell_s": 0.1}
+    run = simulate(rigs.one_axis(task=task, law={"name": "pid"}), 2.0)
+    whole = signals(run, "x")
+    kept = np.ones(len(run.time), bool)
+    kept[[700, 1200, 1201]] = False
+    run.columns = {name: column[kept] for name, column in run.columns.items()}
+    filled = signals(run, "x")
+    assert np.allclose(filled.seconds, whole.seconds, atol=1e-6)
+    assert np.abs(filled.position - whole.position).max() < 1e-5
+    run.columns = {name: column[::50] for name, column in run.columns.items()}
+    with pytest.raises(Refused, match=r"ticks are missing; limit 0\.5 %"):
+        signals(run, "x")
+
+
+@pytest.mark.live
+@pytest.mark.usefixtures("no_signals")
+def test_a_push_on_a_live_emulated_stage_finds_its_friction(tmp_path: Path) -> None:
+    rig = rigs.one_axis(bus={"interface": "local"})
+    with live_runtime(rig.config) as runtime:
+        runner = LiveExperiments(tmp_path, Console(file=io.StringIO()), Signals(), lambda _: False, runtime)
+        found = identify(rig.config, tmp_path, ["x"], lambda _: None, ["push"], runner)["x"]
+    assert found.refused == {}
+    assert found.found["push_coulomb"].holds(rigs.COULOMB)
+    assert [path.name for path in tmp_path.iterdir()] == ["x-push"]
