@@ -32,6 +32,7 @@ LOOP_HZ, LOOP_CYCLES = 2.5, 24
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
 LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
 SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axis by, at most
+TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
 
@@ -118,9 +119,10 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     reach = 0.5 * speed * (constant + RAMP_S)
     path.go_to(-reach)
     lead = path.seconds
-    for _ in range(PASSES // 2):
-        path.pass_between(-reach, reach, speed)
-        path.pass_between(reach, -reach, speed)
+    for number in range(PASSES):
+        way = -reach if number % 2 else reach
+        path.pass_between(-way, way, speed)
+        path.rest(TURN_S)
     each = (path.seconds - lead) / PASSES
     path.go_to(0.0)
     begin = approach_s + lead
