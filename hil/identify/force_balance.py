@@ -23,7 +23,7 @@ UNEXPLAINED = 0.15  # of the force's RMS, at most
 LEAST_COUNTS = 20.0  # of travel
 WIDEST = 0.5  # half width over value of what is told
 SYSTEMATIC = 0.03  # of the value: what a bristle of one length leaves out, which no block shows
-LENGTH_SYSTEMATIC = 0.1  # the same of the bristle's length: the play alone moves it by some per cent
+LENGTH_SYSTEMATIC = 0.07  # the same of the bristle's length: the play alone moves it by some per cent
 BLOCKS = 8
 EDGE_S = 0.03  # left out at both ends, where the filter has half its data
 

@@ -22,7 +22,7 @@ LEAST_LINES = 15
 WORST_CHI2 = 20.0
 FLOOR = 2e-3  # least deviation of a line assumed, relative
 # What no pass shows: mass and mode by their share, the lag by the rounding of forces and stamps (s), viscous N s/m.
-SYSTEMATIC = np.array([5e-4, 2e-6, 0.0, 2e-4, 5e-3, 5e-3])
+SYSTEMATIC = np.array([2e-4, 1.2e-6, 0.0, 2e-4, 1e-3, 1e-3])
 MODE_GAIN = 4.0  # by which a mode must lower chi^2 to be told
 SEEDS = 3
 GRID, LOADS = 60, (0.1, 0.3, 0.6)
