@@ -9,7 +9,7 @@ from hil.control.trajectories.chosen_axes import ChosenAxes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.evidence.command import _rows
-from hil.studies.evidence.stages import PRESLIDING, TOLD, columns, nominal, only, overrides, stage_of
+from hil.studies.evidence.stages import PRESLIDING, TOLD, columns, nominal, only, overrides, plant_of, stage_of
 from hil.studies.evidence.trials import (
     LONG,
     MOVE,
@@ -24,7 +24,6 @@ from hil.studies.evidence.trials import (
     run,
     trajectory_of,
 )
-from hil.studies.population import FRICTION
 from sim_plant.physics.truth import Truth
 from tests.support.paths import RIGS
 
@@ -49,9 +48,44 @@ def test_a_stage_follows_from_seed_and_number_alone_and_keeps_to_the_distributio
     assert PRESLIDING[0] <= presliding.min() < 1e-6
     assert 1e-5 < presliding.max() <= PRESLIDING[1]
     friction = np.array([truth.coulomb for truth in drawn]) / [axis.model.coulomb for axis in one.axes.values()]
-    assert FRICTION[0] <= friction.min() < 0.8
-    assert 1.2 < friction.max() <= FRICTION[1]
+    assert 0.7 <= friction.min() < 0.8
+    assert 1.2 < friction.max() <= 1.3
     assert (columns(again, [2]).cogging["phase"] == again.cogging["phase"][2]).all()
+
+
+def test_a_hard_stage_is_the_same_stage_with_more_of_what_real_ones_have() -> None:
+    one = rig()
+    plain, hard = plant_of(one, 3, 5, 150.0), plant_of(one, 3, 5, 150.0, hard=True)
+    differs = {name for name, value in hard if value != getattr(plain, name)}
+    assert differs == {
+        "friction_period", "stribeck_scale", "stribeck_velocity", "encoder_periodic_error", "encoder_latency",
+    }  # fmt: skip
+    drawn = [plant_of(one, 3, number, 0.0, hard=True) for number in range(30)]
+    periods = np.array([plant.friction_period for plant in drawn])
+    assert 0.6e-3 <= periods.min() < 0.7e-3
+    assert 1.9e-3 < periods.max() <= 2e-3
+    assert all(Truth.from_config(plant, 4, one.axis_names) for plant in drawn)
+
+
+def test_stages_of_a_measured_rig_stay_within_what_was_measured() -> None:
+    model = rig().axes["x"].model
+    own = {"mass": model.mass, "mode_frequency_hz": 120.0, "torque_lag": 3e-4, "viscous": model.viscous}
+    sets = [f"axes.x.model.{key}={value}" for key, value in own.items()]
+    widths = {"mass": 0.05, "mode_frequency_hz": 0.03, "torque_lag": 0.06, "viscous": 0.2}
+    sets += [f"axes.x.measured.{key}=[{own[key]}, {own[key] * share}]" for key, share in widths.items()]
+    known = load_rig(RIGS / "microscope-ideal.toml", [*sets, "axes.x.model.presliding=[2e-6,3e-6]"])
+    drawn = [plant_of(known, 3, number, None) for number in range(40)]
+
+    def spread(values: list[float], about: float) -> float:
+        return float(np.abs(np.array(values) / about - 1.0).max())
+
+    assert 0.03 < spread([plant.mass[0] for plant in drawn], model.mass) <= 0.05
+    assert 0.15 < spread([plant.mass[1] for plant in drawn], known.axes["y"].model.mass) <= 0.2
+    assert 0.02 < spread([plant.modes[0].frequency_hz for plant in drawn], 120.0) <= 0.03
+    assert [entry.axis for entry in drawn[0].modes] == ["x"]
+    lengths, lags = [np.array([getattr(plant, key) for plant in drawn])[:, 0] for key in ("presliding", "torque_lag")]
+    assert 2e-6 <= lengths.min() < lengths.max() <= 3e-6
+    assert spread(lags.tolist(), 3e-4) <= 0.06
 
 
 @pytest.mark.parametrize("mode_hz", [0.0, 150.0])

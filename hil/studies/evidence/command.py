@@ -13,7 +13,7 @@ from hil.control.laws.base import Array
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.crew import crew, resumed
-from hil.studies.evidence.stages import HEAD
+from hil.studies.evidence.stages import head
 from hil.studies.evidence.stages import overrides as made_with
 from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REPEATS, Job, jobs, run
 
@@ -27,6 +27,18 @@ def evidence(
     axes: Annotated[str, typer.Option(help="comma-separated; default: all of the rig's")] = "",
     trials: Annotated[str, typer.Option(help="those whose names contain one of these, comma-separated")] = "",
     law: Annotated[str, typer.Option(help="default: the rig's own")] = "",
+    hard: Annotated[
+        bool,
+        typer.Option(
+            "--hard", help="stages with Stribeck friction, rolling elements that pass, encoder errors, latency"
+        ),
+    ] = False,
+    measured: Annotated[
+        bool,
+        typer.Option(
+            "--measured", help="lag, mode and presliding of the rig file, within axes.NAME.measured; no --modes"
+        ),
+    ] = False,
     learning: Annotated[bool, typer.Option(help="with law.iterative_learning, after 16 repeats")] = False,
     overrides: Overrides = None,
     workers: Annotated[int, typer.Option(min=0, help="processes; 0: one per core")] = 0,
@@ -45,7 +57,7 @@ def evidence(
     wanted = [part.strip() for part in trials.split(",") if part.strip()]
     work = [
         job
-        for job in jobs(rig, names, stages, seed, _modes(modes))
+        for job in jobs(rig, names, stages, seed, [None] if measured else _modes(modes), hard=hard)
         if not wanted or any(part in job.trial.name for part in wanted)
     ]
     if not work:
@@ -54,26 +66,28 @@ def evidence(
     with crew(workers) as hands:
         found = list(resumed(hands, run, work))
     rows = _rows(names, work, found)
-    _show(console, rig, names, rows, f"median / 95 % of {stages} stages (number of the worst), seed {seed}")
+    of = f"median / 95 % of {stages} {'hard ' if hard else ''}stages (number of the worst), seed {seed}"
+    _show(console, rig, names, rows, of, head(hard=hard))
     console.print(f"{time.monotonic() - begun:.0f} s")
     if json_target:
-        document = {"rig": rig.name, "law": rig.law.name, "learning": learning, "stages": stages, "seed": seed}
+        asked = {"learning": learning, "stages": stages, "seed": seed, "hard": hard, "measured": measured}
+        document = {"rig": rig.name, "law": rig.law.name, **asked}
         drawn = [
-            {"mode_hz": mode_hz, "stage": number, "set": made_with(rig, seed, number, mode_hz)}
-            for mode_hz in sorted({job.mode_hz for job in work})
+            {"mode_hz": mode_hz, "stage": number, "set": made_with(rig, seed, number, mode_hz, hard=hard)}
+            for mode_hz in dict.fromkeys(job.mode_hz for job in work)
             for number in range(stages)
         ]
-        write_json({**document, "of": HEAD, "rows": rows, "drawn": drawn}, json_target)
+        write_json({**document, "of": head(hard=hard), "rows": rows, "drawn": drawn}, json_target)
 
 
-def _modes(modes: str) -> list[float]:
+def _modes(modes: str) -> list[float | None]:
     try:
         found = [float(value) for value in modes.split(",")]
     except ValueError:
         found = [-1.0]
     if any(value != 0.0 and not 1.0 <= value <= 5000.0 for value in found):
         raise typer.BadParameter(f"--modes {modes}: expected 0 or 1 to 5000 Hz each, separated by commas")
-    return found
+    return [*found]
 
 
 def _rows(names: Sequence[str], work: Sequence[Job], found: Sequence[dict[str, Array]]) -> list[dict[str, Any]]:
@@ -108,12 +122,14 @@ def _unit(figure: str) -> tuple[str, float]:
     return ("ms", 1e3) if figure.endswith("nm") else ("nm", 1e9)
 
 
-def _show(console: Any, rig: RigConfig, names: Sequence[str], rows: Sequence[dict[str, Any]], of: str) -> None:
+def _show(
+    console: Any, rig: RigConfig, names: Sequence[str], rows: Sequence[dict[str, Any]], of: str, foot: str
+) -> None:
     from rich.table import Table
 
     learning = f", {WARM_REPEATS} repeats and {LEARNING_REPEATS} that learn" if rig.law.iterative_learning else ""
     title = f"{rig.name}, {rig.law.name}{learning}, at {rig.rate_hz:g} Hz: {of}"
-    table = Table(title=title, caption=HEAD)
+    table = Table(title=title, caption=foot)
     table.add_column("mode")
     table.add_column("figure")
     for name in names:
@@ -125,6 +141,6 @@ def _show(console: Any, rig: RigConfig, names: Sequence[str], rows: Sequence[dic
             failed = f" ({axis['failed']} failed)" if axis["failed"] else ""
             figures = f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}"
             cells.append(f"{figures} ({axis['worst']}){failed}")
-        mode = f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
+        mode = "as measured" if row["mode_hz"] is None else f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
         table.add_row(mode, f"{row['figure']}{', ' if unit else ''}{unit}", *cells)
     console.print(table)

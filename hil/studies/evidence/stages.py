@@ -2,36 +2,54 @@
 
 A stage's parameters follow from the seed and its number alone. It differs from the nominal model as real stages do:
 presliding (LuGre), a lag and a mode that are not quite what the model says, mass and friction off, friction that varies
-along the travel, cogging, a cable, an unknown constant force, noise of half a count.
+along the travel, cogging, a cable, an unknown constant force, noise of half a count. How far an axis is off is its
+tolerance: what was measured of it (axes.NAME.measured), else the usual. Hard stages have more of what real ones have.
+
+mode_hz: Hz of the free axis, 0: rigid; None: lag, mode and presliding are those of the rig file.
 """
 
 from collections.abc import Sequence
 from dataclasses import fields
+from random import Random
 
 import numpy as np
 
 from drivers.base.toml_file import toml_value
 from hil.rig.schema import RigConfig
-from hil.studies.population import FRICTION, MASS, Range, between, drawn, truth_of
+from hil.studies.population import Range, between, drawn, truth_of
 from sim_plant.config import CoggingConfig, ModeConfig, PlantConfig
 from sim_plant.physics.truth import Truth
 
-LAG, MODE = (0.8, 1.2), (0.9, 1.1)  # uniform, factors on what the model says
 PRESLIDING = (0.3e-6, 30e-6)  # m (rad), log-uniform
 DAMPING = (0.15, 0.5)  # ratio of the stuck axis
 VARIATION, VARIATION_PERIOD = 0.1, (5e-3, 20e-3)  # of friction along the travel, random phase
 COGGING, COGGING_PERIOD = 1 / 30, 24e-3  # of Coulomb friction, random phase; m
 CABLE, HYSTERESIS, REACH = 1 / 6, 0.01, 5e-4  # of Coulomb friction: a metre, half the loop; m
 BIAS = 0.1  # of Coulomb friction: at most, either sign
+# Of hard stages: rolling elements that pass, Stribeck friction, a signal period of the encoder, age of its samples.
+HARD_PERIOD, HARD_STRIBECK, HARD_VELOCITY = (0.6e-3, 2e-3), (0.05, 0.3), (1e-3, 1e-2)  # m; of Coulomb friction; m/s
+HARD_ERROR, HARD_LATENCY = 2.0, 5e-6  # encoder counts; s that no stamp tells
 NOMINAL_LAG, MODE_DAMPING, MODE_LOAD = 2e-4, 0.02, 0.3
 TOLD = ("torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")  # axes.NAME.model: what the law knows
 OWN = {"encoder_resolution", "initial_position", "brake_force", "drive", "parameters", "source"}  # stay the rig's own
 HEAD = (
     "presliding 0.3-30 um (LuGre, damping 0.15-0.5), mass +-20 %, friction +-30 % and varying by 10 % over 5-20 mm, "
-    "lag 0.2 ms +-20 %, mode +-10 % (damping 0.02, 30 % load), cogging, cable, bias +-10 % of Coulomb friction, "
-    "half-count noise. Not in it: membranes, Stribeck friction, force noise, floor vibration, drift, encoder errors, "
-    "latency the stamps do not know. Errors are the tool's, against the setpoint at the sample's instant"
+    "lag 0.2 ms +-20 %, mode +-10 % (damping 0.02, 30 % load), each less where it was measured; cogging, cable, bias "
+    "+-10 % of Coulomb friction, half-count noise. Not in it: "
 )
+LEFT_OUT = "membranes, force noise, floor vibration, drift, Maxwell-slip friction, a second mode on an axis"
+FOOT = ". Errors are the tool's, against the setpoint at the sample's instant"
+
+
+def head(*, hard: bool) -> str:
+    """What the stages are drawn from, and what is not in them."""
+    if not hard:
+        return f"{HEAD}{LEFT_OUT}, Stribeck friction, encoder errors, latency the stamps do not know{FOOT}"
+    more = (
+        "friction varies over 0.6-2 mm instead, Stribeck friction 5-30 % within 1-10 mm/s, periodic error of 2 counts, "
+        "samples 5 us older than their stamps"
+    )
+    return f"{HEAD}{LEFT_OUT}. Hard: {more}{FOOT}"
 
 
 def _held(mode_hz: float) -> float:
@@ -39,8 +57,10 @@ def _held(mode_hz: float) -> float:
     return mode_hz * float(np.sqrt(1.0 - MODE_LOAD))
 
 
-def nominal(rig: RigConfig, mode_hz: float) -> RigConfig:
+def nominal(rig: RigConfig, mode_hz: float | None) -> RigConfig:
     """The rig whose model knows the drive's lag and the mode as they are on average."""
+    if mode_hz is None:
+        return rig
     known = dict(zip(TOLD, (NOMINAL_LAG, _held(mode_hz), MODE_DAMPING, MODE_LOAD), strict=True))
     axes = {
         name: axis.model_copy(update={"model": axis.model.model_copy(update=known)}) for name, axis in rig.axes.items()
@@ -48,26 +68,32 @@ def nominal(rig: RigConfig, mode_hz: float) -> RigConfig:
     return rig.model_copy(update={"axes": axes})
 
 
-def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantConfig:
+def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, hard: bool = False) -> PlantConfig:
     """[plant] of stage `number`: a function of the arguments alone."""
-    random, names = drawn(seed, number), list(rig.axes)
-    models = [axis.model for axis in rig.axes.values()]
-    n = len(models)
+    random, names, axes = drawn(seed, number), list(rig.axes), list(rig.axes.values())
+    models, n = [axis.model for axis in axes], len(axes)
+    known = [each.model for each in nominal(rig, mode_hz).axes.values()]
 
     def uniform(limits: Range) -> list[float]:
         return [random.uniform(*limits) for _ in range(n)]
 
-    mass, friction, lag, mode = uniform(MASS), uniform(FRICTION), uniform(LAG), uniform(MODE)
+    def within(shares: Sequence[float]) -> list[float]:
+        return [random.uniform(1.0 - share, 1.0 + share) for share in shares]
+
+    shares = [axis.tolerances for axis in nominal(rig, mode_hz).axes.values()]
+    mass, friction = within([each.mass for each in shares]), within([each.friction for each in shares])
+    lag, mode = within([each.lag for each in shares]), within([each.mode for each in shares])
+    lengths = [PRESLIDING if mode_hz is not None or not each.presliding else each.presliding for each in models]
     dry = [m.coulomb for m in models]
-    return PlantConfig(
+    plant = PlantConfig(
         mass=[m.mass * k for m, k in zip(models, mass, strict=True)],
         coulomb=[m.coulomb * k for m, k in zip(models, friction, strict=True)],
         viscous=[m.viscous * k for m, k in zip(models, friction, strict=True)],
         quadratic=[m.quadratic for m in models],
         gravity=[m.gravity for m in models],
-        presliding=[between(PRESLIDING, random.random()) for _ in models],
+        presliding=[between(length, random.random()) for length in lengths],
         presliding_damping=uniform(DAMPING),
-        torque_lag=[NOMINAL_LAG * k for k in lag],
+        torque_lag=[m.torque_lag * k for m, k in zip(known, lag, strict=True)],
         friction_variation=VARIATION,
         friction_period=uniform(VARIATION_PERIOD),
         friction_phase=uniform((0.0, 6.283)),
@@ -79,24 +105,41 @@ def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> PlantCon
         cable_hysteresis=[HYSTERESIS * c for c in dry],
         cable_reach=REACH,
         bias=[random.uniform(-BIAS, BIAS) * c for c in dry],
-        encoder_noise=[0.5 * axis.encoder_resolution for axis in rig.axes.values()],
+        encoder_noise=[0.5 * axis.encoder_resolution for axis in axes],
         seed=random.randrange(2**31),
         modes=[
-            ModeConfig(axis=name, frequency_hz=_held(mode_hz) * k, damping=MODE_DAMPING, load=MODE_LOAD)
-            for name, k in zip(names, mode, strict=True)
-            if mode_hz
+            ModeConfig(axis=name, frequency_hz=m.mode_frequency_hz * k, damping=m.mode_damping, load=m.mode_load)
+            for name, m, k in zip(names, known, mode, strict=True)
+            if m.mode_frequency_hz
         ],
     )  # fmt: skip
+    return _harder(plant, rig, Random(f"hard/{seed}/{number}")) if hard else plant
 
 
-def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float) -> Truth:
+def _harder(plant: PlantConfig, rig: RigConfig, random: Random) -> PlantConfig:
+    """The same stage with more of what real ones have."""
+
+    def each(limits: tuple[float, float]) -> list[float]:
+        return [random.uniform(*limits) for _ in rig.axes]
+
+    more = {
+        "friction_period": each(HARD_PERIOD),
+        "stribeck_scale": each(HARD_STRIBECK),
+        "stribeck_velocity": each(HARD_VELOCITY),
+        "encoder_periodic_error": [HARD_ERROR * axis.encoder_resolution for axis in rig.axes.values()],
+        "encoder_latency": HARD_LATENCY,
+    }
+    return plant.model_copy(update=more)
+
+
+def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, hard: bool = False) -> Truth:
     """What stage `number` is really like, (n_axes,)."""
-    return truth_of(rig, plant_of(rig, seed, number, mode_hz))
+    return truth_of(rig, plant_of(rig, seed, number, mode_hz, hard=hard))
 
 
-def overrides(rig: RigConfig, seed: int, number: int, mode_hz: float) -> list[str]:
+def overrides(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, hard: bool = False) -> list[str]:
     """key=value, as for --set, that make the rig file that stage, with what its law is told of it."""
-    plant = plant_of(rig, seed, number, mode_hz).model_dump(mode="json", exclude=OWN, exclude_none=True)
+    plant = plant_of(rig, seed, number, mode_hz, hard=hard).model_dump(mode="json", exclude=OWN, exclude_none=True)
     known = nominal(rig, mode_hz).axes
     told = [f"axes.{name}.model.{key}={getattr(known[name].model, key)!r}" for name in known for key in TOLD]
     return [*told, *(f"plant.{key}={toml_value(value)}" for key, value in plant.items())]

@@ -53,24 +53,29 @@ TRIALS = (
 
 
 class Job(NamedTuple):
-    """What one process runs: rig (as JSON), the axes of it, its draws, one trial, the mode (Hz, 0: none)."""
+    """What one process runs: rig (as JSON), the axes of it, its draws, one trial, the mode (Hz, 0: none, None: the rig
+    file's), whether the stages are hard.
+    """
 
     rig: str
     axes: tuple[str, ...]
     seed: int
     stages: int
     trial: Trial
-    mode_hz: float
+    mode_hz: float | None
+    hard: bool = False
 
 
-def jobs(rig: RigConfig, axes: Sequence[str], stages: int, seed: int, modes: Sequence[float]) -> list[Job]:
+def jobs(
+    rig: RigConfig, axes: Sequence[str], stages: int, seed: int, modes: Sequence[float | None], *, hard: bool = False
+) -> list[Job]:
     """All that a rig is tried with. With law.iterative_learning: the trials that repeat."""
     document = rig.model_dump_json()
     trials = [trial for trial in TRIALS if trial.name != PLAN or rig.task.injection is not None]
     if rig.law.iterative_learning:
         trials = [trial for trial in trials if trial.name != REST]
     return [
-        Job(document, tuple(axes), seed, stages, trial, mode_hz)
+        Job(document, tuple(axes), seed, stages, trial, mode_hz, hard)
         for mode_hz in modes
         for trial in trials
         if trial.flexible or not mode_hz
@@ -123,7 +128,9 @@ def run(job: Job) -> dict[str, Array]:
     whole = nominal(RigConfig.model_validate_json(job.rig), job.mode_hz)
     kept = [i for i, name in enumerate(whole.axes) if name in job.axes]
     rig, trial, period = only(whole, job.axes), job.trial, whole.period_ns * 1e-9
-    drawn = [columns(stage_of(whole, job.seed, number, job.mode_hz), kept) for number in range(job.stages)]
+    drawn = [
+        columns(stage_of(whole, job.seed, number, job.mode_hz, hard=job.hard), kept) for number in range(job.stages)
+    ]
     trajectory = ChosenAxes(trajectory_of(whole, trial), kept)
     learns = rig.law.iterative_learning
     from_s, repeat_s = trajectory.repeat_from_ns / S, (trajectory.repeat_ns or 0) / S

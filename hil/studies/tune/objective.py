@@ -17,7 +17,7 @@ from hil.control.gain import Knob, declared
 from hil.control.law_registry import law_class
 from hil.control.laws.base import Array
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
-from hil.studies.population import CORNERS, FRICTION, MASS
+from hil.studies.population import CORNERS
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Figures, Trial
 from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
 from hil.studies.tune.stage_trials import StageTrials
@@ -80,10 +80,13 @@ def unseen_trials(rig: RigConfig, axis: int, kind: Kind, count: int) -> list[Tri
     if kind is not Kind.TASK:
         return StageTrials(rig, axis).unseen(count, UNSEEN_SEED, real=kind is Kind.STAGE)
     random, known = np.random.default_rng([UNSEEN_SEED, axis]), trials(rig)
+    off = list(rig.axes.values())[axis].tolerances
+
+    def scale(share: float) -> float:
+        return float(random.uniform(1.0 - share, 1.0 + share))
+
     return [
-        known[index % len(known)]._replace(
-            name=f"unseen {index}", mass=float(random.uniform(*MASS)), friction=float(random.uniform(*FRICTION))
-        )
+        known[index % len(known)]._replace(name=f"unseen {index}", mass=scale(off.mass), friction=scale(off.friction))
         for index in range(count)
     ]
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from hil.rig.schema import RigConfig
-from hil.studies.population import FRICTION, MASS
 from hil.studies.population import between as log_between
 from hil.studies.tune.candidate_simulation import Trial
 
@@ -27,8 +26,12 @@ MOVE_S, DWELL_S, GREATEST_MOVE = 0.15, 0.1, 0.5e-3
 SMALL = 20e-6  # m (rad): a move within presliding friction
 
 
+def _about(share: float) -> tuple[float, float]:
+    return 1.0 - share, 1.0 + share
+
+
 class StageTrials:
-    """Of one axis of a rig."""
+    """Of one axis of a rig. off: by how much its model may be off, as measured, else as is usual."""
 
     def __init__(self, rig: RigConfig, axis: int) -> None:
         self._rig = rig
@@ -36,6 +39,7 @@ class StageTrials:
         self._name = rig.axis_names[axis]
         config = rig.axes[self._name]
         self._model = config.model
+        self.off = config.tolerances  # of plants that are drawn
         self._period = rig.period_ns * 1e-9
         self._resolution = config.encoder_resolution
         low, high = config.limits.position
@@ -121,7 +125,8 @@ class StageTrials:
         ]
         if self._mode:
             found += [
-                Trial(f"mode x {scale:g}", whole, friction, plant=middle | self._ringing(scale)) for scale in (0.9, 1.1)
+                Trial(f"mode x {scale:g}", whole, friction, plant=middle | self._ringing(scale))
+                for scale in _about(self.off.mode)
             ]
         return [trial._replace(brief=True) for trial in found]
 
@@ -141,13 +146,13 @@ class StageTrials:
             period, phase = self._move * between(0.5, 4.0), between(0.0, 6.283)
             if real:
                 plant["presliding"] = log_between((least, greatest), between(0.0, 1.0))
-                plant["torque_lag"] = self._lag * between(0.8, 1.2)
+                plant["torque_lag"] = self._lag * between(*_about(self.off.lag))
                 plant |= self._cogging(period, phase)
                 if self._mode:
-                    plant |= self._ringing(between(0.9, 1.1))
+                    plant |= self._ringing(between(*_about(self.off.mode)))
             else:  # the one line that the ideal axis has, and no phase
                 plant |= {"ripple_amplitude": COGGING * self._model.coulomb, "ripple_period": period}
             size = self._move * between(0.05, 1.0)
-            scales = between(*MASS), between(*FRICTION)
+            scales = between(*_about(self.off.mass)), between(*_about(self.off.friction))
             found.append(Trial(f"unseen {index}", self.moves(size), self.good(0.3), *scales, plant=plant, brief=True))
         return found
