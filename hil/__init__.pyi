@@ -10,6 +10,8 @@ from drivers.protocols.base import Sample as Sample
 from drivers.protocols.frame_layout import DriveSide as DriveSide
 from drivers.protocols.frame_layout import FrameLayout as FrameLayout
 from drivers.protocols.frame_layout import HostSide as HostSide
+from drivers.sensors.base import Measured as Measured
+from drivers.sensors.user_frame import SensorFrame as SensorFrame
 from hil.camera.contract import Features as Features
 from hil.camera.contract import Seen as Seen
 from hil.camera.contract import Spot as Spot

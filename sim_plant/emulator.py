@@ -95,7 +95,7 @@ class EmulatedStage:
         self._jam, self._push, self._force = [0.0] * n_axes, [0.0] * n_axes, [0.0] * n_axes
         self.sampled = self._stage.positions, self._stage.velocities
         self.sensors = list(sensors)
-        self._lines.senders.update({sensor.can_id: sensor.name for sensor in sensors})
+        self._lines.senders.update({can_id: sensor.name for sensor in sensors for can_id in sensor.can_ids})
         shared = frozenset(node.node_id for node in self._nodes if getattr(node, "answers_as_asked", False))
         self.acceptance = AllBut(self._lines.senders, shared)
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
@@ -315,7 +315,7 @@ class EmulatedStage:
         due = self.advance(frame.timestamp_ns)
         self._run_physics()
         for sensor in heard:
-            sensor.sample(self)
+            sensor.hear(frame, self)
         return [*due, *self._from_sensors()]
 
     def _from_sensors(self) -> list[Frame]:

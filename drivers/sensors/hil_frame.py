@@ -16,7 +16,7 @@ from zlib import crc32
 
 from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Reject
-from drivers.sensors.base import Measurement
+from drivers.sensors.base import Measured
 
 CLASSIC_LENGTH: Final = 8
 FD_LENGTH: Final = 12
@@ -34,12 +34,14 @@ class HilSensorFrame:
 
     def __init__(self, can_id: int, *, fd: bool, scale: float) -> None:
         self.can_id = can_id
+        self.can_ids = (can_id,)
+        self.problem = ""
         self.length = FD_LENGTH if fd else CLASSIC_LENGTH
         self.fd = fd
         self._scale = scale
         self._unpack: Callable[[bytes], tuple[int, ...]] = _CHECKED.unpack if fd else _CLASSIC.unpack
 
-    def decode(self, frame: Frame) -> Measurement | Reject:
+    def decode(self, frame: Frame) -> Measured | Reject:
         """The measurement in a frame of this identifier. Never raises, whatever the bytes."""
         data = frame.data
         if bool(frame.flags & FD) != self.fd:
@@ -51,7 +53,11 @@ class HilSensorFrame:
         fields = self._unpack(data)
         earliest = frame.timestamp_ns - _HALF_NS
         stamp_ns = earliest + (fields[1] * 1000 - earliest) % WRAP_NS
-        return Measurement(fields[0] * self._scale, fields[2], stamp_ns, fields[3] == 0)
+        return Measured(fields[0] * self._scale, fields[2], stamp_ns, fields[3] == 0)
+
+    def service(self) -> Frame | None:
+        """It needs nothing."""
+        return None
 
     def encode(self, value: float | None, sequence: int, stamp_ns: int) -> Frame:
         """A frame that a node sends. value: in the sensor's unit, brought within what a frame carries; None: not valid.

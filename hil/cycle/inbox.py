@@ -95,6 +95,7 @@ class Inbox:
                 refused = self._readings.take(frame)
                 if refused is not None:
                     self._reject(refused)
+                    self._excuse(refused, frame)
             else:
                 if not frame.flags & ECHO and frame.can_id in self._own[segment_of(frame)]:
                     self.foreign_id = frame.can_id

@@ -11,9 +11,9 @@ from typing import Final
 
 from drivers.frame import Frame, segment_of
 from drivers.protocols.base import Reject
-from drivers.sensors.base import Measurement
+from drivers.sensors.base import Measured, SensorReader
 from drivers.sensors.config import SensorConfig
-from drivers.sensors.hil_frame import WRAP_NS, HilSensorFrame
+from drivers.sensors.hil_frame import WRAP_NS
 from hil.control.reading import Reading
 
 _SEQUENCES: Final = 256
@@ -51,7 +51,7 @@ class SensorClock:
 
 
 class Readings:
-    """The sensors of a rig, in the order of its file. period_ns: of the control loop.
+    """The sensors of a rig, in the order of its file. readers: of their frames. period_ns: of the control loop.
 
     newest: their readings. values: the same, numbers alone. age: ticks since the newest value was sampled; 0: at the
     latest command. repeats: frames in a row with exactly the newest value. strayed: step of a sequence number that was
@@ -59,14 +59,16 @@ class Readings:
     look in this tick.
     """
 
-    def __init__(self, sensors: Sequence[SensorConfig], period_ns: int) -> None:
+    def __init__(self, sensors: Sequence[SensorConfig], readers: Sequence[SensorReader], period_ns: int) -> None:
         n = len(sensors)
         self.silent_ticks = [sensor.silent_ticks for sensor in sensors]
         self.stuck_ticks = [sensor.stuck_ticks for sensor in sensors]
         self.low = [sensor.range[0] for sensor in sensors]
         self.high = [sensor.range[1] for sensor in sensors]
-        self.channels = {sensor.can_id: channel for channel, sensor in enumerate(sensors)}
-        self._frames = [HilSensorFrame(sensor.can_id, fd=sensor.fd, scale=sensor.scale) for sensor in sensors]
+        self.channels = {can_id: channel for channel, reader in enumerate(readers) for can_id in reader.can_ids}
+        self._readers = list(readers)
+        self._served = [reader for sensor, reader in zip(sensors, readers, strict=True) if sensor.kind == "cia404"]
+        self._turn = 0
         self._clocks = [SensorClock(period_ns) for _ in sensors]
         self.newest = [Reading(channel, _UNKNOWN, 0, -1, False) for channel in range(n)]
         self.values = [_UNKNOWN] * n
@@ -96,10 +98,12 @@ class Readings:
     def take(self, frame: Frame) -> Reject | None:
         """A frame that it `knows`; why it carries nothing, None where it was understood."""
         channel = self.channels[frame.can_id]
-        measured = self._frames[channel].decode(frame)
-        if not isinstance(measured, Measurement):
+        measured = self._readers[channel].decode(frame)
+        if not isinstance(measured, Measured):
             return measured
-        last, sequence = self._last_sequence[channel], measured.sequence
+        last = self._last_sequence[channel]
+        stamp_ns = frame.timestamp_ns if measured.stamp_ns is None else measured.stamp_ns
+        sequence = measured.sequence if measured.sequence >= 0 else (last + 1) % _SEQUENCES
         self._last_sequence[channel] = sequence
         if last >= 0:
             step = (sequence - last) % _SEQUENCES
@@ -108,17 +112,16 @@ class Readings:
                 self._clocks[channel].known = False  # restarted, its clock begins anew
                 return None
         if measured.valid:
-            self._accept(channel, measured)
+            self._accept(channel, measured.value, sequence, stamp_ns)
         return None
 
-    def _accept(self, channel: int, measured: Measurement) -> None:
-        value: float = measured.value
+    def _accept(self, channel: int, value: float, sequence: int, stamp_ns: int) -> None:
         self.repeats[channel] = self.repeats[channel] + 1 if value == self.values[channel] else 1
         self.values[channel] = value
         self.outside[channel] = not self.low[channel] <= value <= self.high[channel]
-        self._late[channel] = self._clocks[channel].late(measured.stamp_ns, self._sent_ns)
+        self._late[channel] = self._clocks[channel].late(stamp_ns, self._sent_ns)
         valid = not self.outside[channel]
-        self.newest[channel] = Reading(channel, value, measured.stamp_ns, measured.sequence, valid)
+        self.newest[channel] = Reading(channel, value, stamp_ns, sequence, valid)
 
     def close(self) -> None:
         """All frames of the tick are taken: ages, and whether anything is wrong."""
@@ -138,6 +141,20 @@ class Readings:
             alarm = alarm or silent or self.outside[channel] or self.strayed[channel] >= 0
             alarm = alarm or 0 < stuck <= self.repeats[channel]
         self.alarm = alarm
+
+    def service(self) -> list[Frame]:
+        """The frame that one of the sensors is due, if any: at most one a tick, in turn."""
+        for _ in self._served:
+            self._turn = (self._turn + 1) % len(self._served)
+            frame = self._served[self._turn].service()
+            if frame is not None:
+                return [frame]
+        return []
+
+    @property
+    def problems(self) -> list[str]:
+        """Why sensors are no good, for people."""
+        return [reader.problem for reader in self._readers if reader.problem]
 
     def begin(self, sent_ns: int) -> None:
         """A new tick: nothing has strayed yet, and no value is new. sent_ns: when the newest command was sent."""

@@ -53,6 +53,7 @@ from hil.cycle.tick import CycleResult, Tick
 from hil.cycle.withdrawal import shared
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
+from hil.rig.sensors import readers_of
 
 # The stages of a tick that follow the decoding.
 ESTIMATE: Final = 0
@@ -71,9 +72,12 @@ class ControlCycle:
         self.rig = rig
         axes = list(rig.axes.values())
         self.protocol: HostProtocol = layout or host_layout(rig, base_dir)
-        self.readings = Readings(list(rig.sensors.values()), rig.period_ns) if rig.sensors else None
+        readers = readers_of(rig, base_dir, self.protocol)
+        self.readings = Readings(list(rig.sensors.values()), readers, rig.period_ns) if readers else None
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings)
         self.axes = Axes(rig)
+        for inputs in self.axes.inputs:
+            inputs.readings = self.readings.newest if self.readings is not None else ()
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints
         resolution = [axis.encoder_resolution for axis in axes]
         wraps_ns = self.protocol.stamp_wraps_ns
@@ -108,7 +112,8 @@ class ControlCycle:
     def problems(self) -> list[str]:
         """Why drives were refused or an axis is not as stated, for people."""
         push = self.supervisor.commissioning.problem
-        return [*self.protocol.problems, *([push] if push else [])]
+        sensors = [] if self.readings is None else self.readings.problems
+        return [*self.protocol.problems, *sensors, *([push] if push else [])]
 
     @property
     def tip(self) -> str:
@@ -158,6 +163,8 @@ class ControlCycle:
         before = self.supervisor.machine.state
         self.supervisor.advance(tick)
         out = self._act(tick) if self.supervisor.sends(before) else self._stay_silent()
+        if readings is not None and out and out[-1].can_id == self.protocol.echo_id:  # the drives need no service
+            out += readings.service()
         if self.outputs is not None:
             self._switch(self.outputs, out)
         self.axes.note_applied(self.gate.force)

@@ -12,6 +12,7 @@ from drivers.base.plugins import DIGEST, Kind, file_of, known, package_digest
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.base.toml_file import shown
 from drivers.config import LAYOUT_KIND
+from drivers.sensors.config import SENSOR_KIND
 from hil.rig import law_names
 from hil.rig.camera import DETECTOR_KIND
 from hil.rig.motion_tables import MOTION_KIND
@@ -36,10 +37,10 @@ def bring(document: dict[str, Any], folder: Path, overridden: Sequence[Sequence[
 
     Raises BroughtError.
     """
-    for plugin in PLUGINS:
-        chosen = [plugin.table, plugin.key] in overridden
+    for plugin, path, table in _tables(document):
+        chosen = [*path, plugin.key] in overridden
         if chosen or not carried:
-            _read_source(document, plugin, folder, chosen=chosen)
+            _read_source(table, plugin, folder, chosen=chosen)
     chosen = ["law", "learnt"] in overridden
     if chosen or not carried:
         _read_learnt(document, folder, chosen=chosen)
@@ -71,17 +72,26 @@ def place_of(name: str, folder: Path, *, chosen: bool) -> Path:
 def named_files(rig: RigConfig) -> dict[str, str]:
     """The files that a rig names, by key: their paths, as the rig has them."""
     named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key, "")) for plugin in PLUGINS}
+    for name, sensor in rig.sensors.items():
+        named[f"sensors.{name}.kind"], named[f"sensors.{name}.file"] = file_of(sensor.kind), sensor.file
     named["bus.protocol"] = rig.bus.file or named["bus.protocol"]
     named["task.file"] = rig.task.file
     named["law.learnt"] = rig.law.learnt
     return {key: name for key, name in named.items() if name}
 
 
-def _read_source(document: dict[str, Any], plugin: Kind, folder: Path, *, chosen: bool) -> None:
+def _tables(document: dict[str, Any]) -> list[tuple[Kind, list[str], dict[str, Any]]]:
+    """The tables that name a plug-in, each with its kind and its path in the document."""
+    found = [(plugin, [plugin.table], document.get(plugin.table)) for plugin in PLUGINS]
+    sensors = document.get("sensors")
+    if isinstance(sensors, dict):
+        for name, table in sensors.items():
+            found.append((SENSOR_KIND._replace(table=f"sensors.{name}"), ["sensors", name], table))
+    return [(plugin, path, table) for plugin, path, table in found if isinstance(table, dict)]
+
+
+def _read_source(table: dict[str, Any], plugin: Kind, folder: Path, *, chosen: bool) -> None:
     """Put the text of a plug-in's file, or the digest of its package, into `source` of its table: part of the rig."""
-    table = document.get(plugin.table)
-    if not isinstance(table, dict):
-        return
     name, source = table.get(plugin.key), table.pop("source", "")
     if not isinstance(name, str) or not name or plugin.own(name):
         return

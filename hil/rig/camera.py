@@ -75,6 +75,8 @@ class CameraConfig(Table):
             if name not in sensors:
                 there = ", ".join(sensors) or "none"
                 found.append(f"camera.sends.{quantity} = '{name}': no such sensor; those of [sensors] are: {there}")
+            elif sensors[name].kind != "hil":
+                found.append(f"camera.sends.{quantity}: sensors.{name}.kind = '{sensors[name].kind}', expected 'hil'")
             elif sensors[name].unit != unit:
                 found.append(
                     f"camera.sends.{quantity}: sensors.{name}.unit = '{sensors[name].unit}', expected '{unit}'"

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from drivers.base.plugins import code_digest
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.config import LAYOUT_KIND
+from drivers.sensors.config import SENSOR_KIND
 from hil.rig import law_names
 from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
@@ -37,9 +38,10 @@ class Code(NamedTuple):
 
 def carried_code(rig: RigConfig) -> list[Code]:
     """What a control cycle of this rig runs that is not ours."""
+    tables = [(kind, getattr(rig, kind.table)) for kind in _KINDS]
+    tables += [(SENSOR_KIND._replace(table=f"sensors.{name}"), sensor) for name, sensor in rig.sensors.items()]
     found = []
-    for kind in _KINDS:
-        table = getattr(rig, kind.table)
+    for kind, table in tables:
         name = getattr(table, kind.key)
         if name and not kind.own(name):
             found.append(Code(kind.path, name, code_digest(name, table.source)))

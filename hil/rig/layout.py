@@ -7,7 +7,7 @@ from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError, tells
 from hil.rig.count_size import size_problems
 from hil.rig.outputs import check_outputs
 from hil.rig.schema import RigConfig
-from hil.rig.sensors import check_sensors
+from hil.rig.sensors import check_sensors, readers_of
 
 LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 
@@ -15,7 +15,9 @@ LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     """Raises LayoutError (a ValueError) or OSError for a layout that the rig cannot have, naming the key."""
     rated = [axis.rated_force for axis in rig.axes.values()]
-    return fitted(rig, host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings))
+    layout = fitted(rig, host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings))
+    readers_of(rig, base_dir, layout)
+    return layout
 
 
 def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:

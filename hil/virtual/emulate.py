@@ -10,7 +10,8 @@ from hil.rig.sensors import trigger, trigger_mask
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
 from sim_plant.nodes.output import OutputNode
-from sim_plant.nodes.sensor import SensorNode, sensor_nodes
+from sim_plant.nodes.sensor import SensorNode
+from sim_plant.nodes.sensors import sensor_nodes
 from sim_plant.scenario.language import Scenario
 from sim_plant.scene_page import ScenePage
 
@@ -33,7 +34,7 @@ def emulated_sensors(rig: RigConfig, base_dir: Path) -> list[SensorNode]:
         return []
     layout = host_layout(rig, base_dir)
     heard, mask = trigger(rig, layout), trigger_mask(layout)
-    return sensor_nodes(rig.sensors, rig.plant, None if heard is None else (mask, heard.can_id & mask))
+    return sensor_nodes(rig.sensors, rig.plant, None if heard is None else (mask, heard.can_id & mask), base_dir)
 
 
 def emulated_outputs(rig: RigConfig) -> list[OutputNode]:

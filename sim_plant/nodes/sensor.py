@@ -4,32 +4,20 @@ Written from the table of bytes in docs/sensors.md, apart from the host's side (
 shows against the other.
 """
 
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
-from drivers.frame import BRS, FD, Frame
+from drivers.frame import Frame
 from drivers.sensors.config import SensorConfig
-from sim_plant.config import OF_DISH, EmulatedSensorConfig, PlantConfig
+from sim_plant.config import OF_DISH, EmulatedSensorConfig
+from sim_plant.nodes.sensor_frames import Carrier, Sampled
 from sim_plant.physics.dish import Dish
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.noise import READING, Stream
 from sim_plant.physics.truth import Truth
 
 NEVER_NS = 2**62
-_MOST = 2**31 - 1
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """What the sensor is about to send: counts, microseconds of its clock, sequence, status (0: valid)."""
-
-    counts: int
-    stamp_us: int
-    sequence: int
-    status: int = 0
-
 
 Tap = Callable[[Sampled], Sampled | None]
 
@@ -56,7 +44,8 @@ class Stage(Protocol):
 
 class SensorNode:
     """One sensor. name, config: as in [sensors]. place: its place there. entry: of [[plant.sensors]]; None: it measures
-    nothing but noise. trigger: mask and identifier of the host's frame at whose end it samples.
+    nothing but noise. carrier: what its samples go out in. trigger: mask and identifier of the host's frame at whose
+    end it samples.
 
     taps: what every sample goes through before it is sent; None from one of them: nothing is sent.
     """
@@ -67,10 +56,13 @@ class SensorNode:
         config: SensorConfig,
         place: int,
         entry: EmulatedSensorConfig | None,
+        carrier: Carrier,
         trigger: tuple[int, int],
         seed: int,
     ) -> None:
         self.name, self.config, self.can_id = name, config, config.can_id
+        self.can_ids: tuple[int, ...] = (config.can_id,)
+        self.carrier = carrier
         self.taps: list[Tap] = []
         self._mask, self._trigger = trigger
         self._entry = entry
@@ -94,22 +86,27 @@ class SensorNode:
         """Whether it samples at this frame."""
         return frame.can_id & self._mask == self._trigger
 
-    def sample(self, stage: Stage) -> None:
-        """Measure now, and send in `delay_ns`."""
-        now_ns = stage.now_ns
+    def hear(self, frame: Frame, stage: Stage) -> None:
+        """A frame that it hears: measure now, and send in `delay_ns`."""
+        shown = self._sampled(stage)
+        if shown is not None:
+            self._waiting.append((stage.now_ns + self.delay_ns, self.carrier.frame(shown)))
+
+    def _sampled(self, stage: Stage) -> Sampled | None:
+        """What it shows now; None: nothing."""
+        now_ns, carrier = stage.now_ns, self.carrier
         if self._frame_ns and not self._exposes(now_ns):
-            return
+            return None
         value = self._filter.passed(self._measured(stage), now_ns)
         if self._noise:
             value += self._noise * float(self._stream.at(self._count))
-        counts = max(-_MOST - 1, min(_MOST, round(value / self.config.scale)))
+        counts = max(carrier.least, min(carrier.most, round(value / carrier.resolution)))
         shown = self._failing(Sampled(counts, now_ns // 1000, self._count), stage)
         self._count += 1
         for tap in self.taps:
             if shown is not None:
                 shown = tap(shown)
-        if shown is not None:
-            self._waiting.append((now_ns + self.delay_ns, self._frame(shown)))
+        return shown
 
     def due(self, now_ns: int) -> list[Frame]:
         """The frames whose time has come."""
@@ -164,13 +161,6 @@ class SensorNode:
         seen = {"cell_shift": dish.side, "bolus": dish.bolus, "tip_error": dish.tip_error, "dimple": dish.dimple}
         return seen[entry.measures]
 
-    def _frame(self, shown: Sampled) -> Frame:
-        data = (shown.counts % 2**32).to_bytes(4, "little") + (shown.stamp_us % 2**16).to_bytes(2, "little")
-        data += bytes((shown.sequence % 256, shown.status))
-        if not self.config.fd:
-            return Frame(self.can_id, data)
-        return Frame(self.can_id, data + zlib.crc32(data, self.can_id).to_bytes(4, "little"), FD | BRS)
-
 
 class _Filter:
     """What lies between a quantity and its reading. Called once a sample, at growing instants."""
@@ -218,19 +208,6 @@ def cell_force(truth: Truth, axis: int, position: float, velocity: float, pierce
     return direction * float(cell.resistance(position, velocity, pierced))
 
 
-def sensor_nodes(
-    sensors: dict[str, SensorConfig], plant: PlantConfig, trigger: tuple[int, int] | None
-) -> list[SensorNode]:
-    """The nodes of a rig's sensors. trigger: as SensorNode's; None: no frame comes in every tick, and none samples."""
-    if trigger is None:
-        return []
-    entries = {entry.sensor: entry for entry in plant.sensors}
-    return [
-        SensorNode(name, config, place, entries.get(name), trigger, plant.seed)
-        for place, (name, config) in enumerate(sensors.items())
-    ]
-
-
 def tapped(nodes: Sequence[SensorNode], tap_of: Callable[[SensorNode], Tap]) -> Callable[[], None]:
     """Put a tap of its own on each node; returns how to take them off."""
     taps = [(node, tap_of(node)) for node in nodes]
@@ -262,7 +239,7 @@ def stuck(node: SensorNode) -> Tap:
 
 def showing(value: float) -> Callable[[SensorNode], Tap]:
     """It shows `value`, in its unit."""
-    return lambda node: lambda shown: replace(shown, counts=round(value / node.config.scale))
+    return lambda node: lambda shown: replace(shown, counts=round(value / node.carrier.resolution))
 
 
 def renumbered(offset: int) -> Callable[[SensorNode], Tap]:

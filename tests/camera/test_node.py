@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.sensors.readers import sensor_readers
 from hil.camera.calibration import Calibration
 from hil.camera.contract import CameraError, Features, Image, Pixels, Seen, Spot, grey
 from hil.camera.encoders import Encoders
@@ -45,7 +46,7 @@ class Bench:
         self.encoders = Encoders("nobody", (0, 1))
         self.said = Said(Seen())
         self.node = CameraNode(self.rig, self.said, Interpreter(self.rig.camera, calibration), self.encoders)
-        self.readings = Readings(list(self.rig.sensors.values()), MS)
+        self.readings = Readings(list(self.rig.sensors.values()), sensor_readers(self.rig.sensors, Path()), MS)
         self.number = 0
 
     def show(self, seen: Seen, position: tuple[float, float] = (1e-3, 2e-3), speed: float = 0.0) -> None:

@@ -1,6 +1,7 @@
 """Readings: newest value, age, validity; every fault of a sensor at its exact threshold."""
 
 import math
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from drivers.frame import FD, Frame, on_segment
 from drivers.protocols.base import Reject
 from drivers.sensors.config import SensorConfig
+from drivers.sensors.readers import sensor_readers
 from hil.control.reading import Reading
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault
@@ -32,7 +34,7 @@ class Bench:
 
     def __init__(self, offset_ns: int = 0, fast: float = 0.0) -> None:
         self.offset_ns, self.fast, self.late_ns, self.sent_ns = offset_ns, fast, 230_000, 0
-        self.readings = Readings([FORCE, LIGHT], MS)
+        self.readings = Readings([FORCE, LIGHT], sensor_readers({"force": FORCE, "light": LIGHT}, Path()), MS)
         self.monitor = FaultMonitor(SafetyConfig(), [], 1_000_000, [])
         self.sequence = -1
         self.light = -1

@@ -29,6 +29,7 @@ SAID = {
     "09_read_a_recording.py": "0 ticks differ",
     "14_your_own_estimator.py": "as it should be: FAULT, estimator",
     "16_your_own_motion.py": "felt at -2",
+    "17_your_own_sensor.py": "felt 0.20 mN at most; noise at rest 4.9 uN",
     "15_move_a_rig.py": "in position: x 0.1000",
 }
 

@@ -53,6 +53,7 @@ NO_MODULES = {
     "hil.laws",
     "hil.motions",
     "hil.detectors",
+    "hil.sensors",
     "hil.layouts",
     "hil.tasks",
     "hil.stages",

@@ -10,12 +10,13 @@ from drivers.config import BusConfig
 from drivers.frame import Frame
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Command
-from drivers.sensors.base import Measurement
+from drivers.sensors.base import Measured
 from drivers.sensors.config import SensorConfig
 from drivers.sensors.hil_frame import HilSensorFrame
 from sim_plant.config import EmulatedSensorConfig, PlantConfig
 from sim_plant.emulator import EmulatedStage
 from sim_plant.nodes.sensor import SensorNode, silent, stuck, tapped
+from sim_plant.nodes.sensor_frames import OwnFrame
 
 MS = 1_000_000
 AXES = ["x", "y", "z"]
@@ -49,13 +50,14 @@ class Bench:
         config = SensorConfig(
             can_id=CAN_ID, unit=unit, scale=SCALE[unit], noise=0.0, stuck_ticks=0, range=[-0.01, 0.01]
         )
-        self.node = SensorNode("probe", config, 0, EmulatedSensorConfig(**named), (0x7FF, command.can_id), 1)
+        measured, heard = EmulatedSensorConfig(**named), (0x7FF, command.can_id)
+        self.node = SensorNode("probe", config, 0, measured, OwnFrame(config), heard, 1)
         self.stage = EmulatedStage(plant, bus, AXES, RATED, Path(), sensors=[self.node])
         assert self.stage.dish is not None
         self.dish = self.stage.dish
         self.decoder = HilSensorFrame(CAN_ID, fd=False, scale=SCALE[unit])
         self.tick = 0
-        self.heard: list[tuple[int, Measurement]] = []
+        self.heard: list[tuple[int, Measured]] = []
         self.forces: list[float] = []
 
     def run(self, ticks: int, push: float = 0.0) -> "Bench":
@@ -74,7 +76,7 @@ class Bench:
         for frame in frames:
             if frame.can_id == CAN_ID:
                 found = self.decoder.decode(frame._replace(timestamp_ns=self.stage.now_ns))
-                assert isinstance(found, Measurement)
+                assert isinstance(found, Measured)
                 self.heard.append((self.stage.now_ns, found))
 
     @property

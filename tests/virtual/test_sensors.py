@@ -216,7 +216,7 @@ REFUSALS = {
     "sensors.b={can_id=0x3F1, unit='N', scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}": "identifier of sensors.force",
     "plant.sensors=[{sensor='light', measures='position', axis='x'}]": "sensor = 'light': no such sensor",
     "plant.sensors=[{sensor='force', measures='position', axis='q'}]": "no axis 'q'",
-    "sensors.force.kind='analog'": "'hil'",
+    "sensors.force.kind='analog'": "hil, dbc, cia404",
 }
 
 

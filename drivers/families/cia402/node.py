@@ -105,12 +105,16 @@ class NodeMaster:
 
     def on_state(self, state: DriveState) -> None:
         """The state in a TPDO."""
-        self._heard_tick = self._tick
         recovered = self.state is DriveState.FAULT and state is not DriveState.FAULT
         self.state = state
         if recovered:
             self.alarms, self.emergency = 0, ""
             self._prove()
+        self.on_pdo()
+
+    def on_pdo(self) -> None:
+        """A TPDO: it lives, and runs where it was told to."""
+        self._heard_tick = self._tick
         if self.phase is Phase.START:
             self._enter(Phase.RUNNING)
 

@@ -82,6 +82,7 @@ class LawInputs:
     preview: of a law that looks ahead (Law.preview): references at `start` and at the ends of the next periods,
     preview[k] being that of k periods after `start`; else None. task_ns: task time at which the interval starts (ns
     since the trajectory's origin, first axis; below 0: no task runs); laws that learn over repeats need it.
+    readings: the newest of every sensor of [sensors] (hil.Reading), in the order of the rig file; batches have none.
     """
 
     position: Number
@@ -102,6 +103,7 @@ class LawInputs:
     answered: Number = 1.0
     task_ns: int = 0
     preview: Any = None  # list[Reference]
+    readings: Any = ()  # Sequence[Reading]
 
 
 def axis_inputs() -> LawInputs:

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.frame import BRS, FD, Frame
 from drivers.protocols.base import Message, Reject
-from drivers.sensors.base import Measurement, trigger_of
+from drivers.sensors.base import Measured, trigger_of
 from drivers.sensors.hil_frame import HilSensorFrame
 
 CAN_ID = 0x321
@@ -27,7 +27,7 @@ def test_a_frame_says_value_stamp_sequence_and_validity(counts: int, fd: bool) -
     for status, valid in ((0, True), (1, False), (255, False)):
         stamp_us = (received // 1000 - 150) % 65_536
         frame = Frame(CAN_ID, bytes_of(counts, stamp_us, 200, status, fd=fd), FD | BRS if fd else 0, received)
-        assert host.decode(frame) == Measurement(0.25 * counts, 200, received - 150_000, valid)
+        assert host.decode(frame) == Measured(0.25 * counts, 200, received - 150_000, valid)
 
 
 def test_a_stamp_is_the_one_nearest_the_reception() -> None:
@@ -35,7 +35,7 @@ def test_a_stamp_is_the_one_nearest_the_reception() -> None:
     for received in (0, 65_536_000, 7_777_777_000):
         for stamp_us in (0, 1, 32_767, 32_768, 65_535):
             measured = host.decode(Frame(CAN_ID, bytes_of(0, stamp_us, 0, 0, fd=False), 0, received))
-            assert isinstance(measured, Measurement)
+            assert isinstance(measured, Measured)
             assert (measured.stamp_ns - stamp_us * 1000) % 65_536_000 == 0
             assert -32_768_000 <= measured.stamp_ns - received < 32_768_000
 
@@ -63,7 +63,7 @@ def test_whatever_bytes_come_nothing_is_raised(fd: bool) -> None:
         frame = Frame(
             CAN_ID, rng.randbytes(rng.choice((0, 1, 7, 8, 12, 64))), rng.choice((0, FD)), rng.randrange(2**60)
         )
-        assert isinstance(host.decode(frame), (Measurement, Reject))
+        assert isinstance(host.decode(frame), (Measured, Reject))
 
 
 def message(name: str, can_id: int, period_ns: int, sender: str = "host") -> Message:
@@ -90,7 +90,7 @@ def test_what_a_node_of_ours_sends_is_what_the_host_reads(fd: bool) -> None:
             == bytes_of(round(shown / 0.25), (received // 1000 - 150) % 65_536, sequence % 256, 0, fd=fd)[:8]
         )
         measured = node.decode(frame._replace(timestamp_ns=received))
-        assert measured == Measurement(shown, sequence % 256, received - 150_000, True)
+        assert measured == Measured(shown, sequence % 256, received - 150_000, True)
     unseen = node.decode(node.encode(None, 1, received)._replace(timestamp_ns=received))
-    assert isinstance(unseen, Measurement)
+    assert isinstance(unseen, Measured)
     assert not unseen.valid
