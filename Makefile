@@ -61,7 +61,7 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 	@$(ADAPTERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/adapters/requirements.lock
 	@$(ADAPTERS)/bin/python -m sim_plant.native || true
 	@touch $@
-test-browser: setup  ## the page in a real browser, with pictures in build/browser (needs Chromium; not in .ci/run)
+test-browser: setup  ## the page in Chromium and Firefox, with pictures in build/browser (those installed; not in .ci/run)
 	@$(BIN)/python -m pytest -m browser tests/page $(ARGS)
 
 peers: setup  ## peers' own tests and readers against ours; ARGS="--few", or --files FOLDER; not in .ci/run as a whole

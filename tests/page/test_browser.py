@@ -1,4 +1,4 @@
-"""The page in a real browser: what a person sees, at a desk and on a phone, by day and by night."""
+"""The page in two real browsers: what a person sees, at a desk and on a phone, by day and by night."""
 
 import contextlib
 import os
@@ -13,7 +13,9 @@ from typing import NamedTuple
 import pytest
 
 from hil.page.access import Role
-from tests.support.browser import Browser, BrowserError, browser
+from tests.support.browser import Browser, BrowserError
+from tests.support.chromium import chromium
+from tests.support.firefox import firefox
 from tests.support.page_process import PageProcess
 from tests.support.paths import RIGS, ROOT
 
@@ -21,6 +23,7 @@ pytestmark = pytest.mark.browser
 
 PICTURES = ROOT.joinpath("build", "browser")
 PAGES = ("Now", "Scope", "Events", "Path", "Runs", "Rig")
+ENGINES = {"chromium": chromium, "firefox": firefox}
 SIZES = {"phone": (390, 844), "desk": (1280, 800)}
 RIG = RIGS / "microscope-ideal.toml"
 PACE = ("rate_hz=250", "task.kind=circle", "task.axes=['x', 'y']", "task.radius=1e-3", "task.frequency_hz=0.5")
@@ -51,6 +54,14 @@ CONTRAST = """(() => {
 TAP = """(() => {
   const plot = document.querySelector('canvas'), at = plot.getBoundingClientRect();
   plot.dispatchEvent(new MouseEvent('click', {clientX: at.left + at.width * %s, clientY: at.top + 50}));
+})()"""
+
+
+# Give that code, and a name.
+PAIR = """(() => {
+  document.getElementById('code').value = '%s';
+  document.getElementById('name').value = 'Ana';
+  document.forms[0].requestSubmit();
 })()"""
 
 
@@ -85,17 +96,27 @@ def page(place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
         yield process
 
 
+@pytest.fixture(params=ENGINES)
+def engine(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
 @pytest.fixture
-def tab(page: PageProcess, tmp_path: Path) -> Iterator[Browser]:
+def pictures(engine: str) -> Path:
+    folder = PICTURES / engine
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+@pytest.fixture
+def tab(page: PageProcess, tmp_path: Path, engine: str) -> Iterator[Browser]:
     """A paired browser that shows a rig that is ACTIVE."""
-    with browser(tmp_path / "profile") as found:
+    with ENGINES[engine](tmp_path / "profile") as found:
         found.size(*SIZES["phone"], dark=False)
         found.open(page.url)
         found.wait("document.getElementById('pair').open")
         code = page.code(Role.OPERATE)
-        found.run(
-            f"code.value = {code!r}; document.getElementById('name').value = 'Ana'; document.forms[0].requestSubmit()"
-        )
+        found.run(PAIR % code)
         found.wait("document.getElementById('state').textContent === 'ACTIVE'")
         yield found
 
@@ -107,8 +128,7 @@ def reset(tab: Browser) -> None:
     tab.wait("document.getElementById('state').textContent === 'ACTIVE'")
 
 
-def test_every_page_at_both_sizes_and_in_both_schemes(tab: Browser, page: PageProcess) -> None:
-    PICTURES.mkdir(parents=True, exist_ok=True)
+def test_every_page_at_both_sizes_and_in_both_schemes(tab: Browser, page: PageProcess, pictures: Path) -> None:
     for size, (width, height) in SIZES.items():
         for dark in (False, True):
             tab.size(width, height, dark=dark)
@@ -117,41 +137,44 @@ def test_every_page_at_both_sizes_and_in_both_schemes(tab: Browser, page: PagePr
                 tab.wait(f"document.querySelector('[aria-current=page]').textContent === {name!r}")
                 tab.wait("document.querySelector('#main .card') !== null")
                 tab.run("new Promise((done) => setTimeout(done, 1500))")  # what is drawn has something to show
-                tab.picture(PICTURES / f"{name}-{size}-{'dark' if dark else 'light'}.png")
+                tab.picture(pictures / f"{name}-{size}-{'dark' if dark else 'light'}.png")
                 assert tab.run("document.documentElement.scrollWidth <= innerWidth"), (name, size)
                 least, text = tab.run(CONTRAST)
                 assert least >= LEAST_CONTRAST, (name, size, dark, text)
     assert tab.errors == []
-    assert [url for url in tab.requested if not url.startswith((page.url, page.url.replace("http", "ws")))] == []
+    inside = (page.url, page.url.replace("http", "ws"), "data:")  # data: a font of Firefox' own
+    assert [url for url in tab.requested if not url.startswith(inside)] == []
 
 
-def test_a_finger_on_estop_stops_and_every_page_says_so(tab: Browser) -> None:
+def test_a_finger_on_estop_stops_and_every_page_says_so(tab: Browser, pictures: Path) -> None:
     began = time.monotonic()
     tab.run("estop.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true}))")
     tab.wait("document.getElementById('state').textContent === 'ESTOP'")
     assert time.monotonic() - began < 5.0
     tab.wait("said.textContent.includes('ESTOP in tick')")
     tab.wait("!latched.hidden && latched.querySelector('button').textContent === 'Reset'")
-    tab.picture(PICTURES / "estop.png")
+    tab.picture(pictures / "estop.png")
     tab.run("location.hash = 'Now'")
     tab.wait("document.querySelector('#main').textContent.includes('setpoint: none is followed')")
     reset(tab)
 
 
 def test_a_server_that_hangs_is_told_within_a_second_and_estop_does_not_pretend(
-    tab: Browser, page: PageProcess
+    tab: Browser, page: PageProcess, pictures: Path, engine: str
 ) -> None:
     page.process.send_signal(signal.SIGSTOP)
     try:
         tab.wait("trouble.textContent.startsWith('No word from the page')", patience_s=1.0)
         assert tab.run("document.getElementById('main').classList.contains('stale')")
-        tab.picture(PICTURES / "silent.png")
+        tab.picture(pictures / "silent.png")
         tab.run("estop.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true}))")
         tab.wait("said.textContent.startsWith('E-STOP WAS NOT ANSWERED')", patience_s=10.0)
     finally:
         page.process.send_signal(signal.SIGCONT)
-    tab.wait("trouble.hidden && document.getElementById('state').textContent === 'ESTOP'")  # it arrives all the same
-    reset(tab)
+    tab.wait("trouble.hidden")
+    if engine == "chromium":  # its request arrives all the same; Firefox takes back what was not answered in time
+        tab.wait("document.getElementById('state').textContent === 'ESTOP'")
+        reset(tab)
 
 
 @pytest.mark.parametrize(
