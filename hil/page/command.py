@@ -20,6 +20,8 @@ from hil.page.access import Access, Role, spelt
 if TYPE_CHECKING:
     from uvicorn import Config
 
+    from hil.page.server import Offers
+
 PORT = 5006
 _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 _NOT_INSTALLED = 'hil page: its server is not installed: pip install "hil[page]"'
@@ -51,9 +53,10 @@ def page(
     paired: Annotated[bool, typer.Option("--paired", help="list the paired browsers, and end")] = False,
     revoke: Annotated[str, typer.Option(metavar="NAME", help="take a browser's rights away, and end")] = "",
     metrics: Annotated[bool, typer.Option("--metrics", help="answer /metrics too, in OpenMetrics")] = False,
-    token: Annotated[
-        str, typer.Option(metavar="NAME", help="print a secret for a program that reads /metrics, and end")
-    ] = "",
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="answer /foxglove/RIG too, for Lichtblick and Foxglove")
+    ] = False,
+    token: Annotated[str, typer.Option(metavar="NAME", help="print a secret for a program that watches, and end")] = "",
 ) -> None:
     """Show rigs in a browser until Ctrl-C. A browser is paired once, by a code that this command prints.
 
@@ -70,7 +73,7 @@ def page(
         return
     place = Place(port, bind, tuple(host or ()), certificate, key)
     try:
-        config = configured(access, place, rigs or [], runs, metrics=metrics)
+        config = configured(access, place, rigs or [], runs, metrics=metrics, foxglove=foxglove)
     except ImportError:
         print(_NOT_INSTALLED, file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
@@ -112,12 +115,14 @@ def state_folder() -> Path:
     return (Path(service) if service else home) / "page"
 
 
-def configured(access: Access, place: Place, rigs: list[str], runs: Path, *, metrics: bool = False) -> "Config":
+def configured(
+    access: Access, place: Place, rigs: list[str], runs: Path, *, metrics: bool = False, foxglove: bool = False
+) -> "Config":
     """The server. Raises ImportError where it is not installed, typer.BadParameter for what cannot be served."""
     from uvicorn import Config
 
     from hil.page.audit import Audit
-    from hil.page.server import Exposition, PageServer, make_app
+    from hil.page.server import PageServer, make_app
 
     certificate, key = place.certificate, place.key
     secure = certificate is not None
@@ -127,13 +132,8 @@ def configured(access: Access, place: Place, rigs: list[str], runs: Path, *, met
     if certificate and key:
         _refuse_unusable(certificate, key)
     audit = Audit(access.folder / "audit.jsonl")
-    exposition: Exposition | None = None
-    if metrics:
-        from hil.page import metrics as figures
-
-        exposition = figures.exposition
     cookie = f"hil_page_{place.port}"
-    server = PageServer(access, audit, rigs, runs, cookie=cookie, secure=secure, exposition=exposition)
+    server = PageServer(access, audit, rigs, runs, cookie=cookie, secure=secure, offers=_offers(metrics, foxglove))
     return Config(
         make_app(server, audit, hosts, secure=secure),
         log_level="warning",
@@ -145,6 +145,22 @@ def configured(access: Access, place: Place, rigs: list[str], runs: Path, *, met
         ssl_certfile=certificate,
         ssl_keyfile=key,
     )
+
+
+def _offers(metrics: bool, foxglove: bool) -> "Offers":
+    """What was asked for; nothing else is loaded."""
+    from hil.page.server import Offers
+
+    offers = Offers()
+    if metrics:
+        from hil.page.metrics import exposition
+
+        offers = offers._replace(exposition=exposition)
+    if foxglove:
+        from hil.page.foxglove import SUBPROTOCOLS, WAITING, LiveStreams
+
+        offers = offers._replace(streams=LiveStreams, subprotocols=SUBPROTOCOLS, waiting=WAITING)
+    return offers
 
 
 def allowed_hosts(bind: str, names: Sequence[str], port: int, *, secure: bool) -> list[str]:

@@ -1,7 +1,8 @@
 """What stands before every request: the right Host, the right Origin, and headers that let no foreign script run.
 
 A page elsewhere can make a browser send requests here (a forged Origin), and a name server elsewhere can make it take
-this machine for another (a forged Host). Both are refused before anything else is looked at.
+this machine for another (a forged Host). Both are refused before anything else is looked at. A viewer's stream may have
+any Origin, as it needs a secret in its address: no cookie counts there, so a page elsewhere gains nothing.
 """
 
 from collections.abc import Collection
@@ -23,6 +24,7 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+FOXGLOVE: Final = "/foxglove/"  # streams for viewers
 _HARMLESS: Final = ("GET", "HEAD")
 REFUSED_HOST, REFUSED_ORIGIN = 421, 403
 
@@ -51,6 +53,8 @@ class Guard:
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self._hosts:
             return REFUSED_HOST, f"Host {host[:80]!a} is not one of this page's; --host NAME adds one"
+        if scope["path"].startswith(FOXGLOVE):
+            return 0, ""
         asks = scope["type"] == "websocket" or scope["method"] not in _HARMLESS
         if origin != f"{self._scheme}://{host}" and (asks or origin is not None):
             return REFUSED_ORIGIN, f"Origin {str(origin)[:80]!a} is not this page's"

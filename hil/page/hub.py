@@ -28,15 +28,15 @@ class Heard(NamedTuple):
 
 
 class Viewer:
-    """One open page. send: to its browser; texts are JSON."""
+    """One open page. send: to its browser; texts are JSON. waiting: messages for it that are kept, at most."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, waiting: int = WAITING) -> None:
         self.name = name
         self.chosen: tuple[int, ...] = ()
         self.told = 0  # events
         self.described = -1  # run that it has the description of
         self.dropped = 0
-        self._waiting: asyncio.Queue[bytes | str] = asyncio.Queue(WAITING)
+        self._waiting: asyncio.Queue[bytes | str] = asyncio.Queue(waiting)
 
     def offer(self, message: bytes | str) -> None:
         """Put a message behind the others; where too many wait, the oldest goes. Never waits."""
@@ -110,7 +110,7 @@ class Hub:
         status = self.sidecar.status
         fresh = status is not self._status
         self._status = status
-        told, _ = self.sidecar.events(0) if fresh else (0, [])
+        told = self.sidecar.told if fresh else 0
         text = json.dumps({"status": {**status, "operator": self.operator}}) if fresh else ""
         chosen: dict[tuple[int, ...], bytes] = {}
         for viewer in self.viewers:

@@ -3,11 +3,11 @@
 import contextlib
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from hil.live.mapped_file import Closing
-from hil.live.ring import RingError, RingReader
+from hil.live.ring import Batch, RingError, RingReader
 from hil.live.runtime_paths import files_of_rigs
 from hil.page.frames import Block, Fate, Pulse
 from hil.page.signals import FIELDS, Signal, rows, signals_of
@@ -22,10 +22,12 @@ def running_rigs() -> list[str]:
 
 
 class RingFeed(Closing):
-    """Follows the control process of one rig, and whichever comes after it. rig: its name."""
+    """Follows the control process of one rig, and whichever comes after it. rig: its name. fields: of the records,
+    which are read; `turn` needs FIELDS.
+    """
 
-    def __init__(self, rig: str) -> None:
-        self.rig = rig
+    def __init__(self, rig: str, fields: Sequence[str] = FIELDS) -> None:
+        self.rig, self._fields = rig, fields
         self._reader: RingReader | None = None
         self._searched_ns = -SEARCH_NS
         self._newest: tuple[int, int, int] = (-1, -1, -1)
@@ -36,6 +38,14 @@ class RingFeed(Closing):
 
     def turn(self) -> Block | None:
         """The ticks since the last turn; None where there are none."""
+        batch = self.read()
+        if batch is None or self._reader is None:
+            return None
+        instants = batch.records["index"] * (self._reader.period_ns * 1e-9)
+        return Block(instants, rows(batch.records, len(self.metadata["rig"]["axes"])), batch.lost)
+
+    def read(self) -> Batch | None:
+        """The records since the last turn, as they are in the ring; None where there are none."""
         now_ns = time.monotonic_ns()
         if now_ns - self._searched_ns >= SEARCH_NS:
             self._searched_ns = now_ns
@@ -45,14 +55,13 @@ class RingFeed(Closing):
             return None
         behind = reader.written - reader.next - MOST
         reader.next += max(behind, 0)
-        batch = reader.read(MOST, FIELDS)
+        batch = reader.read(MOST, self._fields)
         if not len(batch.records):
             return None
         last = batch.records[-1]
         self._newest = int(last["state"]), int(last["fault"]), int(last["motion"])
         self._tick_ns = int(last["now_ns"])
-        instants = batch.records["index"] * (reader.period_ns * 1e-9)
-        return Block(instants, rows(batch.records, len(self.metadata["rig"]["axes"])), batch.lost + max(behind, 0))
+        return batch._replace(lost=batch.lost + max(behind, 0))
 
     def skip(self) -> None:
         """Nobody watched: what was not read is not wanted."""

@@ -3,9 +3,9 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Protocol
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -19,15 +19,42 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from hil.cycle.tick import CommandKind
 from hil.page.access import Access, Pairing, PairingError, Role
 from hil.page.audit import Audit
-from hil.page.guard import Guard
+from hil.page.guard import FOXGLOVE, Guard
 from hil.page.hub import Heard, Hub, Viewer
 from hil.page.rig_facts import rig_facts, runs_in
 from hil.page.ring_feed import running_rigs
+from hil.page.sidecar_feed import SidecarFeed
 from hil.page.stopping import ask, emergency_stop
 
 STATIC: Final = Path(__file__).with_name("static")
 METRICS: Final = "/metrics"
 Exposition = Callable[[dict[str, Heard]], tuple[bytes, str]]
+
+
+class Streams(Protocol):
+    """What a viewer that is no browser is sent (hil/page/foxglove.py)."""
+
+    async def run(self) -> None:
+        """Until it is cancelled."""
+
+    def take(self, text: str) -> None:
+        """A message of the viewer. Raises ValueError."""
+
+
+class Offers(NamedTuple):
+    """What is off by default. exposition: makes the answer to /metrics, and its media type. streams: for a viewer of
+    the Foxglove protocol; subprotocols: its words for it, the best first; waiting: messages kept for it.
+    """
+
+    exposition: Exposition | None = None
+    streams: Callable[[str, SidecarFeed, Viewer], Streams] | None = None
+    subprotocols: Sequence[str] = ()
+    waiting: int = 1
+
+
+NOTHING_MORE: Final = Offers()
+
+
 LARGEST: Final = 4096  # bytes of a request
 VIEWERS: Final = 32
 CHECKED_S: Final = 0.2  # how often an open page's rights are looked at
@@ -44,22 +71,25 @@ class RefusedError(Exception):
 
 
 class PageServer:
-    """rigs: names of those that are shown; empty: all that run here. cookie: its name. secure: over TLS. exposition:
-    makes the answer to /metrics and its media type; None: nobody may ask for it.
-    """
+    """rigs: names of those that are shown; empty: all that run here. cookie: its name. secure: over TLS."""
 
     def __init__(
         self, access: Access, audit: Audit, rigs: Sequence[str], runs: Path, *, cookie: str, secure: bool,
-        exposition: Exposition | None = None,
+        offers: Offers = NOTHING_MORE,
     ) -> None:  # fmt: skip
         self._access, self._audit = access, audit
         self._named, self._runs = tuple(rigs), runs
-        self._cookie, self._secure, self._exposition = cookie, secure, exposition
+        self._cookie, self._secure, self._offers = cookie, secure, offers
         self.hubs: dict[str, Hub] = {}
+        self._others: set[Viewer] = set()  # that are no browsers
 
     def routes(self) -> list[BaseRoute]:
         """All there is to ask for."""
-        more = [Route(METRICS, self._answer(self._scrape), methods=["GET"])] if self._exposition else []
+        more: list[BaseRoute] = []
+        if self._offers.exposition:
+            more.append(Route(METRICS, self._answer(self._scrape), methods=["GET"]))
+        if self._offers.streams:
+            more.append(WebSocketRoute(FOXGLOVE + "{rig}", self._view))
         return [
             *more,
             Route("/", self._answer(self._front), methods=["GET"]),
@@ -98,8 +128,10 @@ class PageServer:
         )
 
     def _pairing(self, request: HTTPConnection) -> Pairing | None:
+        if request.url.path.startswith(FOXGLOVE):  # a program's, which has no other place for it than its address
+            return self._access.pairing_of(request.query_params.get("token"))
         scheme, _, secret = request.headers.get("Authorization", "").partition(" ")
-        if self._exposition and request.url.path == METRICS and scheme.lower() == "bearer":
+        if self._offers.exposition and request.url.path == METRICS and scheme.lower() == "bearer":
             return self._access.pairing_of(secret.strip())  # a program's: it looks at figures, and no more
         return self._access.pairing_of(request.cookies.get(self._cookie))
 
@@ -161,9 +193,9 @@ class PageServer:
         return JSONResponse(await asyncio.to_thread(rig_facts, hub.ring.metadata))
 
     async def _scrape(self, request: Request) -> Response:
-        assert self._exposition is not None
+        assert self._offers.exposition is not None
         self._may(request, Role.WATCH)
-        text, media_type = self._exposition({name: self._hub(name).heard() for name in self.rigs()})
+        text, media_type = self._offers.exposition({name: self._hub(name).heard() for name in self.rigs()})
         return Response(text, media_type=media_type)
 
     async def _estop(self, request: Request) -> Response:
@@ -186,49 +218,72 @@ class PageServer:
 
     async def _feed(self, socket: WebSocket) -> None:
         """A rig's stream, for as long as the browser is there and may watch."""
+        if (found := await self._admit(socket)) is None:
+            return
+        pairing, hub = found
+        viewer = Viewer(pairing.name)
+        hub.join(viewer)
+        try:
+            await self._stream(socket, viewer, lambda text: viewer.choose(text, len(hub.ring.signals)))
+        finally:
+            hub.leave(viewer)
+
+    async def _view(self, socket: WebSocket) -> None:
+        """A rig's stream for a viewer of the Foxglove protocol."""
+        assert self._offers.streams is not None
+        wanted = socket.scope["subprotocols"]
+        chosen = next((each for each in self._offers.subprotocols if each in wanted), None)
+        if (found := await self._admit(socket, chosen)) is None:
+            return
+        pairing, hub = found
+        viewer = Viewer(pairing.name, self._offers.waiting)
+        self._others.add(viewer)
+        try:
+            streams = self._offers.streams(hub.rig, hub.sidecar, viewer)
+            await self._stream(socket, viewer, streams.take, streams.run())
+        finally:
+            self._others.discard(viewer)
+
+    async def _admit(self, socket: WebSocket, subprotocol: str | None = None) -> tuple[Pairing, Hub] | None:
+        """Who watches which rig; None where that was refused, and the socket closed with the reason."""
+        await socket.accept(subprotocol)  # first, so that a viewer can tell why: a refused handshake says nothing
         try:
             pairing, hub = self._may(socket, Role.WATCH), self._hub(self._rig(socket))
         except RefusedError as error:
             self._note(socket, "WS", error.status, error.text)
-            await socket.accept()  # so that the browser can tell why: a refused handshake says nothing
             await socket.close(4000 + error.status, error.text[:100])
-            return
-        await socket.accept()
-        if sum(len(each.viewers) for each in self.hubs.values()) >= VIEWERS:
+            return None
+        if sum(len(each.viewers) for each in self.hubs.values()) + len(self._others) >= VIEWERS:
             await socket.close(4503, f"{VIEWERS} pages are open")
-            return
+            return None
         self._note(socket, "WS", 101)
-        viewer = Viewer(pairing.name)
-        hub.join(viewer)
-        try:
-            await self._stream(socket, hub, viewer)
-        finally:
-            hub.leave(viewer)
+        return pairing, hub
 
-    async def _stream(self, socket: WebSocket, hub: Hub, viewer: Viewer) -> None:
-        """Until the first of these ends: sending, what the browser asks for, its right to watch."""
+    async def _stream(
+        self, socket: WebSocket, viewer: Viewer, take: Callable[[str], None], *works: Coroutine[Any, Any, None]
+    ) -> None:
+        """Until the first of these ends: sending, what the viewer asks for, its right to watch, works."""
 
         async def send(message: bytes | str) -> None:
             await (socket.send_bytes(message) if isinstance(message, bytes) else socket.send_text(message))
 
         async def listen() -> None:
             while True:
-                text = await socket.receive_text()
-                viewer.choose(text[:LARGEST], len(hub.ring.signals))
+                take((await socket.receive_text())[:LARGEST])
 
         async def watch_rights() -> None:
             while self._pairing(socket) is not None:
                 await asyncio.sleep(CHECKED_S)
 
-        tasks = [asyncio.create_task(work) for work in (viewer.pump(send), listen(), watch_rights())]
+        tasks = [asyncio.create_task(work) for work in (viewer.pump(send), listen(), watch_rights(), *works)]
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-        error = next((found for task in done if (found := task.exception())), None)
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):  # the browser is gone
+            await asyncio.wait(tasks)
+        error = next((found for task in tasks if not task.cancelled() and (found := task.exception())), None)
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):  # the viewer is gone
             if error is None:
                 await socket.close(4401, "revoked")
             elif isinstance(error, ValueError | KeyError):  # KeyError: bytes where a text belongs

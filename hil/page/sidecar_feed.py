@@ -7,6 +7,8 @@ from typing import Any, Final
 
 from hil.live.mapped_file import Closing
 from hil.page.words import event_words, status_words
+from hil.telemetry import events_pb2 as pb_events
+from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 
 POLL_S: Final = 0.05
@@ -21,8 +23,9 @@ class SidecarFeed(Closing):
         self._rig, self._key = rig, key
         self._lock = threading.Lock()
         self._status: dict[str, Any] = {}
+        self._message: pb.Status | None = None
         self._heard_s: float | None = None
-        self._events: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._events: deque[pb_events.Event] = deque(maxlen=KEPT)
         self._told = 0
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=f"sidecar of {rig}", daemon=True)
@@ -39,8 +42,25 @@ class SidecarFeed(Closing):
         with self._lock:
             return self._status
 
+    @property
+    def message(self) -> pb.Status | None:
+        """The newest status as it came; None before the first."""
+        with self._lock:
+            return self._message
+
+    @property
+    def told(self) -> int:
+        """How many events have come so far."""
+        with self._lock:
+            return self._told
+
     def events(self, told: int = 0) -> tuple[int, list[dict[str, Any]]]:
-        """How many events have come so far, and those after the first `told` that are still kept."""
+        """How many events have come so far, and those after the first `told` that are still kept, in words."""
+        count, messages = self.event_messages(told)
+        return count, [event_words(event, self._rig) for event in messages]
+
+    def event_messages(self, told: int = 0) -> tuple[int, list[pb_events.Event]]:
+        """The same as they came."""
         with self._lock:
             fresh = self._told - told
             return self._told, list(self._events)[max(len(self._events) - fresh, 0) :] if fresh > 0 else []
@@ -61,8 +81,8 @@ class SidecarFeed(Closing):
             now = time.monotonic()
             with self._lock:
                 if status is not None:
-                    self._status, self._heard_s, since = status_words(status), now, now
-                self._events.extend(event_words(event, self._rig) for event in events)
+                    self._status, self._message, self._heard_s, since = status_words(status), status, now, now
+                self._events.extend(events)
                 self._told += len(events)
             if now - since > SILENT_S:
                 return

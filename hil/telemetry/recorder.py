@@ -63,13 +63,18 @@ _compression = _Compression()
 mcap.writer.zstandard = _compression  # type: ignore[assignment,attr-defined]
 
 
+def topic_schema(topic: str, schema: TickSchema) -> tuple[str, bytes, dict[str, str]]:
+    """Of a topic: its message's full name, the FileDescriptorSet that decodes it, and what more its channel says."""
+    if topic == "tick":
+        return TICK, schema.files.SerializeToString(), schema.metadata
+    kind = MESSAGES[topic]
+    return kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString(), {}
+
+
 def described_topic(writer: Writer, topic: str, schema: TickSchema) -> tuple[int, dict[str, str]]:
     """Register a topic's schema; its number, and what more its channel says."""
-    if topic == "tick":
-        return writer.register_schema(TICK, "protobuf", schema.files.SerializeToString()), schema.metadata
-    kind = MESSAGES[topic]
-    descriptors = build_file_descriptor_set(kind).SerializeToString()
-    return writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptors), {}
+    name, described, more = topic_schema(topic, schema)
+    return writer.register_schema(name, "protobuf", described), more
 
 
 class Recorder:

@@ -14,7 +14,7 @@ from hil.page.audit import Audit
 from hil.page.command import page
 from hil.page.hub import Heard
 from hil.page.metrics import exposition
-from hil.page.server import PageServer, make_app
+from hil.page.server import Offers, PageServer, make_app
 from hil.page.words import status_words
 from hil.telemetry import telemetry_pb2 as pb
 from tests.page.conftest import HOST, Told
@@ -78,7 +78,7 @@ def test_names_of_rigs_cannot_break_out_of_their_labels() -> None:
 def scraped(access: Access, audit: Path, tmp_path: Path, told: Told) -> TestClient:
     """A program, not a browser: it has no cookie and no Origin."""
     notes = Audit(audit)
-    server = PageServer(access, notes, ["paper"], tmp_path, cookie="hil_page", secure=False, exposition=exposition)
+    server = PageServer(access, notes, ["paper"], tmp_path, cookie="hil_page", secure=False, offers=Offers(exposition))
     return TestClient(make_app(server, notes, [HOST], secure=False), base_url=f"http://{HOST}")
 
 
