@@ -70,16 +70,23 @@ def _print(findings: list[Finding]) -> None:
 def examine() -> list[Finding]:
     """All findings; none of them changes anything or needs privileges."""
     return [
-        *can_findings(),
         *realtime_findings(),
+        *computer_findings(),
+        tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
+        tool_finding("strace", "the benchmarks (make bench) count system calls with it: apt install strace"),
+        tool_finding("cc", "the compiled build and the benchmarks need it: apt install gcc"),
+    ]
+
+
+def computer_findings() -> list[Finding]:
+    """What is the same for every user of this computer; quick, and tried in no child."""
+    return [
+        *can_findings(),
         *kernel_findings(),
         cores_finding(),
         interrupts_finding(max(os.sched_getaffinity(0))),
         runtime_finding(),
         *access_findings(),
-        tool_finding("cyclictest", f"`hil bench jitter` compares with it: {RT_TESTS}"),
-        tool_finding("strace", "the benchmarks (make bench) count system calls with it: apt install strace"),
-        tool_finding("cc", "the compiled build and the benchmarks need it: apt install gcc"),
         stage_finding(),
         python_finding(python_lacks()),
     ]

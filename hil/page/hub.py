@@ -10,6 +10,7 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
 from hil.page.frames import Block, Pulse, envelope, pulse_message, ticks
+from hil.page.margins import margins
 from hil.page.rig_facts import clean
 from hil.page.ring_feed import RingFeed
 from hil.page.sidecar_feed import SidecarFeed
@@ -74,6 +75,8 @@ class Hub:
         self.operator = ""
         self._task: asyncio.Task[None] | None = None
         self._status: dict[str, Any] = {}
+        self._computing = asyncio.Lock()
+        self._margins: tuple[int, dict[str, Any]] | None = None  # of which run
 
     def join(self, viewer: Viewer) -> None:
         """From now on it gets every turn."""
@@ -159,6 +162,14 @@ class Hub:
         }
         found: dict[str, Any] = clean(described)
         return found
+
+    async def margins(self) -> dict[str, Any]:
+        """Of the run's loop; computed once a run, whoever asks."""
+        async with self._computing:
+            if self._margins is None or self._margins[0] != self.ring.run_id:
+                run, metadata = self.ring.run_id, self.ring.metadata
+                self._margins = run, clean(await asyncio.to_thread(margins, metadata))
+            return self._margins[1]
 
     def heard(self) -> Heard:
         """What is known now, without a viewer."""

@@ -21,7 +21,7 @@ from hil.page.access import Access, Pairing, PairingError, Role
 from hil.page.audit import Audit
 from hil.page.guard import FOXGLOVE, Guard
 from hil.page.hub import Heard, Hub, Viewer
-from hil.page.rig_facts import rig_facts, runs_in
+from hil.page.rig_facts import clean, rig_facts, runs_in
 from hil.page.ring_feed import running_rigs
 from hil.page.sidecar_feed import SidecarFeed
 from hil.page.stopping import ask, emergency_stop
@@ -97,7 +97,9 @@ class PageServer:
             Route("/leave", self._answer(self._leave), methods=["POST"]),
             Route("/me", self._answer(self._me), methods=["GET"]),
             Route("/runs", self._answer(self._list_runs), methods=["GET"]),
+            Route("/computer", self._answer(self._computer), methods=["GET"]),
             Route("/rigs/{rig}/facts", self._answer(self._facts), methods=["GET"]),
+            Route("/rigs/{rig}/margins", self._answer(self._margins), methods=["GET"]),
             Route("/rigs/{rig}/estop", self._answer(self._estop), methods=["POST"]),
             Route("/rigs/{rig}/{command:str}", self._answer(self._command), methods=["POST"]),
             WebSocketRoute("/rigs/{rig}/feed", self._feed),
@@ -191,6 +193,18 @@ class PageServer:
         self._may(request, Role.WATCH)
         hub = self._hub(self._rig(request))
         return JSONResponse(await asyncio.to_thread(rig_facts, hub.ring.metadata))
+
+    async def _computer(self, request: Request) -> Response:
+        """What `hil doctor` finds, but for what only the control process' user can try."""
+        self._may(request, Role.WATCH)
+        from hil.operate.doctor import computer_findings
+
+        found = await asyncio.to_thread(computer_findings)
+        return JSONResponse({"findings": clean([finding._asdict() for finding in found])})
+
+    async def _margins(self, request: Request) -> Response:
+        self._may(request, Role.WATCH)
+        return JSONResponse(await self._hub(self._rig(request)).margins())
 
     async def _scrape(self, request: Request) -> Response:
         assert self._offers.exposition is not None

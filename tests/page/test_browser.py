@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -73,13 +74,13 @@ class Place(NamedTuple):
     sidecar: "subprocess.Popen[bytes]"
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    folder = tmp_path_factory.mktemp("rig")
+@contextlib.contextmanager
+def running(folder: Path, *arguments: str) -> Iterator[Place]:
+    """A rig that moves and its sidecar, in a runtime directory below that folder."""
     (folder / "run").mkdir(mode=0o700)
     environment = {**os.environ, "HIL_RUNTIME_DIR": str(folder / "run")}
     listen = [str(RIG), "--listen", "tcp/127.0.0.1:7561", "--or-free-port", "--out", str(folder / "runs" / "one")]
-    rig = [sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE]
+    rig = [sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE, *arguments]
     sidecar = [sys.executable, "-m", "hil", "sidecar", *listen]
     with contextlib.ExitStack() as stack:
         children = []
@@ -87,6 +88,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
             children.append(stack.enter_context(subprocess.Popen(command, env=environment, cwd=ROOT)))
             stack.callback(children[-1].terminate)
         yield Place(folder, *children)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with running(tmp_path_factory.mktemp("rig")) as found:
+        yield found
 
 
 @pytest.fixture
@@ -112,13 +119,17 @@ def pictures(engine: str) -> Path:
 def tab(page: PageProcess, tmp_path: Path, engine: str) -> Iterator[Browser]:
     """A paired browser that shows a rig that is ACTIVE."""
     with ENGINES[engine](tmp_path / "profile") as found:
-        found.size(*SIZES["phone"], dark=False)
-        found.open(page.url)
-        found.wait("document.getElementById('pair').open")
-        code = page.code(Role.OPERATE)
-        found.run(PAIR % code)
+        pair(found, page)
         found.wait("document.getElementById('state').textContent === 'ACTIVE'")
         yield found
+
+
+def pair(tab: Browser, page: PageProcess) -> None:
+    """As a person does it, on a phone by day."""
+    tab.size(*SIZES["phone"], dark=False)
+    tab.open(page.url)
+    tab.wait("document.getElementById('pair').open")
+    tab.run(PAIR % page.code(Role.OPERATE))
 
 
 def reset(tab: Browser) -> None:
@@ -230,3 +241,26 @@ def test_a_browser_that_is_revoked_is_asked_for_a_code_again(tab: Browser, page:
     with contextlib.suppress(BrowserError):  # the page is loaded anew while it is asked
         tab.wait("document.getElementById('pair')?.open")
     assert tab.wait("document.getElementById('pair').open")
+
+
+def test_a_phone_tells_axis_time_and_cause_of_a_fault_within_a_minute(
+    engine: str, pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who opens the page after it happened reads all of it where the page begins."""
+    fault = tmp_path / "fault.toml"
+    fault.write_text('[[fault]]\nkind = "bad_checksum"\naxis = "y"\nat_s = 8.0\n')
+    with running(tmp_path, "--faults", str(fault)):
+        monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "run"))
+        with PageProcess(tmp_path / "state", "microscope-ideal") as page, ENGINES[engine](tmp_path / "profile") as tab:
+            began = time.monotonic()
+            pair(tab, page)
+            told = tab.wait("!latched.hidden && latched.querySelectorAll('.next').length > 3 && latched.innerText")
+            assert time.monotonic() - began < 60.0
+            tab.picture(pictures / "fault.png")
+            inside = "(({top, bottom}) => top >= 0 && bottom <= innerHeight)(latched.getBoundingClientRect())"
+            assert tab.run(inside), "without a scroll"
+    assert "encoder_lost on y" in told
+    assert re.search(r"At \d\d:\d\d:\d\d, 8\.\d+ s of the run", told)
+    assert "Cause: answers came and were rejected" in told
+    assert "wrong checksum" in told
+    assert "Next: replace the drive or the gateway" in told

@@ -11,15 +11,18 @@ import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
+from hil.analysis.loop_corners import check_corners
 from hil.cycle.state_machine import State
 from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_line import StopLine
+from hil.operate.doctor import computer_findings
 from hil.page.access import Access, Role
 from hil.page.audit import Audit
 from hil.page.frames import HEADER, Message
 from hil.page.guard import HEADERS
+from hil.page.margins import margins
 from hil.page.server import PageServer, make_app
-from tests.page.conftest import HOST, LIMIT_S, ORIGIN, Told
+from tests.page.conftest import HOST, LIMIT_S, ORIGIN, RIG, Told
 from tests.support.command_bench import CommandBench
 
 FEED = "/rigs/paper/feed"
@@ -68,7 +71,7 @@ def test_every_answer_forbids_foreign_scripts(client: TestClient) -> None:
     assert "script-src 'self'" in HEADERS["Content-Security-Policy"]
 
 
-@pytest.mark.parametrize("path", ["/runs", "/rigs/paper/facts"])
+@pytest.mark.parametrize("path", ["/runs", "/computer", "/rigs/paper/facts", "/rigs/paper/margins"])
 def test_without_a_pairing_nothing_is_shown(client: TestClient, told: Told, path: str) -> None:
     assert client.get(path).status_code == 401
     assert client.get("/me").json() == {"role": ""}
@@ -279,3 +282,35 @@ def test_a_browser_that_leaves_is_paired_no_more(paired: Paired, access: Access)
     assert browser.post("/leave").json()["accepted"]
     assert access.pairings() == []
     assert browser.post("/rigs/paper/estop").status_code == 401
+
+
+@pytest.mark.long
+def test_margins_are_those_of_the_loop_and_are_computed_once_a_run(told: Told, paired: Paired) -> None:
+    browser = paired(Role.WATCH)
+    found = browser.get("/rigs/paper/margins").json()
+    assert found["problem"] == ""
+    nominal = [row for row in found["rows"] if row["corner"] == "as the model says"]
+    assert [row["axis"] for row in nominal] == ["x", "y"]
+    corners = check_corners(RIG)
+    wanted = [finding for finding in corners if finding.nominal]
+    for row, finding in zip(nominal, wanted, strict=True):
+        assert (row["gain_db"], row["phase_deg"]) == pytest.approx((finding.gain_db, finding.phase_deg))
+    for axis in ("x", "y"):
+        least = min(finding.gain_db for finding in corners if finding.axis == axis)
+        assert pytest.approx(least) in [row["gain_db"] for row in found["rows"] if row["axis"] == axis]
+    began = time.monotonic()
+    assert browser.get("/rigs/paper/margins").json() == found
+    assert time.monotonic() - began < 0.1  # a process of Python does not even start in that
+
+
+def test_a_law_of_users_is_not_run_for_its_margins() -> None:
+    own = {"rig": {"law": {"name": "./mine.py:Mine"}, "estimator": {"name": "motion-filter"}}}
+    assert margins(own) == {
+        "rows": [], "problem": "./mine.py:Mine is no law of hil, and the page does not run it: see hil check"
+    }  # fmt: skip
+
+
+def test_the_page_says_what_doctor_says_of_this_computer(paired: Paired) -> None:
+    found = paired(Role.WATCH).get("/computer").json()["findings"]
+    assert [row["topic"] for row in found] == [finding.topic for finding in computer_findings()]
+    assert {row["level"] for row in found} <= {"ok", "note", "warn"}

@@ -2,11 +2,12 @@
 
 No tick of it depends on how busy this computer is, so a page shows the same on every machine.
 
-python -m tests.support.shown_rig RIG_FILE [KEY=VALUE ...]: runs until SIGTERM. Prints "up" when it writes.
+python -m tests.support.shown_rig RIG_FILE [--faults SCENARIO] [KEY=VALUE ...]: runs until SIGTERM. Prints "up" when it
+writes.
 """
 
+import argparse
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,12 +21,13 @@ from hil.live.stop_line import StopLine
 from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
 from hil.virtual.lockstep import LockstepRun
+from sim_plant.scenario.language import load_scenario
 
 SLOTS = 8192
 AGAIN = 100  # ticks, after which a rig that is READY is activated
 
 
-def main(rig_file: str, overrides: Sequence[str]) -> None:
+def main(rig_file: str, overrides: Sequence[str], faults: Path | None = None) -> None:
     rig = load_rig(rig_file, overrides)
     paths = runtime_paths(rig.name)
     stopped: list[int] = []
@@ -38,7 +40,8 @@ def main(rig_file: str, overrides: Sequence[str]) -> None:
             posted.append(CommandKind.ACTIVATE)
         return posted
 
-    run = LockstepRun(rig, Path(rig_file).parent, operator=operator)
+    scenario = load_scenario(faults) if faults else None
+    run = LockstepRun(rig, Path(rig_file).parent, operator=operator, scenario=scenario)
     metadata = describe_run(rig, Path(rig_file).parent, realtime="none: virtual time at the pace of the clock")
     with (
         Mailbox.create(paths.mailbox) as mailbox,
@@ -66,4 +69,9 @@ def main(rig_file: str, overrides: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    parser = argparse.ArgumentParser()
+    parser.add_argument("rig_file")
+    parser.add_argument("--faults", type=Path)
+    parser.add_argument("overrides", nargs="*")
+    given = parser.parse_args()
+    main(given.rig_file, given.overrides, given.faults)

@@ -2,8 +2,8 @@
 
 const WAIT_MS = 3000;
 
-export async function ask(path, body, method = "POST") {
-  const options = { method, signal: AbortSignal.timeout(WAIT_MS), keepalive: method === "POST" };
+export async function ask(path, body, method = "POST", wait = WAIT_MS) {
+  const options = { method, signal: AbortSignal.timeout(wait), keepalive: method === "POST" };
   if (method === "POST") options.body = JSON.stringify(body ?? {});
   try {
     const response = await fetch(path, options);
@@ -13,7 +13,7 @@ export async function ask(path, body, method = "POST") {
   }
 }
 
-export const load = (path) => ask(path, undefined, "GET");
+export const load = (path, wait) => ask(path, undefined, "GET", wait);
 
 /** E-STOP: two tries, then words that nobody can take for a success. */
 export async function emergencyStop(rig, tell) {

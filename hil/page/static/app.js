@@ -9,6 +9,7 @@ import { Path } from "./path.js";
 import { Rig } from "./rig.js";
 import { Runs } from "./runs.js";
 import { Scope } from "./scope.js";
+import { clock } from "./units.js";
 
 const PAGES = { Now, Scope, Events, Path, Runs, Rig };
 const LOOK_MS = 100;
@@ -138,7 +139,8 @@ function showLatched() {
   const title = event ? headline(event) : latched === "ESTOP" ? "Stopped by E-STOP" : `Fault ${latched}`;
   box.replaceChildren(...(latched ? [el("p", {}, title)] : []), ...(tip ? [el("p", { className: "next" }, tip)] : []));
   if (event) {
-    const words = [measured(event), event.cause && `Cause: ${event.cause}`, `Next: ${event.action || "find out why"}`];
+    const when = `At ${clock(event.wall)}, ${event.run.toFixed(3)} s of the run`;
+    const words = [when, measured(event), event.cause && `Cause: ${event.cause}`, `Next: ${event.action || "find out why"}`];
     box.append(...words.filter(Boolean).map((text) => el("p", { className: "next" }, text)));
   }
   if (latched) box.append(reset);

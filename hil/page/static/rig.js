@@ -1,12 +1,14 @@
-// Rig: what its axes are held to, what its drives say, what its bus carries.
+// Rig: what its axes are held to, how stable its loop is, what its drives say, what its bus carries, what its computer grants.
 
 import { load } from "./actions.js";
 import { el, say } from "./dom.js";
-import { short } from "./units.js";
+import { exists, short } from "./units.js";
 
 const table = (heads, rows) => el("div", { className: "wide" }, el("table", {},
   el("thead", {}, el("tr", {}, ...heads.map((head) => el("th", {}, head)))),
   el("tbody", {}, ...rows.map((row) => el("tr", {}, ...row.map((cell) => el("td", {}, cell)))))));
+
+const MARGINS_MS = 130000; // seconds of work, at the lowest priority
 
 const card = (title, ...children) => el("section", { className: "card" }, el("h2", {}, title), ...children);
 
@@ -16,6 +18,8 @@ export class Rig {
     this.main = main;
     this.drives = el("p");
     this.counters = el("p");
+    this.margins = card("Margins", el("p", { className: "quiet" }, "being computed ..."));
+    this.computer = card("Computer", el("p", { className: "quiet" }, "being looked at ..."));
     this.read();
   }
 
@@ -39,8 +43,28 @@ export class Rig {
           el("p", { className: "quiet" }, `hil ${facts.version}, rig hash ${facts.hash.slice(0, 12)}; ${facts.realtime}`)),
         card("Drives", this.drives), card("Frames", this.counters)),
       card("Limits", table(["axis", "travel", "speed", "force", "following error"], limits)),
-      card("Bus", ...carried));
+      this.margins, card("Bus", ...carried), this.computer);
     this.look();
+    this.readMargins();
+    this.readComputer(facts.realtime);
+  }
+
+  /** The nominal loop of each axis, and its worst corner. */
+  async readMargins() {
+    const { rows, problem, said } = await load(`/rigs/${encodeURIComponent(this.feed.rig)}/margins`, MARGINS_MS);
+    const number = (value, unit) => (exists(value) ? `${value.toFixed(1)} ${unit}` : "-");
+    const shown = (rows ?? []).map((row) => [row.axis, row.corner, row.stable ? number(row.gain_db, "dB") : "UNSTABLE",
+      row.stable ? number(row.phase_deg, "°") : "", number(row.frequency_hz, "Hz"), row.lacks ? "less than is good" : ""]);
+    this.margins.replaceChildren(el("h2", {}, "Margins"), ...(rows?.length
+      ? [table(["axis", "model", "gain", "phase", "at", ""], shown)] : [el("p", {}, problem || said || "none")]));
+  }
+
+  /** What hil doctor finds, but for real time, of which the control process said itself what it was granted. */
+  async readComputer(realtime) {
+    const { findings, said } = await load("/computer");
+    const shown = (findings ?? []).map((row) => [row.topic, row.level, row.advice ? `${row.detail}. ${row.advice}` : row.detail]);
+    this.computer.replaceChildren(el("h2", {}, "Computer"), ...(findings
+      ? [table(["", "", ""], [["real time", "", realtime], ...shown])] : [el("p", {}, said)]));
   }
 
   look() {
