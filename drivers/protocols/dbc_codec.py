@@ -5,6 +5,7 @@ of whole bytes becomes a `struct.Struct`, any other a few shifts and masks. Both
 DBC's factor and offset. tests/drivers/protocols/test_protocols.py holds them equal to cantools' own encode and decode.
 """
 
+import logging
 import re
 import struct
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.base.toml_file import short
 from drivers.protocols.base import LayoutError
 
-LARGEST = 2**18  # bytes of a DBC file that is parsed; cantools takes a second for them
+LARGEST = 2**20  # bytes of a DBC file that is parsed; cantools takes two seconds for the densest
 LARGEST_FILE = 2**23  # of one whose bound messages alone are
 # What cantools would work on for minutes: frames, signals and multiplexer ranges beyond any that a CAN bus has.
 _STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
@@ -28,8 +29,14 @@ _SIZES = (
     ("frame length", re.compile(r"\bBO_\s+\S+\s+\w+\s*:\s*([-+]?\d+)"), 64),
     ("signal's first bit", re.compile(r":\s*([-+]?\d+)\s*\|"), 511),
     ("signal length", re.compile(r"\|\s*([-+]?\d+)\s*@"), 512),
+    ("byte order", re.compile(r"\|\s*\d+\s*@\s*(\d+)"), 1),
     ("multiplexer value", re.compile(r"\bSG_MUL_VAL_\s+\d+\s+\w+\s+\w+([^;]*)"), 65535),
 )
+_RANGES = re.compile(r"\bSG_MUL_VAL_\s[^;]*")
+_RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
+_NODES = re.compile(r"\bBU_\s*:([^\n]*)")
+_MOST_SELECTED, _MOST_NODES = 2**17, 2**16  # multiplexer values of all ranges together; nodes of the network
+logging.getLogger("cantools").addHandler(logging.NullHandler())  # whatever matters of a file is said in our words
 
 LONGEST_CLASSIC = 8  # bytes of a frame
 
@@ -92,6 +99,11 @@ def _refuse_sizes(text: str) -> None:
         for number in (digits for found in pattern.finditer(bare) for digits in re.findall(r"\d+", found[1])):
             if len(number) > 9 or int(number) > most:
                 raise UnsuitableFileError(f"{what} {short(number)}: allowed 0 to {most}")
+    spans = (pair for found in _RANGES.finditer(bare) for pair in _RANGE.findall(found[0]))
+    if sum(max(0, int(high) - int(low)) for low, high in spans) > _MOST_SELECTED:
+        raise UnsuitableFileError(f"its multiplexer ranges have more than {_MOST_SELECTED} values together")
+    if sum(len(found[1].split()) for found in _NODES.finditer(bare)) > _MOST_NODES:
+        raise UnsuitableFileError(f"more than {_MOST_NODES} nodes")
 
 
 def is_fd(message: Message) -> bool:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 import can
-from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
+from can.io.generic import BinaryIOMessageReader
 from can.io.player import MESSAGE_READERS
 from can.io.sqlite import SqliteReader
 
@@ -26,7 +26,11 @@ from drivers.base.text_file import open_untrusted
 from drivers.base.toml_file import short
 from drivers.frame import EXTENDED_MASK, STANDARD_MASK
 from hil.runs.asc_log import read_asc
+from hil.runs.busmaster_log import HEAD as BUSMASTER
+from hil.runs.busmaster_log import read_busmaster
 from hil.runs.candump_log import TraceError, read_log
+from hil.runs.gvret_csv import HEAD as GVRET
+from hil.runs.gvret_csv import read_gvret
 from hil.runs.traces import suffix_of
 
 LARGEST = 2**36  # bytes of a file: days of a full bus
@@ -36,6 +40,7 @@ FRAME_S = 1.0  # for one frame after another, whatever stands between them
 _LATEST_S = 1e11  # beyond the year 5000
 _CLASSIC_BYTES = 8  # of a frame that is no FD frame
 _BEFORE_ZLIB = 16  # bytes of a BLF file's block before what is compressed
+_OF_LINES = (".log", ".asc", ".csv", ".trc")
 _SQL_STEPS = 10_000  # of SQLite's machine, between two looks at the clock
 
 
@@ -63,16 +68,21 @@ def read_trace(path: Path) -> Iterator[can.Message]:
 def _reader(path: Path, file: BinaryIO) -> Iterable[can.Message]:
     suffix, folded = suffix_of(path), path.suffix.lower() == ".gz"
     content = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if folded else file
-    if suffix == ".log":
-        return read_log(_Lines(content))
-    if suffix == ".asc":
-        return read_asc(_Lines(content))
+    if suffix in _OF_LINES:
+        return _of_lines(suffix, _Lines(content))
     made = MESSAGE_READERS[suffix]
-    if issubclass(made, TextIOMessageReader):
-        return made(cast(Any, _Lines(content)))
     if issubclass(made, BinaryIOMessageReader) and suffix == ".blf":
         return made(cast(Any, _Blocks(content)))
     return _Database(path) if made is SqliteReader else made(path)
+
+
+def _of_lines(suffix: str, lines: "_Lines") -> Iterable[can.Message]:
+    """By the suffix, and by the first line where two programs have one suffix."""
+    if suffix == ".log":
+        return read_busmaster(lines) if lines.begins(BUSMASTER) else read_log(lines)
+    if suffix == ".csv" and lines.begins(GVRET):
+        return read_gvret(lines)
+    return read_asc(lines) if suffix == ".asc" else cast(Any, MESSAGE_READERS[suffix])(lines)
 
 
 class _Lines(io.TextIOBase):
@@ -80,6 +90,15 @@ class _Lines(io.TextIOBase):
 
     def __init__(self, content: BinaryIO) -> None:
         self._text = io.TextIOWrapper(content, encoding="utf-8", errors="replace")
+        self._held: list[str] = []
+
+    def begins(self, head: str) -> bool:
+        """Whether the first line that is not blank does so; all are read again."""
+        seen = [self.readline()]
+        while seen[-1] == "\n":
+            seen.append(self.readline())
+        self._held = seen
+        return seen[-1].removeprefix("\ufeff").startswith(head)
 
     def readable(self) -> bool:
         """See IOBase."""
@@ -87,7 +106,7 @@ class _Lines(io.TextIOBase):
 
     def readline(self, _size: int = -1) -> str:  # type: ignore[override]
         """The next line. Raises ValueError where it is too long."""
-        line = self._text.readline(LONGEST_LINE + 1)
+        line = self._held.pop(0) if self._held else self._text.readline(LONGEST_LINE + 1)
         if len(line) > LONGEST_LINE:
             raise ValueError(f"a line of more than {LONGEST_LINE} characters")
         return line

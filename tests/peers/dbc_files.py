@@ -53,7 +53,8 @@ def _differences(ours: Any, theirs: Any) -> tuple[str, int]:
         return f"messages: they {names[1]}, we {names[0]}", 0
     draw, count = random.Random(1), 0
     for message in theirs.messages:
-        if message.is_multiplexed() or message.length > (64 if is_fd(message) else 8):
+        paged = message.is_multiplexed() or any(signal.multiplexer_ids for signal in message.signals)
+        if paged or message.length > (64 if is_fd(message) else 8):
             continue
         try:
             message.refresh(strict=True)

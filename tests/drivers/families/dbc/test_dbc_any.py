@@ -120,7 +120,7 @@ def test_nor_does_any_rubbish_between_statements_matter(drawn: Drawn, damage: st
 def test_a_file_of_many_messages_is_read_as_far_as_it_is_used() -> None:
     many = "".join(
         f'BO_ {number} Message{number}: 8 X\n SG_ Signal : 0|8@1+ (1,0) [0|0] "" Y\n\n'
-        for number in range(100_000, 110_000)
+        for number in range(100_000, 116_000)
     )
     assert len(many) > LARGEST
     host, _ = ends(TEXT + many, bound())

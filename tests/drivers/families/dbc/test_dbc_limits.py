@@ -15,7 +15,10 @@ from tests.fuzz.__main__ import LONGEST_S, at_most
         ('BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|1] "" B\n', "signal length 99999999"),
         ('BO_ 1 M: 8 A\n SG_ S : 9999|8@1+ (1,0) [0|1] "" B\n', "signal's first bit 9999"),
         ("SG_MUL_VAL_ 1 A B 0-4294967295;\n", "multiplexer value 4294967295"),
-        ("//" + "x" * 2**18 + "\n", "longer than 262144 bytes"),
+        ("SG_MUL_VAL_ 1 A B 0-65535;\n" * 3, "ranges have more than 131072 values together"),
+        ("BU_: " + "A " * 70_000 + "\n", "more than 65536 nodes"),
+        ('BO_ 1 M: 8 A\n SG_ S : 0|16@2+ (1,0) [0|1] "" B\n', "byte order 2: allowed 0 to 1"),
+        ("//" + "x" * 2**20 + "\n", "longer than 1048576 bytes"),
         ('CM_ "' + "\\" * 100_000, "not a usable DBC file"),
     ],
 )
