@@ -64,8 +64,8 @@ $(ADAPTERS)/.installed: $(VENV)/.native tests/adapters/requirements.lock
 test-browser: setup  ## the page in Chromium and Firefox, with pictures in build/browser (those installed; not in .ci/run)
 	@$(BIN)/python -m pytest -m browser tests/page $(ARGS)
 
-peers: setup  ## peers' own tests and readers against ours; ARGS="--few", or --files FOLDER; not in .ci/run as a whole
-	@$(BIN)/python -m tests.peers $(ARGS)
+peers: setup  ## peers' own tests and readers against ours; ARGS="--few", FILES=FOLDER; not in .ci/run as a whole
+	@$(BIN)/python -m tests.peers $(ARGS) $(if $(FILES),--files $(FILES))
 
 attacks: setup  ## try every attack on a live rig: commands, goals, Zenoh, files, processes (needs root; about six minutes)
 	@$(BIN)/python -m tests.attacks attacks.json

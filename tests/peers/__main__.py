@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.peers import dbc_files, eds_files, margins, moves, recordings, rig_files, stacks, trace_files
+from tests.peers.files import FOUND, read_and_listed
 from tests.peers.own_tests import SUITES, run_suite
 from tests.peers.sources import FOLDER
 from tests.peers.table import Row, attributed, deviations, summary, unexplained, write
@@ -52,6 +53,7 @@ def main(words: list[str] | None = None) -> int:
     asked = parser.parse_args(words)
     if asked.files is not None and not asked.files.is_dir():
         parser.error(f"--files {asked.files}: no such folder")
+    FOUND.unlink(missing_ok=True)
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="hil-peers-") as work:
         run = Run(asked.few, asked.files, Path(work))
@@ -62,7 +64,7 @@ def main(words: list[str] | None = None) -> int:
             rows += found
     rows = attributed(rows, deviations())
     write(rows, FOLDER)
-    print("\n".join([*summary(rows), f"table: {FOLDER / 'table.tsv'}"]))
+    print("\n".join([*summary(rows), read_and_listed(), f"table: {FOLDER / 'table.tsv'}"]))
     return 1 if unexplained(rows) else 0
 
 

@@ -8,6 +8,11 @@ from typing import NamedTuple
 from tests.peers.sources import FOLDER, UnavailableError, source
 from tests.peers.table import NOT_RUN, Row
 
+LISTED = Path(__file__).with_name(
+    "files.sha256"
+)  # public files that were read once: none of them is in this repository
+FOUND = FOLDER / "files.sha256"  # those that this run has read
+
 
 class Tried(NamedTuple):
     """own: it comes from the peer's own tests."""
@@ -27,15 +32,23 @@ def in_source(peer: str, under: str, suffixes: tuple[str, ...]) -> tuple[list[Tr
 
 
 def in_folder(folder: Path | None, suffixes: tuple[str, ...], peer: str) -> tuple[list[Tried], list[Row]]:
-    """The files of FILES; a row that says so where there are none. Their sha256 go to build/peers/files.sha256."""
+    """The files of FILES; a row that says so where there are none. Their sha256 go to FOUND."""
     found = list(_below(folder, suffixes)) if folder is not None else []
     if folder is None or not found:
         return [], [Row(peer, f"FILES: {', '.join(suffixes)}", NOT_RUN, "no folder of such files given by --files")]
     FOLDER.mkdir(parents=True, exist_ok=True)
-    with (FOLDER / "files.sha256").open("a") as listed:
-        listed.writelines(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in found)
+    with FOUND.open("a") as listed:
+        for path in found:
+            listed.write(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder)}\n")
     return [Tried(path, f"FILES/{path.relative_to(folder)}") for path in found], []
 
 
 def _below(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
     return (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in suffixes and path.is_file())
+
+
+def read_and_listed() -> str:
+    """How many files of FILES were read, and how many of them the committed list has."""
+    found = {line.split()[0] for line in FOUND.read_text().splitlines()} if FOUND.exists() else set()
+    listed = {line.split()[0] for line in LISTED.read_text().splitlines()}
+    return f"files: {len(found)} read, {len(found & listed)} of the {len(listed)} in {LISTED.name}"
