@@ -149,6 +149,7 @@ _LISTED: tuple[Trial, ...] = (
         instead=_ACCEPTED,
         exactly=silence,
         deaf=True,
+        unheld=True,
     ),
     Trial(
         "duplicates",

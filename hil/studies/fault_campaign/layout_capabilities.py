@@ -52,7 +52,8 @@ TEXTS: dict[Capability, Text] = {
         "frames carry a checksum besides CAN's own",
         "no checksum",
         "damage that CAN's own checksum lets through (in a drive's or a gateway's memory) is accepted for the tick it "
-        "lasts: a position within the speed bound, a torque within the drive's own limit, a drive state as it reads",
+        "lasts: a position within the speed bound, a torque within the drive's own limit, a drive state as it reads. "
+        "Where every command is damaged, no order to stop arrives, and the drives are not asked to let go",
     ),
     Capability.STATE: Text(
         "drives have states, which they tell and are told",

@@ -61,7 +61,8 @@ class Trial:
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
     due. Of drives without states only the motion is seen, if at all, and where they are `deaf` to what the host says
-    they are not asked to let go. lacking: what was missing of it.
+    they are not asked to let go. unheld: nor are drives without a checksum, as no order to stop arrives undamaged, and
+    a damaged one may be an order to start; they apply no force all the same. lacking: what was missing of it.
     """
 
     name: str
@@ -92,19 +93,21 @@ class Trial:
     instead: tuple[Fault, ...] = ()
     unseen: bool = True
     deaf: bool = False
+    unheld: bool = False
     lacking: Capability = NONE
 
     def over(self, capabilities: Capability) -> "Trial":
         """The same under a layout with these capabilities."""
         lacking = self.needs & ~capabilities
         if not lacking:
-            return replace(self, deaf=False)
+            return replace(self, deaf=False, unheld=False)
         stateless = bool(lacking & Capability.STATE)
         return replace(
             self,
             faults=(*self.faults, *self.instead, *(BY_MOTION if stateless else ())),
             certain=self.certain and not (self.unseen or stateless),
             deaf=self.deaf and stateless,
+            unheld=self.unheld and bool(lacking & Capability.CHECKSUM),
             exactly=None,
             benign=False,
             lacking=lacking,
