@@ -6,7 +6,7 @@ import hil
 from docs.pictures.sheet import CURVES, SOFT, figure
 
 LAWS = ("pd-feedforward", "structured-kalman")
-SECONDS = 12.0
+SECONDS, SHOWN = 12.0, 4.0  # of the run, and of ACTIVE in the picture
 
 
 def draw(path: Path) -> None:
@@ -17,7 +17,8 @@ def draw(path: Path) -> None:
         panels = drawn.subplots(2, len(runs), sharex=True, sharey="row")
         for column, (law, run) in enumerate(runs.items()):
             begun = next(i for i, state in enumerate(run.state) if state == "ACTIVE")
-            at, error, force = run.time[begun:] - run.time[begun], run.error[begun:, 0] * 1e6, run.force[begun:, 0]
+            ticks = slice(begun, begun + round(SHOWN * rig.config.rate_hz))
+            at, error, force = run.time[ticks] - run.time[begun], run.error[ticks, 0] * 1e6, run.force[ticks, 0]
             largest = run.summary()["axes"]["x"]["max_error"] * 1e6
             panels[0, column].plot(at, error, color=CURVES[column], linewidth=0.8)
             panels[0, column].set_title(f"{law}: at most {largest:.2f} um once steady", fontsize=10)

@@ -91,7 +91,7 @@ def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, h
         viscous=[m.viscous * k for m, k in zip(models, friction, strict=True)],
         quadratic=[m.quadratic for m in models],
         gravity=[m.gravity for m in models],
-        presliding=[between(length, random.random()) for length in lengths],
+        presliding=[between((low, high), random.random()) for low, high in lengths],
         presliding_damping=uniform(DAMPING),
         torque_lag=[m.torque_lag * k for m, k in zip(known, lag, strict=True)],
         friction_variation=VARIATION,
