@@ -30,7 +30,6 @@ MASTER_ID = 127
 DRIVE_HEARTBEAT_MS = 100
 EMCY_ID = 0x680  # below SDO: at 080h four emergencies delay every TPDO, at 480h the host's SDO, which blocks its FIFO
 DUMMY_INT16, DUMMY_UINT16 = 0x0003, 0x0006
-TPDO_OBJECTS = (cia301.POSITION, cia301.STATUSWORD)
 
 _SYNC_PRODUCER = 1 << 30  # of 1005h
 _NO_RTR = 1 << 30  # of a TPDO's COB-ID

@@ -204,15 +204,19 @@ class BlockUpload:
         return Progress.ABORTED
 
 
+def _expedited(command: int, payload: bytes) -> int:
+    """The value that a message itself carries."""
+    length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
+    return int.from_bytes(payload[:length], "little")
+
+
 def request_words(data: bytes) -> str:
     """An SDO request of eight bytes, for people."""
     command, index, subindex, payload = SDO.unpack(data)
     name = object_name(index, subindex)
     match command >> 5:
         case 1:
-            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
-            value = f" = {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ""
-            return f"SDO write {name}{value}"
+            return f"SDO write {name}{f' = {_expedited(command, payload):#x}' if command & _EXPEDITED else ''}"
         case 2:
             return f"SDO read {name}"
         case 4:
@@ -230,9 +234,7 @@ def response_words(data: bytes) -> str:
     name = object_name(index, subindex)
     match command >> 5:
         case 2:
-            length = 4 - (command >> 2 & 3) if command & _SIZE_TOLD else 4
-            value = f" is {int.from_bytes(payload[:length], 'little'):#x}" if command & _EXPEDITED else ": segmented"
-            return f"SDO {name}{value}"
+            return f"SDO {name}{f' is {_expedited(command, payload):#x}' if command & _EXPEDITED else ': segmented'}"
         case 3:
             return f"SDO {name} written"
         case 4:

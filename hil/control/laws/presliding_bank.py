@@ -9,7 +9,6 @@ IEEE TAC 40(3), 1995), and close to any generalised Maxwell-slip curve (Al-Bende
 
 from hil.control.number import Number
 
-OPERATORS = 6
 RATIO = 2.885  # of one reach to the one before: 1 to 200 over the bank
 
 Bank = tuple[Number, Number, Number, Number, Number, Number]  # one value an operator, finest first
