@@ -14,6 +14,7 @@ from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
 from hil.cycle.state_machine import State
 from tests.cycle.test_fault_thresholds import (
     AXIS,
+    BITS,
     CASES,
     INNOVATION,
     LIMIT,
@@ -67,9 +68,7 @@ OF_AN_AXIS: dict[Fault, Callable[[Seen], tuple[float, float]]] = {
     Fault.SPEED: lambda seen: (abs(seen.v), LIMIT.speed),
     Fault.NOT_FINITE: lambda seen: (math.nan, INNOVATION[AXIS]),
     Fault.FILTER_DIVERGED: lambda seen: (abs(seen.innovation), INNOVATION[AXIS]),
-    Fault.DRIVE_FAULT: lambda seen: (1.0, math.nan),
-    Fault.DRIVE_WATCHDOG: lambda seen: (1.0, math.nan),
-    Fault.ENCODER_FAULT: lambda seen: (1.0, math.nan),
+    **{fault: lambda seen: (1.0, math.nan) for fault in BITS},
     Fault.ANSWERS_DIFFER: lambda seen: (0.0, math.nan),
     Fault.LIMIT_SWITCH: lambda seen: (0.0 if seen.status & DriveStatus.LIMIT_LOW else 1.0, math.nan),
     Fault.DRIVE_DISABLED: lambda seen: (0.0, math.nan),

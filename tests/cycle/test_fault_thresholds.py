@@ -32,6 +32,11 @@ SAFETY = SafetyConfig(
     silent_stop_ticks=3, silent_zero_ticks=10, bad_frame_limit=5, stuck_ticks=50, nis_ticks=20, flood_frames=12,
     transmit_refused_limit=4, overrun_streak=6, overrun_zero_s=0.02, disable_timeout_ticks=30,
 )  # fmt: skip
+BITS = {  # a drive's status that is a fault by itself
+    Fault.DRIVE_FAULT: DriveStatus.FAULT,
+    Fault.DRIVE_WATCHDOG: DriveStatus.WATCHDOG,
+    Fault.ENCODER_FAULT: DriveStatus.ENCODER_FAULT,
+}
 SWITCHES = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 LIMITS = [
     AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0, 5.0),
@@ -226,8 +231,7 @@ def other_cases() -> Iterator[Case]:
     limit = SAFETY.bad_frame_limit
     yield Case(Fault.BAD_FRAMES, Seen(bad_frames=limit), Seen(bad_frames=limit - 1))
     harmless = DriveStatus.TORQUE_LIMITED | DriveStatus.HOMED | DriveStatus.BRAKE
-    bits = (Fault.DRIVE_FAULT, DriveStatus.FAULT), (Fault.DRIVE_WATCHDOG, DriveStatus.WATCHDOG)
-    for fault, bit in (*bits, (Fault.ENCODER_FAULT, DriveStatus.ENCODER_FAULT)):
+    for fault, bit in BITS.items():
         yield Case(fault, Seen(status=harmless | bit), Seen(status=harmless))
     for bit in SWITCHES:
         yield Case(Fault.LIMIT_SWITCH, Seen(status=harmless | bit), Seen(status=harmless | DriveStatus.HOME))
