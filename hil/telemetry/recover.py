@@ -13,6 +13,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from drivers.base.text_file import UnsuitableFileError
+from hil.cli.exit_status import EXIT_FILE
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.mcap_items import DAMAGED, BombError, McapItems
 from hil.telemetry.recorder import CHUNK_SIZE, MODE, described_topic
@@ -153,13 +154,13 @@ def command(
 ) -> None:
     """Write all that is whole in RECORDING to a new file that any MCAP reader opens. RECORDING stays as it is.
 
-    Exit status 0: nothing is missing; 1: something is, or nothing could be recovered.
+    Exit status 0: nothing is missing; 1: something is, and the new file has the rest; 74: there is no new file.
     """
     try:
         found = recover(recording, out or recording.with_suffix(".recovered.mcap"))
     except RecordingError as error:
         print(f"hil recover: {error}", file=sys.stderr)
-        raise typer.Exit(1) from None
+        raise typer.Exit(EXIT_FILE) from None
     state = found.loss or "it was whole"
     print(f"{found.path}: {found.messages} messages, {found.ticks} ticks, {found.seconds:.1f} s; {state}")
     if found.loss:

@@ -7,16 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from hil.cli.exit_status import EXIT_FILE
 from hil.cycle.record import RECORD
 from hil.cycle.step import ControlCycle
 from hil.rig.file import load_rig
 from hil.rig.provenance import rig_of_run
 from hil.telemetry.recorder import Recorder, write_batch
 from hil.telemetry.recording import Recording, RecordingError
-from hil.telemetry.recover import recover
+from hil.telemetry.recover import command, recover
 from hil.virtual.replay import replay_run, steps
 from tests.support.earlier_layout import write_earlier
 from tests.support.paths import RIGS, ROOT
@@ -154,3 +156,15 @@ def test_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"there\.mcap: File exists"):
         recover(whole, tmp_path / "there.mcap")
     assert (tmp_path / "there.mcap").read_bytes() == b"precious"
+
+
+def test_its_exit_status_tells_whole_from_lost_and_from_nothing(whole: Path, tmp_path: Path) -> None:
+    command(whole, tmp_path / "all.mcap")
+    content = whole.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) * 2 // 3])
+    (tmp_path / "none.mcap").write_bytes(b"nothing")
+    for name, status in (("cut", 1), ("none", EXIT_FILE), ("absent", EXIT_FILE)):
+        with pytest.raises(typer.Exit) as ended:
+            command(tmp_path / f"{name}.mcap", tmp_path / f"{name}.new")
+        assert ended.value.exit_code == status
+        assert (tmp_path / f"{name}.new").exists() == (status == 1)
