@@ -17,6 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
@@ -32,6 +34,7 @@ MOMENTS = ("start", "motion", "reset", "home", "stop")
 ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 LATCHED_S = 0.005  # from a press to its latch
 GOES_ON_TICKS = 20
+HELD_UP = ("FOLLOWING_ERROR", "OSCILLATION")  # where ticks were lost in motion
 HEAVY_CIRCLE = (*HEAVY, "task.kind=circle", "task.radius=2e-3", "task.frequency_hz=0.5")
 MOVING = tuple(part for override in HEAVY_CIRCLE for part in ("--set", override))
 WATCHDOG, WATCHDOG_NS = "drives.watchdog_s=0.25", 250_000_000
@@ -230,7 +233,8 @@ def _told(control: Control, reader: RingReader, *, lost: bool) -> str:
     while True:
         records = reader.read(100_000).records
         faults = {Fault(int(value)).name for value in records["fault"]} - {Fault.NONE.name}
-        if not faults <= set(STALL_FAULTS):
+        held_up = len(records) > 1 and int(np.diff(records["index"]).max()) > 1  # and the stage went on without us
+        if not faults <= {*STALL_FAULTS, *(HELD_UP if held_up else ())}:
             return f"faults {sorted(faults)}"
         if not lost or faults or (len(records) and int(records[-1]["state"]) == State.CONNECTED):
             return ""

@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.hostile.commands import CASES, Case
 from tests.hostile.judge import wrong
 from tests.hostile.started import Ended, run
-from tests.hostile.surroundings import SURROUNDINGS, Surroundings, make_cgroup
+from tests.hostile.surroundings import SURROUNDINGS, Surroundings, make_cgroup, make_memory_cgroup
 from tests.support.lanes import commit
 from tests.support.paths import RIGS, ROOT
 
@@ -43,12 +43,16 @@ def inputs(folder: Path) -> None:
 
 
 def have() -> set[str]:
-    """What surroundings may need: mounts of one's own, root, a cgroup."""
+    """What surroundings may need: mounts of one's own, root, cgroups, the guest of the VM lane."""
     found = {"mounts"} if os.environ.get(_INSIDE) == "yes" else set()
     if os.geteuid() == 0 and Path("/proc/self/uid_map").read_text().split()[2] != "1":
         found.add("root")
         if make_cgroup():
             found.add("cgroup")
+        if make_memory_cgroup():
+            found.add("memory cgroup")
+        if "virtme" in Path("/proc/cmdline").read_text():
+            found.add("guest")  # whose clock and cores are nobody else's
     return found
 
 

@@ -27,6 +27,8 @@ def wrong(case: Case, over: Surroundings, ended: Ended) -> str:
         return ""  # told to end before it had begun, on a busy machine
     if ended.status == case.status:
         return _lacks(case, ended)
+    if over.killed and ended.status == -signal.SIGKILL:
+        return ""
     if ended.status < 0:
         return f"ended by {signal.Signals(-ended.status).name}"
     if ended.status == 0:

@@ -58,6 +58,7 @@ def run(case: Case, over: Surroundings, inputs: Path, place: Path, plain_s: floa
                 assert os.open(name, os.O_WRONLY) == number
                 os.set_inheritable(number, True)
 
+    beside = subprocess.Popen([sys.executable, "-c", over.beside]) if over.beside else None
     began = time.monotonic()
     process = subprocess.Popen(
         [*over.prefix, sys.executable, "-m", "hil", *words], cwd=place, env=environment(place, over),
@@ -70,6 +71,10 @@ def run(case: Case, over: Surroundings, inputs: Path, place: Path, plain_s: floa
     except subprocess.TimeoutExpired:
         status = None
     seconds = time.monotonic() - began
+    if beside is not None:
+        assert beside.poll() is None, "what should have been beside it had ended"
+        beside.kill()
+        beside.wait()
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     texts = [text[:LONGEST_TEXT].decode(errors="replace") for text in process.communicate()]

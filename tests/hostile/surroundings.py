@@ -22,18 +22,21 @@ class Surroundings(NamedTuple):
     """How one kind of trouble is made.
 
     prepare: before the start, given the place; in_child: in the child before it becomes the command; prefix: words
-    before it; environment: over that of the lane, None takes a variable away; streams: of (0, 1, 2), a file to open, or
-    None where it is closed. number, after: the signal, and when, as a share of the undisturbed run. needs: what must be
-    there, else it is not run. slow: how much longer it may take. weight: how soon a slice has it.
+    before it; beside: a program in Python that runs as long; environment: over that of the lane, None takes a variable
+    away; streams: of (0, 1, 2), a file to open, or None where it is closed. number, after: the signal, and when, as a
+    share of the undisturbed run. killed: the kernel may kill it, who can say nothing then. needs: what must be there,
+    else it is not run. slow: how much longer it may take. weight: how soon a slice has it.
     """
 
     prepare: Callable[[Path], None] = lambda place: None
     in_child: Callable[[Path], None] = lambda place: None
     prefix: tuple[str, ...] = ()
+    beside: str = ""
     environment: Mapping[str, str | None] = {}
     streams: Mapping[int, str | None] = {}
     number: signal.Signals | None = None
     after: float = 0.0
+    killed: bool = False
     needs: tuple[str, ...] = ()
     slow: float = 1.0
     weight: float = 1.0
@@ -116,6 +119,28 @@ def make_cgroup() -> bool:
     return False
 
 
+def make_memory_cgroup() -> bool:
+    """A group that may have MOST_MEMORY, of either version; False where this may not be had."""
+    for folder, name in ((_CGROUP / "memory/hostile", "memory.limit_in_bytes"), (_CGROUP / "hostile", "memory.max")):
+        with contextlib.suppress(OSError):
+            folder.mkdir(exist_ok=True)
+            (folder / name).write_text(str(MOST_MEMORY))
+            return True
+    return False
+
+
+def _little_memory(place: Path) -> None:
+    for folder in (_CGROUP / "memory/hostile", _CGROUP / "hostile"):
+        if (folder / "cgroup.procs").exists():
+            (folder / "cgroup.procs").write_text(str(os.getpid()))
+            return
+
+
+def _first_core(place: Path) -> None:
+    """Where the hog is."""
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
 def _signals(number: signal.Signals) -> dict[str, Surroundings]:
     return {
         f"{number.name} at {at + 1}/{INSTANTS}": Surroundings(number=number, after=(at + 0.5) / INSTANTS, weight=0.15)
@@ -123,6 +148,23 @@ def _signals(number: signal.Signals) -> dict[str, Surroundings]:
     }
 
 
+MOST_MEMORY = 150 * 2**20  # bytes
+HOG = """
+import os, time
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
+while True:
+    until = time.monotonic() + 0.008
+    while time.monotonic() < until:
+        pass
+    time.sleep(0.002)
+"""
+CLOCK_SETTER = """
+import time
+for step in (3600.0, -3600.0) * 100_000:
+    time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step)
+    time.sleep(0.2)
+"""
 POSIX = {"LC_ALL": "POSIX", "LANG": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 SURROUNDINGS = {
@@ -149,6 +191,9 @@ SURROUNDINGS = {
     "24 descriptors": Surroundings(in_child=_limit(resource.RLIMIT_NOFILE, 24)),
     "400 MB of memory": Surroundings(in_child=_limit(resource.RLIMIT_AS, 400 * 2**20)),
     "a fifth of a core": Surroundings(in_child=_slow_cgroup, needs=("cgroup",), slow=8.0),
+    "150 MB of a cgroup": Surroundings(in_child=_little_memory, needs=("memory cgroup",), killed=True),
+    "a SCHED_FIFO 99 hog": Surroundings(in_child=_first_core, beside=HOG, needs=("guest",), slow=8.0),
+    "a clock that is set": Surroundings(beside=CLOCK_SETTER, needs=("guest",)),
     **_signals(signal.SIGINT),
     **_signals(signal.SIGHUP),
 }

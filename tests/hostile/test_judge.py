@@ -56,6 +56,13 @@ def test_silence_tracebacks_and_unknown_ends_are_not(found: Ended, why: str) -> 
     assert why in wrong(CASE, QUIET, found)
 
 
+def test_only_where_the_kernel_may_kill_is_its_kill_right() -> None:
+    killed = ended(-signal.SIGKILL, "", "")
+    assert wrong(CASE, SURROUNDINGS["150 MB of a cgroup"], killed) == ""
+    assert "SIGKILL" in wrong(CASE, QUIET, killed)
+    assert "Traceback" in wrong(CASE, SURROUNDINGS["150 MB of a cgroup"], ended(-signal.SIGKILL, "", TRACE))
+
+
 def test_a_command_that_must_fail_and_does_not_is_told() -> None:
     assert "status 0, where" in wrong(Case(("estop",), status=69), QUIET, ended(0))
 
@@ -71,6 +78,17 @@ def test_a_slice_has_commands_and_surroundings_of_all_kinds_and_another_seed_has
     assert len({name for name, _ in first[0]}) > 35
     assert len({at.split(" at ")[0] for _, at in first[0]}) > 15
     assert not {at for _, at in pairs("", set(), "a")} & {"full disk", "a fifth of a core"}
+
+
+@pytest.mark.long
+def test_a_program_beside_runs_as_long_as_the_command_and_no_longer(tmp_path: Path) -> None:
+    os.chmod(tmp_path, 0o755)
+    beside = f"import time\nwhile True:\n    open({str(tmp_path / 'mark')!r}, 'a').write('x')\n    time.sleep(0.01)"
+    assert run(CASES["explain"], Surroundings(beside=beside), tmp_path, tmp_path / "a", 0.0).status == 0
+    written = (tmp_path / "mark").stat().st_size
+    assert written > 0
+    run(CASES["explain"], QUIET, tmp_path, tmp_path / "b", 0.0)
+    assert (tmp_path / "mark").stat().st_size == written
 
 
 @pytest.mark.long

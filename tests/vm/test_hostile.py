@@ -1,0 +1,34 @@
+"""Commands beside a SCHED_FIFO 99 hog, and while the machine's clock is set: they do their work, or say why not."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.hostile.__main__ import Lane
+from tests.hostile.surroundings import SURROUNDINGS
+
+pytestmark = [
+    pytest.mark.vcan,
+    pytest.mark.skipif(
+        "virtme" not in Path("/proc/cmdline").read_text(), reason="takes a core, sets the clock: only in make test-vm"
+    ),
+]
+COMMANDS = (
+    "events",
+    "recover",
+    "run",
+    "sim",
+    "sidecar",
+)  # make hostile in the guest tries all
+
+
+@pytest.fixture(scope="module")
+def lane(tmp_path_factory: pytest.TempPathFactory) -> Lane:
+    return Lane(tmp_path_factory.mktemp("hostile"))
+
+
+@pytest.mark.parametrize("at", [name for name, over in SURROUNDINGS.items() if "guest" in over.needs])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_there_is_right(command: str, at: str, lane: Lane) -> None:
+    why, ended = lane.tried(command, at)
+    assert not why, ended
