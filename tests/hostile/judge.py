@@ -10,6 +10,7 @@ from tests.support.paths import ROOT
 
 MARKS = ("Traceback (most recent call last)", "Exception ignored", "Fatal Python error", "During handling of")
 DOCUMENTED = {1, 2, 4, *(value for name, value in vars(exit_status).items() if name.startswith("EXIT_"))}
+JOURNAL = "tick "  # of a control process: as many lines as there are events
 LONGEST_LINES = 12  # a refusal of the command line stands in a frame
 
 
@@ -61,6 +62,7 @@ def _untold(ended: Ended) -> str:
     lines = [line for line in ((ended.err or "") + (ended.out or "")).splitlines() if line.strip()]
     if not lines and ended.err is not None and ended.out is not None:
         return f"status {ended.status} without a word"
-    if ended.err and len(ended.err.splitlines()) > LONGEST_LINES:
-        return f"status {ended.status} in {len(ended.err.splitlines())} lines"
+    told = [line for line in (ended.err or "").splitlines() if not line.startswith(JOURNAL)]
+    if len(told) > LONGEST_LINES:
+        return f"status {ended.status} in {len(told)} lines"
     return ""

@@ -27,6 +27,7 @@ def ended(status: int | None, out: str | None = "done\n", err: str | None = "", 
     [
         (QUIET, ended(0, a_json=10)),
         (QUIET, ended(74, err="hil: a.json: No space left on device\n")),
+        (QUIET, ended(0, err="tick 5 (0.005 s): overrun\n" * 30, a_json=10)),
         (SURROUNDINGS["closed errors"], ended(74, "", None)),
         (SURROUNDINGS["SIGINT at 5/20"], ended(130, "", "")),
         (SURROUNDINGS["SIGINT at 5/20"], ended(-signal.SIGINT, "", "")),
