@@ -17,6 +17,7 @@ from hil.operate.bench.live_runs import (
     DisturbedError,
     calls_per_tick,
     cores,
+    fault_words,
     undisturbed,
 )
 from hil.operate.machine import machine_facts
@@ -168,3 +169,8 @@ def test_what_people_measure_at_a_rig_needs_no_tests():
     code = "import sys, hil.operate.bench.jitter; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
     assert not [name for name in loaded if name.split(".")[0] == "tests"]
+
+
+def test_a_fault_that_ends_a_benchmark_is_named() -> None:
+    assert fault_words(8) == "FOLLOWING_ERROR (8)"
+    assert fault_words(9999) == "9999"

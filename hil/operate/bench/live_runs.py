@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.cycle.faults.number import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
@@ -238,7 +239,13 @@ def _activate(process: subprocess.Popen[str], rig: RigConfig) -> RingReader:
             with Mailbox(runtime_paths(rig.name).mailbox) as mailbox:
                 mailbox.post(command, time.monotonic_ns() + 1_000_000_000)
     reader.close()
-    raise DisturbedError(f"hil run stayed in {state.name}, fault {fault}: {_end(process)}")
+    raise DisturbedError(f"hil run stayed in {state.name}, fault {fault_words(fault)}: {_end(process)}")
+
+
+def fault_words(number: int) -> str:
+    """A fault as a record has it, by name and number."""
+    known = number in Fault.__members__.values()
+    return f"{Fault(number).name} ({number})" if known else str(number)
 
 
 def _open_ring(process: subprocess.Popen[str], rig: RigConfig, limit: float) -> RingReader:
@@ -278,7 +285,7 @@ def _collect(
         if not len(records):
             continue
         if not (records["state"] == State.ACTIVE).all():
-            raise DisturbedError(f"hil run left ACTIVE with fault {int(records['fault'][-1])}")
+            raise DisturbedError(f"hil run left ACTIVE with fault {fault_words(int(records['fault'][-1]))}")
         count += len(records)
         stages.append(records["cpu_ns"].astype(np.int64))
         lateness.append(records["now_ns"] - records["scheduled_ns"])
