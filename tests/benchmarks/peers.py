@@ -3,6 +3,7 @@
 - python-can + cantools: receive four Messages, decode them, encode one, send it, on the same local bus against the same
   emulated stage. No filter, no law, no checks.
 - canopen: four TPDOs received and decoded, four RPDOs and SYNC sent, through its Network, on a local bus.
+- LinuxCNC, where it is installed: its real-time thread with four PIDs and no bus at all (linuxcnc.py).
 - moteus: one `Transport.cycle` of four controllers over a stub device, so no I/O at all.
 
 Every subject gets the same core, priority and memory lock, and is paced at 1 kHz, so that its caches are cold. Figures
@@ -49,6 +50,7 @@ from hil.operate.bench.blocks import (
 from hil.operate.bench.live_runs import TO_THE_DEADLINE, BenchError, bench_bus, cores, emulator, run_control
 from hil.rig.schema import TimingConfig
 from sim_plant.process import promote
+from tests.benchmarks import linuxcnc
 
 PERIOD_NS = 1_000_000
 WARM_UP = 300
@@ -57,6 +59,7 @@ SYNC, STATUS = 0x080, 0x1237
 CANOPEN_CHANNEL = "bench1"
 OURS, AHEAD = "hil run, all of it", "hil run, woken ahead"
 PYTHON_CAN, CANOPEN, MOTEUS = "python-can + cantools", "canopen", "moteus, no I/O"
+LINUXCNC = "LinuxCNC's servo thread, no bus"
 
 Tick = Callable[[int], Awaitable[int]]  # number of the tick -> answers understood
 
@@ -79,17 +82,27 @@ def peers(
         Case(CANOPEN, partial(in_child, "canopen", ticks)),
         Case(MOTEUS, partial(in_child, "moteus", ticks)),
     ]
+    others = [PYTHON_CAN, CANOPEN, MOTEUS]
+    if linuxcnc.installed():
+        cases.append(Case(LINUXCNC, partial(linuxcnc.servo_thread, ticks)))
+        others.append(LINUXCNC)
     with bench_bus("bench peers"):
         measured = interleave(cases, blocks)
-    against = {case: spread(ratios(measured, OURS, case, "p50")) for case in (PYTHON_CAN, CANOPEN, MOTEUS)}
+    against = {case: spread(ratios(measured, OURS, case, "p50")) for case in others}
     result = {"ratio_p50": {case: r._asdict() for case, r in against.items()}, "blocks": as_json(measured)}
     lines = [f"hil's whole tick / {case}: {ratio.median:.2f}" for case, ratio in against.items()]
-    publish(result, [block_table("CPU per tick, us", measured, ["p50", "p99"])], as_json_to, lines)
+    if not linuxcnc.installed():
+        lines.append(f"{LINUXCNC}: not run, as it is not installed (Debian: apt install linuxcnc-uspace)")
+    table = block_table(
+        "CPU per tick, and the worst period's distance from 1 ms, us", measured, ["p50", "p99", "worst_period"]
+    )
+    publish(result, [table], as_json_to, lines)
 
 
 def _ours(rig: Path, sets: list[str], ticks: int) -> Figures:
-    timing = run_control(rig, sets, ticks).timing
-    return {name: timing.quantile("cpu", fraction) / 1e3 for name, fraction in (("p50", 0.5), ("p99", 0.99))}
+    run = run_control(rig, sets, ticks)
+    cpu = {name: run.timing.quantile("cpu", fraction) / 1e3 for name, fraction in (("p50", 0.5), ("p99", 0.99))}
+    return {**cpu, "worst_period": float(np.abs(np.diff(run.lateness)).max()) / 1e3}
 
 
 def _beside_emulator(rig: Path, sets: list[str], ticks: int) -> Figures:

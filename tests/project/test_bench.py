@@ -22,7 +22,7 @@ from hil.operate.bench.live_runs import (
 )
 from hil.operate.machine import machine_facts
 from hil.rig.file import load_rig
-from tests.benchmarks import tick, walking
+from tests.benchmarks import linuxcnc, tick, walking
 from tests.benchmarks.c_programs import build_reference
 from tests.benchmarks.lockstep import measure
 from tests.benchmarks.tick import allocations_per_tick
@@ -174,3 +174,16 @@ def test_what_people_measure_at_a_rig_needs_no_tests():
 def test_a_fault_that_ends_a_benchmark_is_named() -> None:
     assert fault_words(8) == "FOLLOWING_ERROR (8)"
     assert fault_words(9999) == "9999"
+
+
+def test_linuxcnc_is_given_as_many_controllers_as_the_stage_has_axes(tmp_path) -> None:
+    lines = linuxcnc.hal_file(2.5).splitlines()
+    assert lines[0] == "loadrt threads name1=servo period1=1000000"
+    assert sum(line.startswith("addf pid.") for line in lines) == 4
+    assert lines.index("start") < lines.index("loadusr -w sleep 2.5") < lines.index("getp timedelta.0.jitter")
+
+
+def test_cpu_time_of_a_thread_is_told_by_its_sleeps(tmp_path) -> None:
+    (tmp_path / "status").write_text("Name:\tx\nvoluntary_ctxt_switches:\t4130\nnonvoluntary_ctxt_switches:\t7\n")
+    (tmp_path / "schedstat").write_text("59978415 595649015 4100\n")
+    assert linuxcnc._taken(tmp_path / "schedstat") == (59978415, 4130)
