@@ -17,6 +17,7 @@ from hil.control.trajectories.rows import BETWEEN, along_rows, excursions
 from hil.operate.check import check_rig
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
+from tests.benchmarks.path_files import file_of
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
@@ -99,6 +100,14 @@ def test_excursions_are_all_there_are() -> None:
                 beyond = float(max((place - high).max(), (low - place).max(), 0.0))
                 if beyond > 1.1e-9:
                     assert beyond * (1.0 - 1e-9) <= told[(column, index + 1)] <= 1.2 * beyond
+
+
+@pytest.mark.parametrize("between", BETWEEN)
+def test_random_files_rest_where_they_say_and_tell_every_excursion(between: str, tmp_path: Path) -> None:
+    """The whole way, from the CSV file on; a thousand by `python -m tests.benchmarks.path_files`."""
+    found = [file_of(seed, between, tmp_path) for seed in range(4)]
+    assert [(one.rest, one.untold, one.overstated) for one in found] == [(0.0, 0, 0)] * 4
+    assert (sum(one.told for one in found) > 0) is (between == "smooth")
 
 
 def path_rig(rows: list[list[float]], *more: str) -> RigConfig:
