@@ -24,6 +24,7 @@ BENCHES = BENCHES_AT_A_RIG | {
         "batch": "Plants times ticks per second of the batch engine",
         "profile": "Where a tick's time goes, function by function",
         "streams": "Streams of set-points through bad networks, in virtual time",
+        "latency": "From a goal that is written to the frame that it changes, by the page and over TLS",
         "ring": "What telemetry costs the control process, and how far a reader lags",
     }.items()
 }
