@@ -14,6 +14,7 @@ from hil.control.plans.ramps import add_ramp
 from hil.control.plans.together import line, moves
 from hil.control.trajectories import Trajectory, make_trajectory
 from hil.rig.schema import TaskConfig
+from tests.support.hostile_everywhere import commands, hashes_of
 from tests.support.hostile_goals import AXES, hostile
 
 LIMITS = AXES[0]
@@ -34,6 +35,14 @@ def test_the_same_at_length(seed: int) -> None:
 def test_hostile_set_points_have_the_same_bits_everywhere() -> None:
     """On every Python, processor and build; a change of the plans' arithmetic changes this on purpose."""
     assert hostile(0, 1_000).sha256 == "56245ab90a8776b318e0fb83a1319b8d16c730a9f1b591f8019dce53592604da"
+
+
+@pytest.mark.long
+def test_every_python_that_is_found_makes_the_same_set_points() -> None:
+    """Without packages; what is left out, and arm64, is said by `python -m tests.support.hostile_everywhere`."""
+    expected = [hostile(seed, 300).sha256 for seed in range(2)]
+    found = {name: hashes_of(python, 300, 2) for name, python, _ in commands(None) if python}
+    assert found == dict.fromkeys(found, expected)
 
 
 def optimum(p: float, v: float, a: float, target: float, limits: MotionLimits) -> float:
