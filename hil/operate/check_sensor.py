@@ -98,10 +98,11 @@ def _decay(rig: RigConfig, asked: Settings) -> list[Finding]:
     if not decay:
         return []
     seconds = asked.deepest / asked.press_speed
-    lost, held = 1.0 - math.exp(-seconds / decay), 1.0 - math.exp(-HELD_S / decay)
+    hold_s = asked.hold_s if asked.z_law == "hold" else HELD_S
+    lost, held = 1.0 - math.exp(-seconds / decay), 1.0 - math.exp(-hold_s / decay)
     text = (
-        f"sensors.{asked.force}: its reading fades in {decay:g} s. A force held for {HELD_S:g} s reads {held:.0%} too "
+        f"sensors.{asked.force}: its reading fades in {decay:g} s. A force held for {hold_s:g} s reads {held:.0%} too "
         f"low, so none can be held. In a press of {seconds:.3g} s the cell may feel {lost:.0%} more than "
         f"force_limit = {asked.force_limit:g} N; at most {MOST_LOST:.0%}"
     )
-    return [Finding(text, lost > MOST_LOST)]
+    return [Finding(text, lost > MOST_LOST or asked.z_law == "hold")]

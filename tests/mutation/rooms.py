@@ -62,7 +62,10 @@ ROOMS = {
     "motions": Room(
         ("hil/control/motion", "drivers/outputs"), ("tests/control/motion", "tests/cycle/test_decided_motion.py")
     ),
-    "sensors": Room(("drivers/sensors",), ("tests/drivers/sensors", "tests/cycle/test_readings.py")),
+    "sensors": Room(
+        ("drivers/sensors",),
+        ("tests/drivers/sensors", "tests/cycle/test_readings.py", "tests/virtual/test_sensor_kinds.py"),
+    ),
     "eds": Room(("drivers/eds",), ("tests/drivers/eds",)),
     "estimator": Room(
         ("hil/control/estimator",),

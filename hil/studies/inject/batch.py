@@ -28,6 +28,9 @@ EXPECTED = {
     "clogged": Verdict.CLOGGED, "stuck": Verdict.STUCK, "broken": Verdict.BROKEN,
 }  # fmt: skip
 
+# What only a cell that is pierced can be: by `hold` none is.
+PIERCED_FIRST = (Verdict.OK, Verdict.NOT_PIERCED, Verdict.DOUBLE, Verdict.CLOGGED, Verdict.STUCK)
+
 
 @dataclass
 class Injected:
@@ -117,6 +120,7 @@ class _Run:
         self._desk, self._decided, self._motion = desk, desk.decided, desk.decided.motion
         self._began = -1
         self._asked = 0
+        self._holds = rig.motion.parameters.get("z_law") == "hold"
         self.batch = Batch(planned=self._motion.total, earlier=self._motion.over)
 
     def whole(self) -> Batch:
@@ -149,10 +153,17 @@ class _Run:
             self._asked += 1
             self._run.goals.append(Goal(self._asked, GoalKind.REQUEST, flags=request))
 
+    def _expected(self, anomaly: str) -> Verdict:
+        """Under `hold` a membrane that is whole at the end is as it should be."""
+        expected = EXPECTED[anomaly]
+        return Verdict.HELD if self._holds and expected in PIERCED_FIRST else expected
+
     def _over(self, result: CellResult) -> None:
         dish = self._run.stage.dish
         assert dish is not None
         cell = _beside(result, dish.cells[result.number], self._began * self._period)
+        if self._holds:
+            cell.expected = self._expected(cell.anomaly)
         self.batch.cells.append(cell)
         for follower in self._followers:
             follower.over(cell)

@@ -134,7 +134,8 @@ def inject(
             )
     batch.cells[:0] = done
     limit = float(plan.rig.motion.parameters.get("force_limit", 1.4e-3))
-    lines = judged(batch, limit) if judge else []
+    held = float(plan.rig.motion.parameters.get("hold_force", Settings.hold_force))
+    lines = judged(batch, limit, held) if judge else []
     _leave(batch, lines, places, plan.rig, (csv_target, report_target, json_target), console)
 
 
@@ -180,10 +181,10 @@ def _planned(
 
 def _compare(planned: Callable[[dict[str, Any]], Plan], json_target: str, console: Console) -> None:
     """Exit status 1 where a batch did not end."""
-    from hil.studies.inject.compare import compared, compared_document, show_compared
+    from hil.studies.inject.compare import COMPARED, compared, compared_document, show_compared
 
     plan = planned({})
-    with Steps("z_law", len(Z_LAW_NAMES), console) as steps:
+    with Steps("z_law", len(COMPARED), console) as steps:
 
         def batch_of(name: str) -> Batch:
             plan = planned({"z_law": name})

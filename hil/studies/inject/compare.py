@@ -11,6 +11,8 @@ from hil.control.motion.injection.settings import Z_LAW_NAMES
 from hil.studies.inject.batch import Batch
 from hil.studies.inject.judge import quantile, share_text, wilson
 
+COMPARED = tuple(name for name in Z_LAW_NAMES if name != "hold")  # which pierces nothing
+
 
 class Compared(NamedTuple):
     """A batch by one z_law. Shares are (hits, of); forces in N, ways in m, each (median, 95 %) or None where it never
@@ -29,7 +31,7 @@ class Compared(NamedTuple):
 
 def compared(batch_of: Callable[[str], Batch]) -> list[Compared]:
     """One row for each z_law. batch_of: runs the cells by one of them."""
-    return [_row(name, batch_of(name)) for name in Z_LAW_NAMES]
+    return [_row(name, batch_of(name)) for name in COMPARED]
 
 
 def _row(name: str, batch: Batch) -> Compared:

@@ -40,9 +40,9 @@ def share_text(hits: int, total: int) -> str:
     return f"{hits} of {total} [{low:.1%}, {high:.1%}]"
 
 
-def judged(batch: Batch, force_limit: float) -> list[Line]:
-    """Every bar of the specification that a batch can be held against. force_limit: N. Cells that an operator took out
-    of the batch count in none but force and pulses.
+def judged(batch: Batch, force_limit: float, hold_force: float = 0.0) -> list[Line]:
+    """Every bar of the specification that a batch can be held against. force_limit: N. hold_force: N, that was
+    held; 0: none was. Cells that an operator took out of the batch count in none but force and pulses.
     """
     cells = batch.judged
     right = sum(cell.right for cell in cells)
@@ -52,6 +52,8 @@ def judged(batch: Batch, force_limit: float) -> list[Line]:
         _quantiles("touch known, um deep", [cell.found_depth * 1e6 for cell in cells], 35.0, 42.0),
         _quantiles("puncture known after, ms", [cell.known_after * 1e3 for cell in cells], 4.0, 5.0),
         _lurch(cells),
+        _held(cells),
+        _held_peak(cells, hold_force),
         _force(batch.cells, force_limit),
         _pulses(batch.cells),
         _pace(batch),
@@ -60,7 +62,7 @@ def judged(batch: Batch, force_limit: float) -> list[Line]:
 
 
 def _pierced(cells: Sequence[Injected]) -> Line | None:
-    good = [cell for cell in cells if cell.anomaly == ""]
+    good = [cell for cell in cells if cell.anomaly == "" and cell.expected is Verdict.OK]
     if not good:
         return None
     hits = sum(cell.result.verdict is Verdict.OK for cell in good)
@@ -88,6 +90,24 @@ def _lurch(cells: Sequence[Injected]) -> Line | None:
     return Line("further on behind the puncture", "<= 6.7 ms of the speed (95 %)", f"{high:.1f} ms", high <= 6.7)
 
 
+def _held(cells: Sequence[Injected]) -> Line | None:
+    rms = [cell.result.held_rms * 1e6 for cell in cells if not isnan(cell.result.held_rms)]
+    if not rms:
+        return None
+    median, high = quantile(rms, 0.5), quantile(rms, 0.95)
+    return Line(
+        "reading of a held force, uN RMS", "<= 8 (95 %)", f"{median:.1f} / {high:.1f} of {len(rms)}", high <= 8.0
+    )
+
+
+def _held_peak(cells: Sequence[Injected], hold_force: float) -> Line | None:
+    held = [cell.peak_force for cell in cells if not isnan(cell.result.held_rms)]
+    if not held:
+        return None
+    most = max(held) / hold_force
+    return Line("greatest force where one was held", "<= 1.05 of it", f"{most:.3f}", most <= 1.05)
+
+
 def _force(cells: Sequence[Injected], limit: float) -> Line | None:
     if not cells:
         return None
@@ -101,7 +121,8 @@ def _pulses(cells: Sequence[Injected]) -> Line | None:
 
 
 def _pace(batch: Batch) -> Line | None:
-    if not batch.cells or not batch.seconds:
+    held = any(not isnan(cell.result.held_rms) for cell in batch.cells)  # which takes as long as it is to
+    if not batch.cells or not batch.seconds or held:
         return None
     pace = 60.0 * (len(batch.cells) - batch.earlier) / batch.seconds
     return Line("cells a minute", ">= 40", f"{pace:.0f}", pace >= 40.0)

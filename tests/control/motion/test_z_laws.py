@@ -25,7 +25,7 @@ def test_every_name_that_is_allowed_has_its_law() -> None:
 
 
 @pytest.mark.requirement(id="SR-8.3")
-@pytest.mark.parametrize("z_law", Z_LAW_NAMES)
+@pytest.mark.parametrize("z_law", [name for name in Z_LAW_NAMES if name != "hold"])
 @pytest.mark.parametrize(
     ("cell", "verdict"),
     [
@@ -43,6 +43,32 @@ def test_a_cell_that_is_whole_gets_no_pulse_and_no_more_than_the_limit(
     assert result.verdict is verdict, result.evidence
     assert cell.unpierced_pulses == 0
     assert bench.peak < 1.05 * LIMIT
+
+
+@pytest.mark.parametrize("hold_force", [2e-4, 4e-4])
+@pytest.mark.requirement(id="SR-8.3")
+def test_hold_holds_its_force_and_pierces_nothing(hold_force: float) -> None:
+    cell = BenchCell()
+    result, bench = injected("hold", cell, hold_force=hold_force)
+    assert result.verdict is Verdict.HELD, result.evidence
+    assert cell.unpierced_pulses == 0
+    assert bench.peak < 1.05 * hold_force
+    assert result.held_rms < 8e-6
+    assert result.ended_s - result.found_s > 1.0
+
+
+@pytest.mark.parametrize(
+    ("cell", "verdict"),
+    [
+        (BenchCell(gone=True), Verdict.NO_CELL),
+        (BenchCell(pierced_at=100e-6), Verdict.BURST),
+        (BenchCell(dead_after=10), Verdict.SENSOR_DEAD),
+        (BenchCell(pierced_at=None, stiffness=3e3), Verdict.NOT_PIERCED),
+    ],
+)
+def test_hold_says_why_it_could_not(cell: BenchCell, verdict: Verdict) -> None:
+    result, _ = injected("hold", cell, press_speed=5e-4, seek_speed=5e-4)
+    assert result.verdict is verdict, result.evidence
 
 
 @pytest.mark.parametrize("z_law", ["press", "ramp"])

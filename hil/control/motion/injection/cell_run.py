@@ -23,7 +23,7 @@ from hil.control.motion.injection.detectors import Slope
 from hil.control.motion.injection.senses import Senses
 from hil.control.motion.injection.settings import Settings
 from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
-from hil.control.motion.injection.z_laws import z_law
+from hil.control.motion.injection.z_laws import Hold, z_law
 
 SLIP_TICKS = 6  # until the force of a pierced membrane is gone
 SLOPE_TICKS = 12
@@ -34,6 +34,7 @@ _SEEN_LATER = (
     Verdict.NO_CELL,
     Verdict.NOT_PIERCED,
     Verdict.DOUBLE,
+    Verdict.BURST,
 )  # a cell that rolls away can look like any of these
 ZERO_NOISE = 5.0
 ZERO_SAMPLES = 16
@@ -165,10 +166,14 @@ class CellRun:
         if self._law.pierces():
             self._pierced(seen)
             return
+        if isinstance(self._law, Hold) and self._law.held:
+            self.result.held_rms = self._law.rms
+            self.decide(Verdict.HELD, "the force was held", seen)
+            return
         if senses.fresh:
             self._slope.take(senses.place, senses.force)
             ahead = self._slope.value * LOOK_AHEAD_TICKS * self._s.direction * self._s.press_speed * self._period
-            if senses.force + max(ahead, 0.0) > self._s.force_limit:
+            if senses.force + max(ahead if self._law.dives else 0.0, 0.0) > self._s.force_limit:
                 self.decide(Verdict.NOT_PIERCED, "the force limit", seen)
                 return
         if self._law.rests(seen):
@@ -179,6 +184,9 @@ class CellRun:
         result.pierced, result.pierced_force = self._senses.place, self._law.force
         result.pierced_s = seen.tick * self._period
         result.pierced_speed = abs(seen.velocity[self._axis])
+        if isinstance(self._law, Hold):
+            self.decide(Verdict.BURST, "the force dropped while it was to be held", seen)
+            return
         if self._law.stops:
             self._z.stop(seen.ends_ns[self._axis], seen.reference[self._axis])
         self._go(Phase.FREEZE, seen)
@@ -281,6 +289,6 @@ class CellRun:
             self._stuck("a force that stays outside the cell", seen)
 
     def _stuck(self, evidence: str, seen: Observation) -> None:
-        if self.result.verdict in (Verdict.OK, Verdict.UNKNOWN, Verdict.CLOGGED, Verdict.SKIPPED):
+        if self.result.verdict in (Verdict.OK, Verdict.UNKNOWN, Verdict.CLOGGED, Verdict.SKIPPED, Verdict.HELD):
             self.result.verdict = Verdict.NONE
             self.decide(Verdict.STUCK, evidence, seen)

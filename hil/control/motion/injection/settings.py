@@ -7,7 +7,7 @@ from typing import Any
 from hil.control.motion.contract import Surroundings
 
 Range = tuple[float, float]
-Z_LAW_NAMES = ("press", "ramp", "impedance", "visual", "position")  # what each does is in z_laws.py
+Z_LAW_NAMES = ("press", "ramp", "impedance", "visual", "position", "hold")  # what each does is in z_laws.py
 _RANGES: dict[str, Range] = {
     "start_above": (1e-6, 0.01),
     "transfer_speed": (1e-5, 1.0),
@@ -22,6 +22,8 @@ _RANGES: dict[str, Range] = {
     "force_rate": (1e-9, 10.0),
     "admittance": (1e-6, 1e3),
     "stiffness": (1e-3, 1e6),
+    "hold_force": (1e-9, 1.0),
+    "hold_s": (0.01, 600.0),
     "freeze_s": (0.0, 1.0),
     "pulse_s": (0.001, 10.0),
     "dwell_s": (0.0, 60.0),
@@ -42,10 +44,10 @@ class Settings:
     that it begins with, from 1 on; those before it are over. safe: height of the way from cell to cell. start_above:
     above the expected top, where the search begins. deposit, deepest: behind the first touch; deposit counts from the
     expected top where z_law is impedance or position. z_law: a key of z_laws.py. force_rate: N/s, and admittance:
-    N s/m, of ramp. stiffness: N/m, of impedance. force_limit: most force on the cell. puncture_force: that is expected,
-    for `hil check` alone; 0: not known. pull_limit: of withdrawal. camera_latency_s: from exposure to the first bit of
-    its frame. camera_age_s: of a frame that still counts. The names of sensors and of the valve: empty where there is
-    none; what they would show is then unknown.
+    N s/m, of ramp and hold. stiffness: N/m, of impedance. hold_force, hold_s: of hold. force_limit: most force on the
+    cell. puncture_force: that is expected, for `hil check` alone; 0: not known. pull_limit: of withdrawal.
+    camera_latency_s: from exposure to the first bit of its frame. camera_age_s: of a frame that still counts. The names
+    of sensors and of the valve: empty where there is none; what they would show is then unknown.
     """
 
     cells: Sequence[Sequence[float]]
@@ -68,6 +70,8 @@ class Settings:
     force_rate: float = 0.02
     admittance: float = 0.15
     stiffness: float = 10.0
+    hold_force: float = 4e-4
+    hold_s: float = 1.0
     freeze_s: float = 0.012
     pulse_s: float = 0.05
     dwell_s: float = 0.25
@@ -115,6 +119,10 @@ def _check_names(rig: Surroundings, made: Settings) -> None:
             raise ValueError(f"motion.parameters.{name} = {value!r:.40}; the rig has {', '.join(there) or 'none'}")
     if made.z_law not in Z_LAW_NAMES:
         raise ValueError(f"motion.parameters.z_law = {made.z_law!r:.40}; allowed: {', '.join(Z_LAW_NAMES)}")
+    if made.z_law == "hold" and made.hold_force >= made.force_limit:
+        raise ValueError(
+            f"motion.parameters.hold_force = {made.hold_force:g}; allowed: below force_limit = {made.force_limit:g}"
+        )
     if made.z_law == "visual" and not made.dimple:
         raise ValueError("motion.parameters.dimple = '': z_law = 'visual' needs a sensor of the cell's dimple")
     if len(made.across) != 2 or any(name not in rig.axes or name == made.along for name in made.across):

@@ -21,6 +21,8 @@ class Verdict(IntEnum):
     BROKEN = 10  # the tip is not where it should be: the batch stops
     UNKNOWN = 11
     SKIPPED = 12  # by an operator, before its pulse
+    HELD = 13  # the force was held as long as it was to be, and nothing is pierced
+    BURST = 14  # pierced while its force was to be held
 
 
 class Phase(IntEnum):
@@ -64,6 +66,7 @@ class CellResult:
     rested: float = nan  # where it came to rest behind that
     deposit: float = nan  # depth behind the first touch
     pull: float = 0.0  # most force on the way out
+    held_rms: float = nan  # of the reading against the force that was held
     pulse_s: float = nan  # when the pulse began
     bolus: float = nan
     evidence: str = ""  # what decided

@@ -7,12 +7,14 @@
 | impedance | to the planned depth, giving way to the force as a mass on a spring and a damper would | force |
 | visual | as press | dimple of the cell, as the camera sees it |
 | position | to the planned depth | force, which stops nothing |
+| hold | until the force is `hold_force`, which it holds for `hold_s`; pierces nothing | force |
 
 Impedance (Hogan, J. Dyn. Syst. Meas. Control 107, 1985; position-based) and position are what the tip is compared with.
 Under each of them the force limit holds.
 """
 
-from math import pi
+from collections import deque
+from math import pi, sqrt
 from typing import Any
 
 from hil.control.motion.contract import Observation
@@ -32,14 +34,21 @@ RAMP_SHARE = 0.5  # of press_speed, where the force is on its ramp
 GIVES_WAY_HZ = 20.0  # of the mass on its spring, critically damped
 _OMEGA = 2.0 * pi * GIVES_WAY_HZ
 PULLS_BACK = 50.0  # 1/s: of the way that limits have kept the tip from going
+FELT = 4  # samples that the held force is the mean of
+NEARLY = 0.98  # of the held force: it is reached
+SETTLES_S = 0.15  # from there, until what is held counts
 SETTLED = 1e-5  # m/s: it gives way no more
 RENEWED_S = 0.02  # a speed that nobody renews ends in rest
 
 
 class Press:
-    """stops: at a puncture. Along the axis of injection; `direction` is that of the settings."""
+    """stops: at a puncture. dives: at press_speed until then, so that the force limit has to look ahead. held: what was
+    to be held has been. Along the axis of injection; `direction` is that of the settings.
+    """
 
     stops = True
+    dives = True
+    held = False
 
     def __init__(self, settings: Settings, senses: Senses, glide: Glide, axis: int, period: float) -> None:
         self._s, self._senses, self._z, self._axis, self._period = settings, senses, glide, axis, period
@@ -221,8 +230,59 @@ class Visual(Press):
         return self._looked != looked
 
 
+class Hold(Press):
+    """Speed = (hold_force - force) / admittance, at most press_speed: an integrator, which follows a cell that yields.
+
+    rms: of the reading against hold_force, N, over `hold_s`.
+    """
+
+    dives = False
+
+    def press(self, seen: Observation, contact: float) -> None:
+        """See Press."""
+        self.forget()
+        self._end = contact + self._s.direction * self._s.deepest
+        self._felt: deque[float] = deque(maxlen=FELT)
+        self._since: int | None = None
+        self._squares, self._samples = 0.0, 0
+
+    def step(self, seen: Observation) -> None:
+        """See Press."""
+        if not hasattr(self, "_felt"):
+            return
+        if self._senses.fresh:
+            self._take(self._senses.force, seen.tick)
+        force = sum(self._felt) / len(self._felt) if self._felt else 0.0
+        speed = (self._s.hold_force - force) / self._s.admittance
+        most = self._s.press_speed
+        deep = (seen.reference[self._axis][0] - self._end) * self._s.direction >= 0.0
+        self._at(seen, max(-most, min(speed, 0.0 if deep else most)))
+
+    def _take(self, force: float, tick: int) -> None:
+        self._felt.append(force)
+        if self._since is None and sum(self._felt) >= NEARLY * self._s.hold_force * FELT:
+            self._since = tick
+        if self._since is not None and (tick - self._since) * self._period >= SETTLES_S and not self.held:
+            self._squares += (force - self._s.hold_force) ** 2
+            self._samples += 1
+            self.held = self._samples * self._period >= self._s.hold_s
+
+    @property
+    def rms(self) -> float:
+        """See Hold; 0.0 before there is one."""
+        return sqrt(self._squares / self._samples) if self._samples else 0.0
+
+    def rests(self, seen: Observation) -> bool:
+        """See Press: it never does, but at the deepest place."""
+        if not hasattr(self, "_felt"):
+            return super().rests(seen)
+        deep = (seen.reference[self._axis][0] - self._end) * self._s.direction >= 0.0
+        return deep and self._since is None and abs(seen.reference[self._axis][1]) < SETTLED
+
+
 Z_LAWS: dict[str, type[Press]] = {
     "press": Press, "ramp": Ramp, "impedance": Impedance, "visual": Visual, "position": Position,
+    "hold": Hold,
 }  # fmt: skip
 
 
