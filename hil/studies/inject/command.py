@@ -72,6 +72,9 @@ def inject(
         str, typer.Option(metavar="WORD", help="ask a batch that runs: pause, resume, skip or abort; and end")
     ] = "",
     judge: Annotated[bool, typer.Option("--judge", help="print the bars; exit status 1 where one is missed")] = False,
+    specification: Annotated[
+        bool, typer.Option("--specification", help="a batch for each bar that there is, in virtual time, in one table")
+    ] = False,
     csv_target: Annotated[
         str, typer.Option("--csv", metavar="PATH", callback=writable, help="write a line for each cell, as it goes on")
     ] = "",
@@ -93,6 +96,8 @@ def inject(
         return
     _check_together(live=live, attach=attach, judge=judge, resume=resume, csv_target=csv_target)
     alone = not (live or attach or resume or judge or ask or csv_target or report_target or z_law)
+    if specification and (not alone or compare):
+        raise typer.BadParameter("goes with cells, seed and --json alone", param_hint="--specification")
     _check_ways(z_law, speed, attach=attach, mixed=compare and not alone)
     script = [declared(text) for text in ask or ()]
     console = Console(stderr=json_target == "-")
@@ -110,11 +115,15 @@ def inject(
         return
     how = {**({"seek_speed": speed, "press_speed": speed} if speed else {}), **({"z_law": z_law} if z_law else {})}
 
-    def planned(changes: dict[str, Any]) -> Plan:
+    def planned(changes: dict[str, Any], kinds: Sequence[str] = (), more: Sequence[str] = ()) -> Plan:
         return _planned(
-            rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies=anomalies, how={**how, **changes}
-        )
+            rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies=anomalies, how={**how, **changes},
+            kinds=kinds, more=more,
+        )  # fmt: skip
 
+    if specification:
+        _hold_against_specification(planned, len(places), json_target, console)
+        return
     if compare:
         _compare(planned, json_target, console)
         return
@@ -161,11 +170,13 @@ def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
 
 def _planned(
     rig: RigConfig, rig_file: Path, overrides: tuple[str, ...], places: Positions, done: list[Injected], seed: int,
-    *, anomalies: float, how: dict[str, Any],
+    *, anomalies: float, how: dict[str, Any], kinds: Sequence[str] = (), more: Sequence[str] = (),
 ) -> Plan:  # fmt: skip
-    """The rig with these cells under its tip; its layout is built once."""
+    """The rig with these cells under its tip; its layout is built once. kinds: anomaly of each cell, where they are
+    chosen. more: overrides behind all others.
+    """
     layout = rig_layout(rig, rig_file.parent)
-    chosen = (*overrides, *words(rig, places, seed, anomalies, fd=layout.fd, how=how))
+    chosen = (*overrides, *words(rig, places, seed, anomalies, kinds, fd=layout.fd, how=how), *more)
     if done:
         chosen = (*chosen, f"motion.parameters.first={len(done) + 1}")
     changed = load_rig(rig_file, chosen)
@@ -177,6 +188,26 @@ def _planned(
         raise RigError(refused)
     layout = refuse_unschedulable(changed, rig_file.parent, layout)
     return Plan(changed, rig_file, chosen, layout, places, done, not has_equipment(rig))
+
+
+def _hold_against_specification(planned: Callable[..., Plan], cells: int, json_target: str, console: Console) -> None:
+    """Exit status 1 where a bar is missed or a batch did not end."""
+    from hil.studies.inject.shown import show_lines
+    from hil.studies.inject.specification import ROWS, anomalies_of, ended, named
+
+    lines: list[Line] = []
+    with Steps("batches", len(ROWS), console) as steps:
+        for row in ROWS:
+            plan = planned(dict(row.how), anomalies_of(row, cells), row.words)
+            batch = inject_batch(plan.rig, plan.rig_file.parent, layout=plan.layout)
+            limit = float(plan.rig.motion.parameters.get("force_limit", Settings.force_limit))
+            lines += [*named(row, row.bars(batch, limit)), *ended(row, batch)]
+            steps.advance(text=row.name)
+    show_lines(console, lines)
+    if json_target:
+        write_json({"bars": [line._asdict() for line in lines], "cells_each": cells}, json_target)
+    if any(line.holds is False for line in lines):
+        sys.exit(1)
 
 
 def _compare(planned: Callable[[dict[str, Any]], Plan], json_target: str, console: Console) -> None:

@@ -37,6 +37,12 @@ def show(console: Console, batch: Batch, lines: Sequence[Line]) -> None:
         table.add_row(name.lower().replace("_", " "), str(count), share_text(count, len(batch.cells)))
     console.print(table)
     if lines:
+        show_lines(console, lines)
+
+
+def show_lines(console: Console, lines: Sequence[Line]) -> None:
+    """Bars, and what was reached."""
+    if lines:
         bars = Table("bar", "allowed", "reached", "", title="against the specification")
         for line in lines:
             bars.add_row(line.name, line.bar, line.reached, {True: "holds", False: "MISSED", None: ""}[line.holds])
