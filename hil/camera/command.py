@@ -5,6 +5,7 @@ import math
 import shlex
 import sys
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,6 +17,7 @@ from hil.camera.calibrate import Calibrator
 from hil.camera.calibration import Calibration, UncalibratedError, calibration_path, keep, kept
 from hil.camera.contract import CameraError, Features, Image, Seen, Source
 from hil.camera.encoders import Encoders
+from hil.camera.kept_images import KeptImages
 from hil.camera.node import CameraNode, detector_of
 from hil.camera.readings import FirstSeen, Interpreter
 from hil.camera.sources import KINDS, open_source
@@ -45,6 +47,9 @@ def camera(
         bool, typer.Option("--calibrate", help="move the two axes by steps, find scale and tip, keep them, and end")
     ] = False,
     step: Annotated[str, typer.Option(help="of --calibrate, such as 0.1mm")] = "0.1mm",
+    keep_images: Annotated[
+        Path | None, typer.Option("--keep", metavar="FOLDER", help="keep each image there, by its number and instant")
+    ] = None,
     take: Annotated[bool, typer.Option("--take", help="--calibrate: also where another client moves the rig")] = False,
 ) -> None:
     """Make readings of images: find pipette and cell, and send what [camera] says as frames of [sensors], until Ctrl-C.
@@ -67,7 +72,7 @@ def camera(
             if do_calibrate:
                 _calibrate(config, images, detector, length, take, fd)
                 return
-            _serve(config, images, detector, seconds, fd)
+            _serve(config, images, detector, seconds, fd, keep_images)
     except UncalibratedError as error:
         again = shlex.join(["hil", "camera", str(rig), "--source", source, "--calibrate"])
         print(f"hil camera: {error}; calibrate: {again}", file=sys.stderr)
@@ -132,7 +137,9 @@ def described(found: Calibration) -> str:
     )
 
 
-def _serve(rig: RigConfig, images: Source, detector: Features, seconds: float | None, fd: bool) -> None:
+def _serve(
+    rig: RigConfig, images: Source, detector: Features, seconds: float | None, fd: bool, folder: Path | None
+) -> None:
     assert rig.camera is not None
     camera = rig.camera
     with contextlib.ExitStack() as stack:
@@ -146,7 +153,9 @@ def _serve(rig: RigConfig, images: Source, detector: Features, seconds: float | 
         if calibration is not None:
             x, y = (rig.axis_names.index(name) for name in camera.axes)
             encoders = stack.enter_context(contextlib.closing(Encoders(rig.name, (x, y))))
-        node = CameraNode(rig, detector, Interpreter(camera, calibration), encoders)
+        node = CameraNode(
+            rig, detector, Interpreter(camera, calibration), encoders, KeptImages(folder) if folder else None
+        )
         port = stack.enter_context(contextlib.closing(open_segments(rig.bus, role="device", fd=fd)))
         where = ", ".join(f"{name} ({quantity})" for quantity, name in camera.sends.items())
         print(f"hil camera: {rig.name} on {rig.bus.channels[0]}: sends {where}", flush=True)

@@ -10,6 +10,7 @@ from drivers.sensors.hil_frame import HilSensorFrame
 from hil.camera.clock import Exposures
 from hil.camera.contract import CameraError, Features, Image, Pixels, Seen, grey
 from hil.camera.encoders import Encoders
+from hil.camera.kept_images import KeptImages
 from hil.camera.readings import Interpreter
 from hil.rig.camera import DETECTOR_KIND, DETECTORS, CameraConfig
 from hil.rig.schema import RigConfig
@@ -43,13 +44,22 @@ class Counts:
 
 
 class CameraNode:
-    """interpreter: of what is seen. encoders: None where none are needed."""
+    """interpreter: of what is seen. encoders: None where none are needed. images: where new ones are kept; None:
+    nowhere.
+    """
 
-    def __init__(self, rig: RigConfig, detector: Features, interpreter: Interpreter, encoders: Encoders | None) -> None:
+    def __init__(
+        self,
+        rig: RigConfig,
+        detector: Features,
+        interpreter: Interpreter,
+        encoders: Encoders | None,
+        images: KeptImages | None = None,
+    ) -> None:
         assert rig.camera is not None
         self._camera, self._detector = rig.camera, detector
         self._guard = Guard(DETECTOR_KIND, rig.camera.detector, type(detector), CameraError)
-        self._interpreter, self._encoders = interpreter, encoders
+        self._interpreter, self._encoders, self._images = interpreter, encoders, images
         self.exposures = Exposures(round(rig.camera.latency * 1e9))
         self.counts = Counts()
         sensors = {quantity: rig.sensors[name] for quantity, name in rig.camera.sends.items()}
@@ -63,6 +73,8 @@ class CameraNode:
         its exposure. A quantity that it does not show is sent as not valid. None of an image that was there before.
         """
         looked = self.look(image)
+        if looked and self._images is not None:
+            self._images.keep(image.pixels, self.counts.images, looked[0])
         return self.told(*looked) if looked else []
 
     def look(self, image: Image) -> tuple[int, Seen] | None:

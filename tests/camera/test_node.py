@@ -11,8 +11,10 @@ from drivers.sensors.readers import sensor_readers
 from hil.camera.calibration import Calibration
 from hil.camera.contract import CameraError, Features, Image, Pixels, Seen, Spot, grey
 from hil.camera.encoders import Encoders
+from hil.camera.kept_images import KeptImages
 from hil.camera.node import CameraNode, detector_of
 from hil.camera.readings import Interpreter
+from hil.camera.sources.folder import Folder
 from hil.cycle.readings import Readings
 from hil.rig.camera import CameraConfig
 from hil.rig.file import load_rig
@@ -145,6 +147,24 @@ def test_positions_are_those_at_the_exposure_and_not_at_the_arrival() -> None:
     assert encoders.at(600 * MS) is None
     encoders.add(times[:2] + 560 * MS, np.zeros((2, 2)), 560 * MS)
     assert encoders.at(530 * MS) is None  # 61 ms without a sample
+
+
+def test_images_are_kept_under_the_number_and_the_instant_of_their_frames(tmp_path: Path) -> None:
+    bench = Bench()
+    bench.node = CameraNode(
+        bench.rig, bench.said, Interpreter(camera_config(), TURNED), bench.encoders, KeptImages(tmp_path / "images")
+    )
+    for _ in range(3):
+        bench.show(Seen(TIP, 1.0))
+    again = Image(np.full((16, 16), 3, np.uint8), 3, -1, 400 * MS)
+    assert bench.node.frames(again) == [], "an old image is not kept twice"
+    files = sorted((tmp_path / "images").iterdir())
+    assert [path.name for path in files] == [f"{n:08d}-{(n + 1) * 33 * MS}.npy" for n in range(3)]
+    assert [int(np.load(path)[0, 0]) for path in files] == [1, 2, 3]
+    assert bench.readings.newest[0].sequence == 2
+    assert Folder(tmp_path / "images").read() is not None
+    with pytest.raises(FileExistsError, match="00000000"):
+        KeptImages(tmp_path / "images").keep(np.zeros((2, 2)), 0, 33 * MS)
 
 
 def test_the_same_image_again_sends_nothing() -> None:

@@ -109,3 +109,31 @@ def test_a_rig_that_does_not_run_cannot_be_asked(here: Path) -> None:
     done = subprocess.run(hil("--tell", "skip"), capture_output=True, text=True, timeout=WHILE_S, check=False)
     assert done.returncode == 69
     assert "does not run here" in done.stderr
+
+
+def test_a_disk_that_fills_up_ends_a_live_batch_outside_the_cell_and_says_how_to_go_on(here: Path) -> None:
+    """One page of a file system is the CSV file's: it is full after some cells."""
+    small = here / "small"
+    small.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "tmpfs", str(small)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs root: only root may mount the small tmpfs that is to be full")
+    try:
+        target = small / "cells.csv"
+        words = ("--grid", "4x6", "--live", "--csv", str(target))
+        done = subprocess.run(hil(*words), capture_output=True, text=True, timeout=2 * WHILE_S, check=False)
+        said = done.stdout + done.stderr
+        assert done.returncode == 1, said
+        assert f"{target}: No space left on device" in said
+        assert "Traceback" not in said
+        assert "--resume" in said
+        cells = verdicts(target)
+        assert 1 <= len([verdict for verdict in cells if verdict]) < 24
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
+    (recording,) = here.glob("runs/*/run.mcap")
+    with recording.open("rb") as file:
+        told = [pb.Cell.FromString(m.data) for _, _, m in make_reader(file).iter_messages(topics=["cells"])]
+    over = [cell.verdict for cell in told if cell.verdict]
+    assert len(over) >= len(cells) - 1, "the recording has what the file has not"
+    assert told[-1].verdict, "the tip has left the last cell"
