@@ -9,6 +9,7 @@ import cantools
 
 from drivers.protocols.base import LayoutError
 from drivers.protocols.dbc_codec import compile_codec, is_fd, load_dbc
+from tests.peers import dbc_bindings
 from tests.peers.files import Tried, in_folder, in_source
 from tests.peers.table import DIFFERS, PASSED, Row
 from tests.support.paths import RIGS, ROOT
@@ -27,6 +28,7 @@ def rows(work: Path, files: Path | None, *, few: bool) -> Iterator[Row]:
     yield from missing + none
     for file in tried + found + theirs:
         yield _of_file(file)
+    yield from dbc_bindings.rows(theirs or found or tried, 100 if few else 10_000)
 
 
 def _of_file(file: Tried) -> Row:

@@ -25,6 +25,7 @@ _FEEDBACK = (
     "bus.dbc.read_back",
     "bus.dbc.inputs",
 )
+_ALONE = {"bus.dbc.position", "bus.dbc.torque"}
 _ONE_PER_AXIS = ("enable", "start", "stop")  # or one for all, or none
 
 
@@ -50,6 +51,18 @@ def check_binding(binding: DbcBinding, n_axes: int) -> None:
             raise LayoutError(f"bus.dbc.read_back[{at}]: least = {item.least:g} is above most = {item.most:g}")
     _check_inputs(binding, n_axes)
     _check_pairs(binding)
+
+
+def check_numbers(binding: DbcBinding) -> None:
+    """A position or a torque has a signal to itself; positions of two axes in one are told elsewhere. Raises
+    LayoutError.
+    """
+    told: dict[tuple[str, str], str] = {}
+    for key, item in bound_items(binding):
+        other = told.setdefault((item.message, item.signal), key)
+        kinds = {other.partition("[")[0], key.partition("[")[0]}
+        if other != key and kinds & _ALONE and kinds != {"bus.dbc.position"}:
+            raise LayoutError(f"{key}: {item.message}.{item.signal} is {other} already; it needs a signal of its own")
 
 
 def _check_inputs(binding: DbcBinding, n_axes: int) -> None:

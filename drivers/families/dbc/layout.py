@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
 from drivers.families.dbc.agreement import Owned, check_owners, check_torques, count_size, per_axis
-from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding
+from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding, check_numbers
 from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.endpoints import number_pages
 from drivers.families.dbc.file import load_used
@@ -230,7 +230,7 @@ class DbcLayout:
                 )
 
     def _check_places(self, binding: DbcBinding, file: str) -> None:
-        """Counters echo beside their position; torques reach; nothing is both said and heard."""
+        """Counters echo beside their position; torques reach; nothing is both said and heard; values fit."""
         for axis, bound in enumerate(self._echo):
             if bound.message is not self._feedback[axis]:
                 raise LayoutError(
@@ -244,6 +244,8 @@ class DbcLayout:
         for message in [*self._feedback, *self._state_only, *(asked.answer.message for asked in self._read_back)]:
             if message.can_id in said:
                 raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
+        check_numbers(binding)
+        self._check_values()
         if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
             raise LayoutError("bus.dbc: command_counter and feedback_counter have signals of different lengths")
         for axis, (bound, rated) in enumerate(zip(self._torque, self._rated, strict=True)):
@@ -259,6 +261,19 @@ class DbcLayout:
         for start, stop in zip(self._start, self._stop, strict=True):
             if start.message.frame(start.values) == stop.message.frame(stop.values):
                 raise LayoutError(f"bus.dbc: start and stop are the same frame of {start.message.name}")
+
+    def _check_values(self) -> None:
+        """What is sent as it is stated fits its signal."""
+        stated = [(f"constant[{at}]", bound.place, value) for at, (bound, value) in enumerate(self._constant)]
+        for name, bounds, switches in (
+            ("enable", self._enable, self._switch),
+            ("reset", self._reset, self._reset_switch),
+        ):
+            for at, (bound, switch) in enumerate(zip(bounds, switches, strict=True)):
+                stated += [(f"{name}[{at}]", bound.place, value) for value in switch]
+        for key, place, value in stated:
+            if not place.low <= value <= place.high:
+                raise LayoutError(f"bus.dbc.{key}: raw value {value}: allowed {place.low:g} to {place.high:g}")
 
     def _check_agreement(self, binding: DbcBinding) -> None:
         """What the file says of units and nodes goes with what is bound."""

@@ -68,6 +68,33 @@ def test_a_page_may_be_shorter_than_its_message(data: str, outcome: int | Reject
     assert (found.position if isinstance(found, Sample) else found) == outcome
 
 
+@pytest.mark.parametrize("key", ["error", "constant"])
+def test_a_position_or_a_torque_has_a_signal_to_itself(key: str, tmp_path: Path) -> None:
+    message, signal = {"error": ("Fb", "Pos"), "constant": ("Cmd", "Tq")}[key]
+    entry = {"message": message, "signal": signal} | ({"value": 1} if key == "constant" else {})
+    with pytest.raises(LayoutError, match=rf"bus.dbc.{key}\[0\]: {message}.{signal} is bus.dbc.\w+\[0\] already"):
+        host(tmp_path, PAGES.replace("8|32@1-", "8|32@1+"), **{key: [entry]})
+
+
+@pytest.mark.parametrize(
+    ("key", "entry"),
+    [("constant", {"value": 2}), ("constant", {"value": -1}), ("enable", {"on": 4}), ("reset", {"on": 1, "off": 9})],
+)
+def test_what_does_not_fit_its_signal_is_refused(key: str, entry: dict[str, int], tmp_path: Path) -> None:
+    text = PAGES + ' SG_ Bit : 16|1@1+ (1,0) [0|1] "" A\n'
+    with pytest.raises(LayoutError, match=rf"bus.dbc.{key}\[0\]: raw value -?\d: allowed 0 to 1"):
+        host(tmp_path, text, **{key: [{"message": "Cmd", "signal": "Bit"} | entry]})
+
+
+def test_two_axes_cannot_have_one_torque(tmp_path: Path) -> None:
+    (tmp_path / "made.dbc").write_text(PAGES.replace("m2", "m1").replace("8|8@1+", "40|8@1+"))
+    torque = [{"message": "Cmd", "signal": "Tq"}] * 2
+    position = [{"message": "Fb", "signal": "Pos"}, {"message": "Fb", "signal": "Temp"}]
+    bus = BusConfig.model_validate({"protocol": "dbc:made.dbc", "dbc": {"position": position, "torque": torque}})
+    with pytest.raises(LayoutError, match=r"bus.dbc.torque\[1\]: Cmd.Tq is bus.dbc.torque\[0\] already"):
+        host_protocol(bus, 2, [20.0, 20.0], tmp_path, 1_000_000)
+
+
 def test_two_bound_messages_on_one_identifier_are_refused_in_one_line(tmp_path: Path) -> None:
     text = PAGES + 'BO_ 771 Order: 8 A\n SG_ Code : 0|64@1+ (1,0) [0|0] "" A\n'
     frames = {
