@@ -1,7 +1,8 @@
-"""What the rig file sets as limits, in the units of a tick: the gate's bounds and the fault monitor's thresholds."""
+"""What the rig file says of the axes, as a tick needs it: the gate's bounds, the fault monitor's thresholds, maps."""
 
 from drivers.protocols.base import DriveStatus
 from hil.analysis.feasibility import FORCE_MARGIN, travel_margin
+from hil.control.error_map import ErrorMap
 from hil.control.plans.axis_plan import MotionLimits
 from hil.cycle.fault_evidence import AxisLimits
 from hil.cycle.gate import ForceLimits
@@ -22,6 +23,12 @@ JERK_S = 0.01  # from no acceleration to the greatest, at least,
 JERK_PERIODS = 2.0  # and at least so many periods of the resonance
 RETURN_SHARE = 0.5  # of the force that friction and gravity leave
 OSCILLATION = 0.1  # of limits.following_error, where limits.oscillation is not stated
+
+
+def error_maps(rig: RigConfig) -> list[ErrorMap | None]:
+    """Corrections of the encoders' scales, by axis; None: it has none."""
+    stated = [axis.error_map for axis in rig.axes.values()]
+    return [None if each is None else ErrorMap(each.position, each.correction) for each in stated]
 
 
 def force_limits(rig: RigConfig) -> list[ForceLimits]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.protocols.base import Sample
+from hil.control.error_map import ErrorMap
 from hil.control.laws.base import LawInputs
 from hil.cycle.drive_clock import DriveClock
 from hil.cycle.fault_monitor import FaultMonitor
@@ -28,13 +29,16 @@ class SampleClock:
     """
 
     __slots__ = (
-        "_average", "_drive", "_inputs", "_period_ns", "_resolution", "_trusted_ns",
+        "_average", "_drive", "_inputs", "_map", "_period_ns", "_resolution", "_trusted_ns",
         "instant", "known", "latency", "stretch", "trusted",
     )  # fmt: skip
 
-    def __init__(self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int = 0) -> None:
+    def __init__(
+        self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int = 0, error_map: ErrorMap | None = None
+    ) -> None:
         """wrap_ns: after which the drive's stamps repeat; 0: they are of the host's clock."""
         self._inputs = inputs
+        self._map = error_map
         self._drive = DriveClock(wrap_ns) if wrap_ns else None
         self._resolution = resolution
         self._period_ns = period_ns
@@ -67,6 +71,8 @@ class SampleClock:
                 return False
         self._learn(instant - sent_ns)
         position = sample.position * self._resolution
+        if self._map is not None:
+            position = self._map.corrected(position)
         if tracked:
             elapsed = min(max(instant - self.instant, 0), LONGEST_PERIODS * period)
             x.sample_interval = elapsed * 1e-9
@@ -115,7 +121,7 @@ class Sampling:
     force of the latest tick acted already, per axis: 0, but for drives that sample in their own time.
 
     wraps_ns: after which the stamps of drives with clocks of their own repeat, per axis. one_command:
-    all drives sample at the same command.
+    all drives sample at the same command. maps: corrections of the encoders' scales, by axis.
 
     acts_ns: of those drives, from the tick's start until the force acts, ns per axis; empty for all others, which
     sample when it does.
@@ -131,11 +137,12 @@ class Sampling:
         wraps_ns: Sequence[int] = (),
         *,
         one_command: bool = False,
+        maps: Sequence[ErrorMap | None] = (),
     ) -> None:
         self._inputs = list(inputs)
         self._inbox = inbox
         self.clocks = [
-            SampleClock(x, r, period_ns, wraps_ns[axis] if wraps_ns else 0)
+            SampleClock(x, r, period_ns, wraps_ns[axis] if wraps_ns else 0, maps[axis] if maps else None)
             for axis, (x, r) in enumerate(zip(self._inputs, resolution, strict=True))
         ]
         self._one_command = one_command and any(wraps_ns)

@@ -41,7 +41,7 @@ from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
 from hil.cycle.inbox import Inbox
-from hil.cycle.limits import axis_limits, force_limits, return_forces
+from hil.cycle.limits import axis_limits, error_maps, force_limits, return_forces
 from hil.cycle.output_gate import OutputGate
 from hil.cycle.reading_faults import check_readings
 from hil.cycle.readings import Readings
@@ -83,7 +83,7 @@ class ControlCycle:
         wraps_ns = self.protocol.stamp_wraps_ns
         self.sampling = Sampling(
             self.inputs, self.inbox, resolution, rig.period_ns, self.protocol.acts_ns, wraps_ns,
-            one_command=not rig.bus.segments,
+            one_command=not rig.bus.segments, maps=error_maps(rig),
         )  # fmt: skip
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
         self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings)

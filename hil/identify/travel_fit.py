@@ -19,7 +19,7 @@ LEAST_PASSES = 4
 PERIODS = 100  # tried
 GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's square to be told
 LEAST_PARTS = 4.0  # periods are searched between 1.5 times the travel and the travel over this squared
-# Of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
+# Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {"coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "cogging_amplitude": 0.01}
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
 LEAD = 0.08  # of the travel, left out at the beginning of a pass: cables that move along take a way to turn

@@ -25,6 +25,7 @@ from hil.cycle.goal import MotionWord
 from hil.live.goal_link import IN_POSITION_S
 from hil.operate.approach_file import Deviations, read_reference, write_approaches
 from hil.operate.command import config_of
+from hil.operate.error_map_file import write_corrected
 from hil.operate.move import told
 from hil.operate.moving import motion
 from hil.runs.mover import LOOK_S, Mover
@@ -116,6 +117,9 @@ def accuracy(
     reference: Annotated[
         Path | None, typer.Option(help="such a file with that column: move nothing, print what the instrument read")
     ] = None,
+    write: Annotated[
+        Path | None, typer.Option(help="with --reference: new rig file that corrects each axis by what was read")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(callback=drawable, help="draw deviations over targets, as data sheets do")
     ] = None,
@@ -126,12 +130,17 @@ def accuracy(
 
     What an encoder cannot see of its own scale, a laser interferometer or a second scale does. `--out FILE` writes the
     approaches. Note the instrument's reading at each stop in a column `reference`, and give the file to `--reference`.
+    `--write NEW.toml` beside it makes a rig file whose axes are corrected by these readings.
 
     Exit status 0: measured; 69: the rig does not run here, or left ACTIVE on the way; each with the reason.
     """
     console = Console(stderr=json_target == "-")
     if live and overrides:
         raise typer.BadParameter("a running rig is as it is", param_hint="--set")
+    if write and not reference:
+        raise typer.BadParameter("needs the readings of --reference FILE", param_hint="--write")
+    if write and write.exists():
+        raise typer.BadParameter(f"{write} exists; name a new file", param_hint="--write")
     if reference and (live or out):
         raise typer.BadParameter("nothing moves with --reference: leave --live and --out out", param_hint="--reference")
     if reference:
@@ -141,6 +150,9 @@ def accuracy(
         said = f"{reference.name}, read by the reference instrument"
         rows = {name: (_unmoved(axis), positioning(axis.up, axis.down)) for name, axis in found.items()}
         _tell(console, kinds, rows, said, picture, json_target, "reference")
+        if write:
+            write_corrected(rig, config, reference, write)
+            console.print(f"written to {write}; next: hil accuracy {write}", markup=False, soft_wrap=True)
         return
     of = config_of(rig).name if live else load_rig(rig, overrides or ())
     with told("accuracy"), motion(of, activate=False) as mover:

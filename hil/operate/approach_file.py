@@ -16,7 +16,8 @@ from drivers.base.text_file import UnsuitableFileError, read_bounded
 from hil.control.laws.base import Array
 from hil.rig.schema import RigError
 
-COLUMNS: Final = ("axis", "run", "direction", "target", "encoder")
+ENCODER: Final = "encoder"
+COLUMNS: Final = ("axis", "run", "direction", "target", ENCODER)
 REFERENCE: Final = "reference"
 DIRECTIONS: Final = ("up", "down")
 LARGEST_FILE: Final = 1 << 20  # bytes: 100 targets, 100 runs and four axes are half of it
@@ -46,14 +47,14 @@ def write_approaches(path: Path, found: Mapping[str, Deviations]) -> None:
     write_text(path, text.getvalue())
 
 
-def read_reference(path: Path, axes: list[str]) -> dict[str, Deviations]:
+def read_reference(path: Path, axes: list[str], column: str = REFERENCE) -> dict[str, Deviations]:
     """By axis, from the column `reference` of such a file: m (rad), its zero wherever the instrument has it. Rows may
-    stand in any order; every target of an axis needs every run in both directions.
+    stand in any order; every target of an axis needs every run in both directions. column: or ENCODER.
 
     Raises RigError naming line, column and value.
     """
     rows = _rows(path)
-    missing = [name for name in (*COLUMNS[:4], REFERENCE) if rows and name not in rows[0][1]]
+    missing = [name for name in (*COLUMNS[:4], column) if rows and name not in rows[0][1]]
     if missing:
         raise RigError([f"{path}: there is no column {missing[0]}; --out FILE writes {','.join(COLUMNS)}"])
     read: dict[str, dict[tuple[float, str, int], float]] = {}
@@ -67,7 +68,7 @@ def read_reference(path: Path, axes: list[str]) -> dict[str, Deviations]:
         key = (_number(where, row, "target"), direction, round(_number(where, row, "run")))
         if key in read.setdefault(axis, {}):
             raise RigError([f"{where}: axis {axis}, target {key[0]:g}, {direction}, run {key[2]} stands there twice"])
-        read[axis][key] = _number(where, row, REFERENCE)
+        read[axis][key] = _number(where, row, column)
     if not read:
         raise RigError([f"{path}: it has no rows"])
     return {axis: _arranged(path, axis, readings) for axis, readings in read.items()}

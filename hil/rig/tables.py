@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from drivers.base.keys import REQUIRED, Table, key
 from drivers.base.plugins import Kind, known, unknown
 from drivers.protocols.mounting import Mounting
+from hil.rig.error_map_table import ErrorMapConfig
 from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
 from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
 from hil.rig.motion_tables import MotionConfig as MotionConfig
@@ -124,6 +125,9 @@ class AxisConfig(Table):
     motion: AxisMotionConfig = key(AxisMotionConfig(), "what goals hold the axis to")
     measured: MeasuredConfig | None = key(
         None, "what `hil identify` measured of the model, with half widths", exclude_if=lambda value: value is None
+    )
+    error_map: ErrorMapConfig | None = key(
+        None, "correction of the encoder's scale along the travel", exclude_if=lambda value: value is None
     )
 
     @model_validator(mode="after")

@@ -19,7 +19,7 @@ from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
 from hil.control.trajectories import Trajectory, make_trajectory, task_repeat
 from hil.cycle.gate import ForceLimits
-from hil.cycle.limits import force_limits
+from hil.cycle.limits import error_maps, force_limits
 from hil.rig.schema import RigConfig
 from sim_plant.physics.stage import Truth
 from sim_plant.user_stage import stage_of
@@ -81,7 +81,8 @@ class BatchRun:
         self._resolution = per_axis(rig.plant.encoder_resolution, n)
         initial = per_axis(rig.plant.initial_position, n)
         self._stage = stage_of(rig.plant, truth, np.zeros(shape) + initial)
-        self._origin = np.rint(initial / self._resolution) * self._nominal_resolution
+        self._maps = [(axis, one) for axis, one in enumerate(error_maps(rig)) if one is not None]
+        self._origin = self._seen(initial)
         # What all plants have in common, on floats as in the cycle.
         self._shared = [axis_inputs() for _ in range(n)]
         for x in self._shared:
@@ -121,9 +122,16 @@ class BatchRun:
 
     def _estimate(self) -> None:
         motion, interval = self._filter, self._period_ns * 1e-9
-        self._measured = np.rint(self._stage.read() / self._resolution) * self._nominal_resolution
+        self._measured = self._seen(self._stage.read())
         motion.correct(self._net_before, interval, self._measured)
         motion.look_ahead(self._net_last, interval)
+
+    def _seen(self, read: Array) -> Array:
+        """What the cycle makes of the encoders, (…, n_axes), m."""
+        seen: Array = np.rint(read / self._resolution) * self._nominal_resolution
+        for axis, error_map in self._maps:
+            seen[..., axis] = error_map.corrected_array(seen[..., axis])
+        return seen
 
     def _engage(self) -> None:
         self._filter.reseed(self._measured)

@@ -68,8 +68,8 @@ ROOMS = {
     ),
     "eds": Room(("drivers/eds",), ("tests/drivers/eds",)),
     "estimator": Room(
-        ("hil/control/estimator",),
-        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py",
+        ("hil/control/estimator", "hil/control/error_map.py"),
+        ("tests/control/test_estimator.py", "tests/control/test_gains_cache.py", "tests/control/test_error_map.py",
          "tests/control/test_user_estimators.py", "tests/virtual/test_user_layout.py", *_RUNS, *_LOCKSTEP),
     ),
     "stability": Room(
