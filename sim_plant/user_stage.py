@@ -1,7 +1,8 @@
 """A stage that users bring in place of our physics: how its axes move under forces. Interpreted in every build."""
 
+import contextlib
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,10 @@ class Plant:
     def begin(self, position: Array) -> None:
         """At rest at `position`, m."""
         self.position, self.velocity = position.copy(), np.zeros(position.shape)
+
+    def reading(self) -> Array:
+        """What the encoders show, m: the position, where a class of yours does not say otherwise."""
+        return self.position
 
     def acceleration(self, position: Array, velocity: Array, force: Array) -> Array:
         """m/s^2 under the drives' `force` (N)."""
@@ -94,7 +99,7 @@ def stage_problems(plant: PlantConfig, axis_names: Sequence[str]) -> list[str]:
 
 
 class UserStage(Stage):
-    """One stage or a batch (..., n_axes) of stages that users bring: an object of theirs each, ideal encoders.
+    """One stage or a batch (..., n_axes) of stages that users bring: an object of theirs each, with its own encoders.
 
     Whatever it raises, or returns that is no position, is a PlantError that names the file and the line.
     """
@@ -115,11 +120,18 @@ class UserStage(Stage):
         self._look()
 
     def _look(self) -> None:
-        """Take over where every plant says that it is."""
-        self._q, self._v = np.empty(self.truth.shape), np.empty(self.truth.shape)
+        """Take over where every plant is, and what its encoders show."""
+        self._q, self._v, self._shown = (np.empty(self.truth.shape) for _ in range(3))
         for each, place in zip(self._plants, self._places, strict=True):
-            for name, target in (("position", self._q), ("velocity", self._v)):
-                value = np.asarray(getattr(each, name, None), dtype=np.float64)
+            shows = getattr(each, "reading", None)  # a class that is no hil.Plant may have none
+            shown = each.position if shows is None else self._guard.call("", shows)
+            told = (
+                ("position", getattr(each, "position", None), self._q),
+                ("velocity", getattr(each, "velocity", None), self._v),
+                ("reading", shown, self._shown),
+            )
+            for name, said, target in told:
+                value = np.asarray(said, dtype=np.float64)
                 if value.shape != target[place].shape or not np.isfinite(value).all():
                     bad = f"its {name} is {value.tolist()}, expected {target.shape[-1]} finite numbers"
                     raise PlantError(self._guard.told("", BadAnswerError(bad)))
@@ -173,30 +185,38 @@ class UserStage(Stage):
 
     def readings(self) -> list[float]:
         """See Stage."""
-        return self.positions
+        found: list[float] = self._shown.tolist()
+        return found
 
     def reading(self, index: int) -> float:
         """See Stage."""
-        return float(self._q[index])
+        return float(self._shown[index])
 
     def read(self) -> Array:
         """See Stage."""
-        return self._q
+        return self._shown
 
     def peek(self, duration_ns: int, force: Sequence[float] | Array) -> tuple[Array, Array, Array]:
         """See Stage."""
-        plants, q, v = self._plants, self._q, self._v
-        if duration_ns > 0:
-            self._plants = [copy.deepcopy(each) for each in plants]
-        try:
-            self.advance(duration_ns, force)
+        with self._ahead(duration_ns, force):
             return self._q.copy(), self._v.copy(), self.pierced
-        finally:
-            self._plants, self._q, self._v = plants, q, v
 
     def peek_reading(self, duration_ns: int, force: Sequence[float], index: int) -> float:
         """See Stage."""
-        return float(self.peek(duration_ns, force)[0][index])
+        with self._ahead(duration_ns, force):
+            return float(self._shown[index])
+
+    @contextlib.contextmanager
+    def _ahead(self, duration_ns: int, force: Sequence[float] | Array) -> Iterator[None]:
+        """As it will be; afterwards it is as it was."""
+        before = self._plants, self._q, self._v, self._shown
+        if duration_ns > 0:
+            self._plants = [copy.deepcopy(each) for each in self._plants]
+        try:
+            self.advance(duration_ns, force)
+            yield
+        finally:
+            self._plants, self._q, self._v, self._shown = before
 
 
 def _part(truth: Truth, place: tuple[int, ...]) -> Truth:

@@ -54,6 +54,11 @@ class Wrong(Mass):
             if self.how == "shape":
                 return numpy.zeros(3)
         return super().acceleration(position, velocity, force)
+
+
+class Bent(Mass):
+    def reading(self):
+        return 1.01 * self.position
 """
 
 
@@ -95,6 +100,17 @@ def test_a_free_mass_moves_as_ours_does(rig_file: Path) -> None:
     before = stages[0].positions
     looked = stages[0].peek(500_000, [1.0, 1.0])[0].tolist()
     assert stages[0].positions == before != looked
+
+
+def test_its_encoders_may_show_something_else_than_its_position(rig_file: Path) -> None:
+    rig = load_rig(rig_file, ["plant.stage=./mass.py:Bent"])
+    stage = stage_of(rig.plant, Truth.from_config(rig.plant, 2, rig.axis_names), [0.1, -0.2])
+    stage.advance(5_000_000, [1.0, 1.0])
+    assert stage.readings() == stage.read().tolist() == [1.01 * place for place in stage.positions]
+    ahead, shown = stage.peek(2_000_000, [1.0, 1.0])[0], stage.peek_reading(2_000_000, [1.0, 1.0], 1)
+    assert shown == 1.01 * ahead[1] != stage.reading(1)
+    run = simulate(rig.model_copy(update={"task": rig.task.model_copy(update={"kind": "hold"})}), rig_file.parent, 0.3)
+    assert run[0].faults == {}
 
 
 def test_a_brake_stops_and_holds_it(rig_file: Path) -> None:
