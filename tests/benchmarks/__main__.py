@@ -25,6 +25,7 @@ BENCHES = BENCHES_AT_A_RIG | {
         "profile": "Where a tick's time goes, function by function",
         "streams": "Streams of set-points through bad networks, in virtual time",
         "latency": "From a goal that is written to the frame that it changes, by the page and over TLS",
+        "page": "What open pages cost the control process, and how much CPU the page takes",
         "ring": "What telemetry costs the control process, and how far a reader lags",
     }.items()
 }
