@@ -32,9 +32,11 @@ ROOMS = {
     ),
     "plug-ins": Room(
         ("hil/control/laws/users.py", "hil/control/law_registry.py", "drivers/base/plugins.py",
-         "drivers/base/package_digest.py", "drivers/base/call_limit.py"),
+         "drivers/base/package_digest.py", "drivers/base/call_limit.py", "drivers/base/guard.py",
+         "drivers/base/named_file.py"),
         ("tests/drivers/base/test_plugin_folder.py", "tests/drivers/base/test_package_digest.py",
-         "tests/drivers/base/test_call_limit.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+         "tests/drivers/base/test_call_limit.py", "tests/drivers/base/test_guard.py",
+         "tests/drivers/base/test_named_file.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
          "tests/control/test_laws_per_element.py",
          "tests/virtual/test_installed_law.py", "tests/control/test_laws.py", "tests/virtual/test_user_layout.py"),
     ),
