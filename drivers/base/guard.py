@@ -13,8 +13,8 @@ class BadAnswerError(Exception):
 
 
 class Limited:
-    """`with` around calls in a row, the same object in every tick: their time is limited, and what they raise goes to
-    `failed`, not to whoever stands around.
+    """`with` around calls in a row, the same object in every tick. Their time is limited, and `failed` gets what they
+    raise.
     """
 
     __slots__ = ("_failed",)
