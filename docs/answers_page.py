@@ -26,7 +26,9 @@ HEAD = """# What is believed of an answer
 Made by `make docs` from `drivers/protocols/answer_fields.py` (the bounds), the rows in `hil/cycle/faults/` (the faults)
 and `hil/studies/fault_campaign/answer_fields.py` (the cells). A cell says what comes of a field that is wrong so long.
 `hil faults RIG --only field:` tries them at rest and in motion, on every axis. *Rejected* means: not used, counted,
-and nothing latches. Ticks count from the first wrong answer; silence is a fault after its own limit in `[safety]`.
+and nothing latches; while axes may move, the gap is told in the same tick. Ticks count from the first wrong answer, or
+from the last one that a limit in `[safety]` permits: `bad_frame_limit` frames for bad_frames, `silent_stop_ticks` for
+encoder_lost, `silent_zero_ticks` for encoder_dead, the second answer for answers_differ.
 A drive whose state comes in a message of its own is seen later by that message's period."""
 
 

@@ -3,7 +3,7 @@
 A cell of the table is a trial made here, or one that the catalogue has anyway, or none, with the reason.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -11,6 +11,7 @@ from drivers.frame import EXTENDED, Frame
 from drivers.protocols.answer_fields import Field
 from drivers.protocols.base import DriveStatus, Sample
 from hil.cycle.fault_table import Fault, Reaction
+from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.checkpoints import CampaignRun
 from hil.studies.fault_campaign.injections import answer_twice, is_answer
 from hil.studies.fault_campaign.layout_capabilities import NONE, Capability, lacking_text
@@ -18,6 +19,7 @@ from hil.studies.fault_campaign.trial import (
     BY_MOTION,
     GONE,
     MOVING,
+    PROMPT,
     WATCHING,
     Step,
     Trial,
@@ -28,6 +30,12 @@ _FOREVER = 10**6
 _FREE_ID = 0x7F1  # no layout's
 _JUMP = 10**7  # counts, far beyond what an axis can go in a tick
 _REPEATED = (Fault.BAD_FRAMES, *GONE)
+_BOUNDS: Mapping[Fault, Callable[[RigConfig], int]] = {
+    Fault.BAD_FRAMES: lambda rig: rig.safety.bad_frame_limit,
+    Fault.ENCODER_LOST: lambda rig: rig.safety.silent_stop_ticks,
+    Fault.ENCODER_DEAD: lambda rig: rig.safety.silent_zero_ticks,
+    Fault.ANSWERS_DIFFER: lambda _: 2,  # the first one is none, the second answers what another did
+}
 _PPM = 1e-6
 
 
@@ -129,6 +137,7 @@ def _dropped(field: Field, make: Callable[[Frame], Frame], only: Capability = NO
             frames_wrong(make, pattern),
             () if pattern is Pattern.ONE else _REPEATED,
             within=11,
+            bounds=_BOUNDS,
             armed=WATCHING if pattern is Pattern.EVER else MOVING,
             benign=pattern is Pattern.ONE,
             only=only,
@@ -157,6 +166,7 @@ def _sequence(pattern: Pattern, late: Callable[[int], int]) -> Trial:
         samples_wrong(lambda s, k, _: replace(s, sequence=s.sequence - late(k)), pattern),
         () if pattern is Pattern.ONE else (*_REPEATED, Fault.ANSWERS_DIFFER),
         within=11,
+        bounds=_BOUNDS,
         benign=pattern is Pattern.ONE,
         only=Capability.SEQUENCE,
         few=True,
@@ -238,11 +248,11 @@ def result_of(field: Field, pattern: Pattern, trials: Sequence[Trial], capabilit
     if at in _FOLLOWED:
         return _FOLLOWED[at]
     if trial.benign:
-        return "rejected"
+        return f"rejected, told as {'encoder_glitch' if field is Field.POSITION else 'encoder_gap'}"
     if not trial.certain:
         return f"not detectable: {_UNDETECTABLE.get(at) or lacking_text(trial.lacking)}"
     names = " or ".join(dict.fromkeys(fault.name.lower() for fault in trial.faults))
-    return f"{names} within {trial.within} ticks"
+    return f"{names} within {PROMPT} ticks of its limit" if trial.bounds else f"{names} within {trial.within} ticks"
 
 
 def field_trials(trials: Sequence[Trial]) -> dict[Field, list[Trial]]:

@@ -167,7 +167,7 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
     exactly = trial.exactly(began) if due and trial.exactly and began is not State.STOPPING else fault
     if fault is not exactly and not pushed and not run.cycle.protocol.acts_ns:  # drives in their own time: see trials
         return f"latched {fault.name}, but this is {exactly.name}"
-    within = ticks(trial.within, run.rig) + (state_ticks(run) if ROWS[fault].told_by_drives else 0)
+    within = trial.allowed(fault, run.rig) + (state_ticks(run) if ROWS[fault].told_by_drives else 0)
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
     if due and REACTIONS[fault] < trial.demand:

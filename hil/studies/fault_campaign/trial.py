@@ -1,7 +1,7 @@
 """One kind of fault that the campaign injects, and what is demanded then."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
 from hil.cycle.fault_table import Fault, Reaction
@@ -36,27 +36,29 @@ BY_MOTION = (
 )
 Step = Callable[[CampaignRun, int, int], None]  # run, axis, ticks since the injection
 Limit = int | Callable[[RigConfig], int]
+PROMPT = 2  # ticks, from where a bound is left to the fault that says so
 
 
 @dataclass(frozen=True)
 class Trial:
     """One kind of fault.
 
-    step: called before every tick from the injection on (third argument 0). faults: what the detectors may flag, any of
-    them. within: ticks from the injection to detection, in states where one of them is armed. per_axis: repeat for
-    every axis. moving_only: physics shows it only while the axis should move (a stuck encoder at rest is no fault yet).
-    following_only: it falsifies the task, or the drives that follow it, so there has to be one that runs. resting_only:
-    tried only in states without torque, as in the others axes may move. law: it falsifies what the law asks for, which
-    nobody asks before axes have been pushed as the rig says. benign: must not change the state at all. certain: False
-    where feedback may well master it. command: an operator's command the trial sends itself. armed: states in which
-    detection is due. demand: the weakest reaction that will do. exactly: by the state it began in, the one of `faults`
-    that it must be where detection is due and the layout can tell; not asked of STOPPING, which may be over first.
-    slack: ticks more than usual until the drives have let go, where they do not hear the host. watch: ticks more than
-    usual in which the run has to end where it must. unready: whether, as the run stands at the injection, the rig must
-    not become READY any more. ends: states one of which the run has to end in where no fault latched; without it they
-    follow from the state it began in and the command. staged: it is of a stage that is not ideal, and tried at rest and
-    once in motion only. few: tried there only, on any stage. inputs: it is of a rig with limit switches. sensors: of
-    one with [sensors].
+    step: called before every tick from the injection on (third argument 0). faults: what the detectors may flag,
+    any of them. within: ticks from the injection to detection, in states where one of them is armed. bounds: of
+    faults that wait for a number of ticks that the rig states: they are due within PROMPT ticks of the last one.
+    per_axis: repeat for every axis. moving_only: physics shows it only while the axis should move (a stuck encoder
+    at rest is no fault yet). following_only: it falsifies the task, or the drives that follow it, so there has to
+    be one that runs. resting_only: tried only in states without torque, as in the others axes may move. law: it
+    falsifies what the law asks for, which nobody asks before axes have been pushed as the rig says. benign: must
+    not change the state at all. certain: False where feedback may well master it. command: an operator's command
+    the trial sends itself. armed: states in which detection is due. demand: the weakest reaction that will do.
+    exactly: by the state it began in, the one of `faults` that it must be where detection is due and the layout can
+    tell; not asked of STOPPING, which may be over first. slack: ticks more than usual until the drives have let go,
+    where they do not hear the host. watch: ticks more than usual in which the run has to end where it must.
+    unready: whether, as the run stands at the injection, the rig must not become READY any more. ends: states one
+    of which the run has to end in where no fault latched; without it they follow from the state it began in and the
+    command. staged: it is of a stage that is not ideal, and tried at rest and once in motion only. few: tried there
+    only, on any stage. inputs: it is of a rig with limit switches. sensors: of one with [sensors].
 
     Layouts differ. only: what a layout must have for the fault to be there at all. needs: what it must have for the
     fault to be told from the truth; without it `instead` may latch as well, and where `unseen` is set, detection is not
@@ -69,6 +71,7 @@ class Trial:
     step: Step
     faults: tuple[Fault, ...] = ()
     within: Limit = 3
+    bounds: Mapping[Fault, Callable[[RigConfig], int]] = field(default_factory=dict)
     per_axis: bool = True
     moving_only: bool = False
     following_only: bool = False
@@ -95,6 +98,11 @@ class Trial:
     deaf: bool = False
     unheld: bool = False
     lacking: Capability = NONE
+
+    def allowed(self, fault: Fault, rig: RigConfig) -> int:
+        """Ticks from the injection within which this fault is due; its tick counts from 0."""
+        bound = self.bounds.get(fault)
+        return ticks(self.within, rig) if bound is None else bound(rig) - 1 + PROMPT
 
     def over(self, capabilities: Capability) -> "Trial":
         """The same under a layout with these capabilities."""
