@@ -28,12 +28,14 @@ from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_page import Page, live_pages
 from hil.operate.demo_live import STALL_FAULTS
 from tests.support.live_rig import CALM, HEAVY, PAPER, PATIENCE_S, Control, Emulator, emulated, order
+from tests.support.ports import free_port
 
 FILES = ("stop", "ring", "mailbox", "goals", "task", "notes")
 MOMENTS = ("start", "motion", "reset", "home", "stop")
 ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 LATCHED_S = 0.005  # from a press to its latch
 GOES_ON_TICKS = 20
+LOST = ("NO_ACK", "BUS_OFF", "TRANSMIT_BLOCKED", "FOLLOWING_ERROR")  # where the stage and its drives are gone
 HELD_UP = ("FOLLOWING_ERROR", "OSCILLATION")  # where ticks were lost in motion
 HEAVY_CIRCLE = (*HEAVY, "task.kind=circle", "task.radius=2e-3", "task.frequency_hz=0.5")
 MOVING = tuple(part for override in HEAVY_CIRCLE for part in ("--set", override))
@@ -234,7 +236,7 @@ def _told(control: Control, reader: RingReader, *, lost: bool) -> str:
         records = reader.read(100_000).records
         faults = {Fault(int(value)).name for value in records["fault"]} - {Fault.NONE.name}
         held_up = len(records) > 1 and int(np.diff(records["index"]).max()) > 1  # and the stage went on without us
-        if not faults <= {*STALL_FAULTS, *(HELD_UP if held_up else ())}:
+        if not faults <= {*STALL_FAULTS, *(HELD_UP if held_up else ()), *(LOST if lost else ())}:
             return f"faults {sorted(faults)}"
         if not lost or faults or (len(records) and int(records[-1]["state"]) == State.CONNECTED):
             return ""
@@ -255,14 +257,20 @@ def _started(victim: str, folder: Path) -> Iterator["subprocess.Popen[bytes] | N
     words: dict[str, Callable[[], list[str]]] = {
         "sidecar": lambda: ["sidecar", str(PAPER), *sets, "--out", str(folder / "out"), "--or-free-port"],
         "emulator": lambda: ["emulate", str(PAPER), *sets],
-        "page": lambda: ["page", "--port", "0"],
+        "page": lambda: ["page", "--port", str(free_port())],
     }
     if victim not in words:
         yield None
         return
     line = [sys.executable, "-m", "hil", *words[victim]()]
+    status = runtime_paths("paper").emulator
+    status.unlink(missing_ok=True)
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
+            limit = time.monotonic() + PATIENCE_S
+            while victim == "emulator" and not status.exists():  # it answers from here on
+                assert time.monotonic() < limit, "no emulated stage"
+                time.sleep(0.01)
             yield process
         finally:
             process.kill()
