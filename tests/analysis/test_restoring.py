@@ -11,7 +11,7 @@ from hil.rig.file import build_rig, load_rig
 from hil.rig.schema import RigConfig, RigError
 from tests.support.paths import RIGS
 
-BELIEF = Path(__file__).parent.parent / "belief"
+WITH_LAWS = Path(__file__).parent.parent / "long_runs"
 LIMITS = {"position": [-0.3, 0.3], "speed": 1.0, "force": 1e3, "force_rate": 1e7, "following_error": 0.01}
 
 
@@ -24,7 +24,7 @@ def loop(name: str, mass: float = 1.0, coulomb: float = 0.5, **gains: float) -> 
     }
     law, drives = {"name": name, "gains": gains}, {"watchdog_s": 0.03}
     return build_rig(
-        {"name": "one", "rate_hz": 100.0, "axes": {"x": axis}, "law": law, "drives": drives}, folder=BELIEF
+        {"name": "one", "rate_hz": 100.0, "axes": {"x": axis}, "law": law, "drives": drives}, folder=WITH_LAWS
     )
 
 

@@ -1,4 +1,4 @@
-"""python -m tests.belief NAME ...: the long campaigns on belief, one after the other; each prints what did not hold.
+"""python -m tests.long_runs NAME ...: the long campaigns, one after the other; each prints what did not hold.
 
 loops: random loops against ticks. margins: python-control's margins of 200 drawn rigs. days: 24 h of samples.
 wraps: the cycle around each wrap. cut: files of a live rig cut short, stop pressed. cycles: starts and ends.
@@ -9,7 +9,7 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from tests.belief import clocks, lives, loops
+from tests.long_runs import clocks, lives, loops
 
 VICTIMS = ("sidecar", "teller", "page", "emulator")
 
@@ -36,7 +36,7 @@ def _kills(count: int, seed: int) -> bool:
 
 def main() -> int:
     """The exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tests.belief", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.long_runs", description=__doc__)
     parser.add_argument("names", nargs="+", choices=["loops", "margins", "days", "wraps", "cut", "cycles", "kills"])
     parser.add_argument("--seed", type=int, default=37)
     parser.add_argument("--count", type=int, help="how many of them [as many as the issue asks for]")

@@ -1,13 +1,13 @@
-"""Slices of the long campaigns, and that each of them tells what is wrong. All of it: python -m tests.belief."""
+"""Slices of the long campaigns, and that each of them tells what is wrong. All of it: python -m tests.long_runs."""
 
 import random
 
 import numpy as np
 import pytest
 
-from tests.belief.clocks import DRIFTS_PPM, LAYOUTS, WRAPS, around, day
-from tests.belief.lives import Row, cut, cycles, kills_beside, kills_of_control, told
-from tests.belief.loops import Loop, drawn, holds, said, ticked, verdicts
+from tests.long_runs.clocks import DRIFTS_PPM, LAYOUTS, WRAPS, around, day
+from tests.long_runs.lives import Row, cut, cycles, kills_beside, kills_of_control, told
+from tests.long_runs.loops import Loop, drawn, holds, said, ticked, verdicts
 
 
 @pytest.mark.requirement(id="SR-5.5")

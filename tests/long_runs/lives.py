@@ -56,7 +56,7 @@ class Row(NamedTuple):
 def own_runtime() -> Iterator[Path]:
     """A runtime directory that no other rig of this machine has."""
     before = os.environ.get("HIL_RUNTIME_DIR")
-    with tempfile.TemporaryDirectory(prefix="hil-belief-") as folder:
+    with tempfile.TemporaryDirectory(prefix="hil-long-runs-") as folder:
         os.environ["HIL_RUNTIME_DIR"] = folder
         try:
             yield Path(folder)
