@@ -24,7 +24,9 @@ def test_the_microscope_takes_few_steps_in_two_pieces_a_tick() -> None:
         before = stage._count
         run.tick()
         pieces.append(stage._count - before)
-        axes = [axis for axis in stage._single.axes if isinstance(axis, NativeAxis)]
+        alone = stage._single  # another where a brake changed
+        assert alone
+        axes = [axis for axis in alone.axes if isinstance(axis, NativeAxis)]
         taken = [axis._words[axis._row + native_axis._STEPS] for axis in axes]
         assert len(taken) == 4
         assert min(taken) >= 0.0, "left to Python"
