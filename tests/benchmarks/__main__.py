@@ -21,6 +21,7 @@ BENCHES = BENCHES_AT_A_RIG | {
         "endurance": "Memory, descriptors, files and lateness of every process over a long live run",
         "io": "Receiving and sending through the bus layer alone",
         "lockstep": "How much faster than real time a whole rig runs in lockstep",
+        "scale": "How near to linear a sweep gets over cores, and over a local cluster",
         "batch": "Plants times ticks per second of the batch engine",
         "profile": "Where a tick's time goes, function by function",
         "streams": "Streams of set-points through bad networks, in virtual time",
