@@ -19,7 +19,7 @@ enum { N_COUNTS = sizeof COUNTS / sizeof *COUNTS };
 #define BRISTLE_LEAST 0.001
 #define BREAKING_LOOSE 0.3
 #define MOST_TURN_STEPS 16.0
-#define SLOPE_STEP 0.08
+#define PEAK_STEP 0.08
 
 static double effort(const axis *a, double external, double command, double h) {
     const motion *at = &a->at;
@@ -44,7 +44,7 @@ static double effort(const axis *a, double external, double command, double h) {
         double nearest = speed - reach;
         nearest = 0.5 * (nearest + fabs(nearest));
         double resolved = reach * a->slowness / (1.0 + nearest * a->slowness);
-        work = greater(work, (0.5 / SLOPE_STEP) * resolved);
+        work = greater(work, (0.5 / PEAK_STEP) * resolved);
     }
     if (HAS(a, BRISTLE)) {
         double towards = direction(at->velocity), openness = fabs(1.0 - towards * at->bristle * a->inverse_limit);

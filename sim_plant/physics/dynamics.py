@@ -48,7 +48,8 @@ TURN_STEP: Final = 1e-8  # m (rad): eight times how far an axis comes to a stop 
 BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
 MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
 LINE_STEP: Final = 0.4  # rad of a sinusoid
-SLOPE_STEP: Final = 0.08  # of the other rates, and of v_s on the way through a Stribeck peak
+SLOPE_STEP: Final = 0.1  # of the other rates
+PEAK_STEP: Final = 0.08  # of v_s on the way through a Stribeck peak
 
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
 
@@ -168,7 +169,7 @@ class Dynamics:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))
             resolved = reach * self._slowness / (1.0 + nearest * self._slowness)
-            work = greater(work, (0.5 / SLOPE_STEP) * resolved)
+            work = greater(work, (0.5 / PEAK_STEP) * resolved)
         if self.has_bristle:
             towards = direction(at.velocity)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
