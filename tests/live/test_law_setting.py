@@ -85,6 +85,7 @@ def test_under_torque_the_force_goes_on_without_a_step(
     assert (run.cycle.state, run.cycle.fault) == (State.ACTIVE, 0)
 
 
+@pytest.mark.replaces_methods
 def test_without_a_handover_there_would_be_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     run = held_off_its_target(IDEAL, "pd-feedforward")
     monkeypatch.setattr(cycle_axes, "Handover", lambda _old, new, _period_s: new)
