@@ -88,10 +88,19 @@ def _is_zero(value: float) -> bool:
     return value == 0.0
 
 
-Measured = Literal["cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error", "dimple"]
+Measured = Literal[
+    "cell_force", "applied_force", "position", "tip_force", "cell_shift", "bolus", "tip_error", "dimple", "pressure"
+]
 
 
-OF_DISH: tuple[Measured, ...] = ("tip_force", "cell_shift", "bolus", "tip_error", "dimple")  # these need [plant.dish]
+OF_DISH: tuple[Measured, ...] = (
+    "tip_force",
+    "cell_shift",
+    "bolus",
+    "tip_error",
+    "dimple",
+    "pressure",
+)  # these need [plant.dish]
 
 
 class EmulatedSensorConfig(Table):
@@ -104,7 +113,7 @@ class EmulatedSensorConfig(Table):
         "axis' drive; position: of the axis' tip; the others need [plant.dish]: tip_force: of its cell on the tip, "
         "pressing positive; cell_shift: way of the cell under the tip from where it was planned; bolus: that of the "
         "last pulse in the cell under the tip, 1: a full one; tip_error: tip as a camera sees it less the encoder; "
-        "dimple: how deep the tip has pressed in a cell that is not pierced",
+        "dimple: how deep the tip has pressed in a cell that is not pierced; pressure: in the injector, of its valve",
     )
     axis: str = key(REQUIRED, "axis that it belongs to")
     gain: float = key(1.0, "reading per N (N m) or m (rad)", "1", ge=-1e9, le=1e9)

@@ -92,6 +92,10 @@ class DishConfig(Table):
     )
     anomaly_share: Share = key(0.0, "of the cells beyond that list: part that has an anomaly, drawn; never broken", "1")
     valve: int = key(0, "bit of the host's outputs that opens the injection valve", "1", ge=0, le=7)
+    pressure: float = key(
+        5e4, "in the injector while its valve is open; 0 while it is shut", "Pa", gt=0, le=1e7,
+        exclude_if=lambda pressure: pressure == 5e4,
+    )  # fmt: skip
     flow: float = key(10.0, "through the open valve, in planned boluses a second", "1/s", gt=0, le=1e4)
 
     @model_validator(mode="after")

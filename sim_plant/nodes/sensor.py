@@ -19,6 +19,7 @@ from sim_plant.physics.truth import Truth
 
 NEVER_NS = 2**62
 
+FAILING = tuple(measured for measured in OF_DISH if measured != "pressure")  # with the anomaly of a cell
 Tap = Callable[[Sampled], Sampled | None]
 
 
@@ -123,7 +124,7 @@ class SensorNode:
 
     def _failing(self, shown: Sampled, stage: Stage) -> Sampled | None:
         """What it sends, while a cell's anomaly is that it fails."""
-        if stage.dish is None or self._entry is None or self._entry.measures not in OF_DISH:
+        if stage.dish is None or self._entry is None or self._entry.measures not in FAILING:
             return shown
         failure = stage.dish.failure(self._entry.measures != "tip_force")
         if failure == "silent":
@@ -158,6 +159,8 @@ class SensorNode:
                 return dish.force
             acceleration = self._filter.slope(stage.tips[1][axis], stage.now_ns)
             return dish.force + dish.direction * entry.tool_mass * acceleration
+        if entry.measures == "pressure":
+            return dish.pressure
         seen = {"cell_shift": dish.side, "bolus": dish.bolus, "tip_error": dish.tip_error, "dimple": dish.dimple}
         return seen[entry.measures]
 

@@ -134,6 +134,7 @@ class Dish:
         self.stray: list[Pulse] = []
         self.is_broken = False
         self.valve = config.valve
+        self._pressure = config.pressure
         self._x, self._y, self._z = (list(axis_names).index(axis) for axis in config.axes)
         self.direction = float(config.direction)
         self.radius = config.radius
@@ -278,6 +279,11 @@ class Dish:
             pulse = Pulse(self._open_ns, now_ns, pierced, bolus)
             (cell.pulses if cell else self.stray).append(pulse)
             self._open_ns = -1
+
+    @property
+    def pressure(self) -> float:
+        """In the injector, Pa."""
+        return self._pressure if self._open_ns >= 0 else 0.0
 
     def _is_in_a_pierced(self) -> bool:
         return self.entered is not None and self.entered.pierced_ns is not None and self.entered.model.depth > 0.0

@@ -4,14 +4,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
-from hil.control.motion.injection.verdict import TOLD, Verdict
+from hil.control.motion.injection.verdict import TOLD, Phase, Verdict
 from hil.cycle.state_machine import State
+from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.studies.inject.batch import Batch, inject
-from hil.studies.inject.equipment import grid, read_positions
+from hil.studies.inject.equipment import grid, middle, read_positions, words
 from hil.studies.inject.judge import judged, quantile, wilson
 from hil.virtual.lockstep import LockstepRun
 from tests.support.cells import RIG, RIGS, equipped
@@ -149,3 +151,35 @@ def test_what_does_not_go_together_is_refused(given: dict[str, Any], said: str) 
 
     with pytest.raises(typer.BadParameter, match=said):
         command(RIG, **given)
+
+
+@pytest.mark.long
+def test_the_holder_is_turned_on_the_way_and_the_injector_has_pressure_in_the_pulse_alone() -> None:
+    plain = load_rig(RIG)
+    x, y = middle(plain)
+    places = [(x, y), (x + 1e-3, y)]
+    pressure = 'sensors.pressure={can_id=0x3F6, fd=true, unit="Pa", scale=0.01, noise=50.0, range=[-1e3, 1e6]}'
+    first = words(plain, places, 1, 0.0, fd=True)
+    entry = next(word for word in first if word.startswith("plant.sensors="))
+    entry = entry.removesuffix("]") + ", {sensor='pressure', measures='pressure', axis='z'}]"
+    flat = load_rig(RIG, tuple(first)).motion.parameters["cells"]
+    cells = [[*row, angle] for row, angle in zip(flat, (0.2, -0.1), strict=True)]
+    more = ("motion.parameters.turn=theta", f"motion.parameters.cells={json.dumps(cells)}", pressure, entry)
+    rig = load_rig(RIG, (*first, *more))
+    rows: list[np.void] = []
+    run = LockstepRun(rig, RIGS, observer=lambda tick, frames, result: rows.append(kept(result.record)))
+    decided = run.cycle.supervisor.goals.decided
+    assert decided is not None
+    while len(decided.motion.results) < 2:
+        run.tick()
+        assert run.index < 8000
+    assert [result.verdict for result in decided.motion.results] == [Verdict.OK, Verdict.OK]
+    theta, channel = rig.axis_names.index("theta"), list(rig.sensors).index("pressure")
+    pressed = [row for row in rows if Phase.SEEK <= row["phase"] <= Phase.CONFIRM]
+    for number, angle in ((1, 0.2), (2, -0.1)):
+        held = [row["position"][theta] for row in pressed if row["cell"] == number]
+        assert np.abs(np.array(held) - angle).max() < 1e-4
+    shut = [row["readings"][channel] for row in rows[100:] if row["phase"] == Phase.SEEK]
+    given = [row["readings"][channel] for row in rows if row["outputs"]]
+    assert abs(np.mean(shut)) < 20.0
+    assert np.median(given) == pytest.approx(5e4, rel=0.01)

@@ -100,6 +100,8 @@ def test_noise_alone_is_neither_contact_nor_puncture(seed: int) -> None:
         ({"force": "scale"}, "force = 'scale'"),
         ({"valve": "light"}, "valve = 'light'"),
         ({"along": "w"}, "along = 'w'"),
+        ({"turn": "w"}, "turn = 'w'"),
+        ({"turn": "z"}, "turn = 'z'"),
         ({"across": ["x", "z"]}, "across"),
         ({"seek_speed": -1.0}, "seek_speed = -1.0; allowed: from 1e-06 to 0.05"),
         ({"seek_sped": 1.0}, "seek_sped"),

@@ -33,6 +33,7 @@ class CellInjection(Motion):
         self._glides = [Glide(limits, self._period_ns) for limits in rig.limits]
         self._along = rig.axes.index(self._s.along)
         self._across = [rig.axes.index(name) for name in self._s.across]
+        self._turn = [rig.axes.index(self._s.turn)] if self._s.turn else []
         self._senses = Senses(rig, self._s)
         self._valve = 1 << rig.outputs[self._s.valve] if self._s.valve else 0
         self.total = len(self._s.cells)
@@ -99,7 +100,7 @@ class CellInjection(Motion):
     def _withdraw(self, seen: Observation) -> None:
         """From a cell that the tip has not touched, or from the way to it; it stays as if it had never begun."""
         self._run = None
-        for axis in self._across:
+        for axis in [*self._across, *self._turn]:
             self._glides[axis].stop(seen.ends_ns[axis], seen.reference[axis])
         self._lift(seen)
 
@@ -135,6 +136,10 @@ class CellInjection(Motion):
         self._run = CellRun(number, self._s, self._senses, self._glides[self._along], self._along, self._period)
         for axis, place in zip(self._across, self._s.cells[number][:2], strict=True):
             self._glides[axis].to(seen.ends_ns[axis], seen.reference[axis], place, self._s.transfer_speed)
+        for axis in self._turn:
+            self._glides[axis].to(
+                seen.ends_ns[axis], seen.reference[axis], self._s.cells[number][3], self._s.turn_speed
+            )
 
     def _references(self, seen: Observation, told: int) -> References:
         at = [glide.at(end) for glide, end in zip(self._glides, seen.ends_ns, strict=True)]

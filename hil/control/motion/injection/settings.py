@@ -11,6 +11,7 @@ Z_LAW_NAMES = ("press", "ramp", "impedance", "visual", "position", "hold")  # wh
 _RANGES: dict[str, Range] = {
     "start_above": (1e-6, 0.01),
     "transfer_speed": (1e-5, 1.0),
+    "turn_speed": (1e-4, 100.0),
     "seek_speed": (1e-6, 0.05),
     "press_speed": (1e-6, 0.05),
     "withdraw_speed": (1e-5, 0.5),
@@ -40,7 +41,8 @@ _RANGES: dict[str, Range] = {
 class Settings:
     """Lengths in m, forces in N, times in s, speeds in m/s.
 
-    cells: rows of place across (two axes) and of the cell's top along the axis of injection. first: number of the one
+    cells: rows of place across (two axes), of the cell's top along the axis of injection, and, where `turn` names a
+    rotary axis, of its angle, rad. turn_speed: rad/s. first: number of the one
     that it begins with, from 1 on; those before it are over. safe: height of the way from cell to cell. start_above:
     above the expected top, where the search begins. deposit, deepest: behind the first touch; deposit counts from the
     expected top where z_law is impedance or position. z_law: a key of z_laws.py. force_rate: N/s, and admittance:
@@ -55,9 +57,11 @@ class Settings:
     first: int = 1
     along: str = "z"
     across: Sequence[str] = ("x", "y")
+    turn: str = ""
     direction: int = -1
     start_above: float = 60e-6
     transfer_speed: float = 0.02
+    turn_speed: float = 0.5
     seek_speed: float = 4e-3
     press_speed: float = 4e-3
     withdraw_speed: float = 8e-3
@@ -127,6 +131,8 @@ def _check_names(rig: Surroundings, made: Settings) -> None:
         raise ValueError("motion.parameters.dimple = '': z_law = 'visual' needs a sensor of the cell's dimple")
     if len(made.across) != 2 or any(name not in rig.axes or name == made.along for name in made.across):
         raise ValueError(f"motion.parameters.across = {list(made.across)!r:.60}; allowed: two other axes of the rig")
+    if made.turn and (made.turn not in rig.axes or made.turn in (*made.across, made.along)):
+        raise ValueError(f"motion.parameters.turn = {made.turn!r:.40}; allowed: another axis of the rig")
     if made.direction not in (-1, 1):
         raise ValueError(f"motion.parameters.direction = {made.direction!r:.20}; allowed: -1 or 1")
     if not rig.noise[rig.sensors.index(made.force)] > 0.0:
@@ -139,17 +145,18 @@ def _check_places(rig: Surroundings, made: Settings) -> None:
         raise ValueError("motion.parameters.cells = []: expected rows of three numbers")
     if type(made.first) is not int or not 1 <= made.first <= len(made.cells):
         raise ValueError(f"motion.parameters.first = {made.first!r:.40}; allowed: 1 to {len(made.cells)}")
-    axes = [*made.across, made.along]
+    axes = [*made.across, made.along, *([made.turn] if made.turn else [])]
     fences = [(rig.limits[rig.axes.index(name)].low, rig.limits[rig.axes.index(name)].high) for name in axes]
     for number, row in enumerate(made.cells, 1):
-        if len(row) != 3 or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in row):
-            raise ValueError(f"motion.parameters.cells: row {number} is {row!r:.60}; expected three numbers, m")
+        if len(row) != len(axes) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in row):
+            expected = "four numbers: m, m, m, rad" if made.turn else "three numbers, m"
+            raise ValueError(f"motion.parameters.cells: row {number} is {row!r:.60}; expected {expected}")
         bottom = row[2] + made.direction * made.deepest
         for name, value, (low, high) in zip([*axes, made.along], [*row, bottom], [*fences, fences[2]], strict=True):
             if not low <= value <= high:
-                raise ValueError(
-                    f"motion.parameters.cells: row {number} takes {name} to {value:g} m; allowed: {low:g} to {high:g}"
-                )
+                unit = "rad" if name == made.turn else "m"
+                takes = f"motion.parameters.cells: row {number} takes {name} to {value:g} {unit}"
+                raise ValueError(f"{takes}; allowed: {low:g} to {high:g}")
         if (row[2] - made.safe) * made.direction < made.start_above:
             raise ValueError(
                 f"motion.parameters.safe = {made.safe:g}: the top of row {number} is not start_above = "
