@@ -29,7 +29,7 @@ def gather(axes: Sequence[LawInputs]) -> LawInputs:
     preview = [_stacked(column) for column in zip(*ahead, strict=True)]
     return LawInputs(
         sample=reference("sample"), start=reference("start"), end=reference("end"), task_ns=axes[0].task_ns,
-        preview=preview, **{name: column(name) for name in PLAIN},
+        preview=preview, readings=axes[0].readings, **{name: column(name) for name in PLAIN},
     )  # fmt: skip
 
 
