@@ -66,6 +66,11 @@ class Chromium(Browser):
     def picture(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
+    def heap(self) -> int:
+        """Bytes that the page's scripts keep, with nothing that could be thrown away."""
+        self.call("HeapProfiler.collectGarbage")
+        return int(self.call("Runtime.getHeapUsage")["usedSize"])
+
 
 @contextlib.contextmanager
 def chromium(profile: Path) -> Iterator[Chromium]:
