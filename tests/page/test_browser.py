@@ -95,6 +95,7 @@ HOUR = """(async () => {
       if (turn % 250 === 0) for (const page of made) { page.told?.(); page.look?.({}); page.draw?.(); }
     }
   };
+  feed.take(JSON.stringify({ events: Array.from({ length: 500 }, (_, number) => event(number)) })); // all that are kept
   window.hour = { play, box };
 })()"""
 
