@@ -76,7 +76,10 @@ def signals(path: Path) -> list[Signal]:
 
 
 def _torques(path: Path) -> list[Signal]:
-    return [signal for signal in signals(path) if signal.is_signed and signal.reach]
+    """Signals that could carry a torque; none of a file with one message, where nothing could answer."""
+    found = signals(path)
+    several = len({signal.message for signal in found}) > 1
+    return [signal for signal in found if several and signal.is_signed and signal.reach]
 
 
 def tried(path: Path, draw: random.Random) -> str:
