@@ -9,7 +9,9 @@ from drivers.config import BusConfig
 from drivers.families.dbc.binding import bound_names
 from drivers.families.dbc.config import dbc_keys
 from drivers.families.dbc.file import load_used
-from drivers.frame import EXTENDED, Frame
+from drivers.frame import EXTENDED, EXTENDED_MASK, Frame
+
+_BROADCAST = 240  # from this PDU format on, the second byte belongs to the parameter group (SAE J1939-21)
 
 
 def reader(bus: BusConfig, base_dir: Path, cyclic: Callable[[Frame], str]) -> Callable[[Frame], str]:
@@ -21,14 +23,18 @@ def reader(bus: BusConfig, base_dir: Path, cyclic: Callable[[Frame], str]) -> Ca
 
 def dbc_reader(database: Database) -> Callable[[Frame], str]:
     """For a DBC file: message name, and each signal with its value, unit and name of the value where the file has
-    them.
+    them. Messages of J1939 are found by their parameter group, whoever sends them, to whom, in whatever priority.
     """
     by_id = {
         message.frame_id | (EXTENDED if message.is_extended_frame else 0): message for message in database.messages
     }
+    by_group = {group_of(message.frame_id): message for message in database.messages if message.protocol == "j1939"}
 
     def text(frame: Frame) -> str:
-        message = by_id.get(frame.can_id)
+        message, source = by_id.get(frame.can_id), ""
+        if message is None and frame.can_id & EXTENDED:
+            message = by_group.get(group_of(frame.can_id & EXTENDED_MASK))
+            source = f" from {frame.can_id & 0xFF:02X}h"
         if message is None:
             return ""
         try:
@@ -38,9 +44,15 @@ def dbc_reader(database: Database) -> Callable[[Frame], str]:
         assert isinstance(values, dict)
         units = {signal.name: signal.unit or "" for signal in message.signals}
         shown = (f"{name} {_value(value)}{' ' * bool(units[name])}{units[name]}" for name, value in values.items())
-        return f"{message.name}: {', '.join(shown)}"
+        return f"{message.name}{source}: {', '.join(shown)}"
 
     return text
+
+
+def group_of(can_id: int) -> int:
+    """Parameter group number of an identifier of 29 bits (SAE J1939-21): without priority, source and destination."""
+    group = can_id >> 8 & 0x3FFFF
+    return group if group >> 8 & 0xFF >= _BROADCAST else group & 0x3FF00
 
 
 def _value(value: object) -> str:
