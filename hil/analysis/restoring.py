@@ -1,9 +1,9 @@
 """Does the law push an axis back that is held off its setpoint, for as long as it is held?
 
-The loop's real poles near 1 are those of integrators, and too slow for any answer that is short enough to compute. What
-they come to shows at once while the axis is held: the force of an integrator with the wrong sign goes the wrong way,
-tick by tick, and the loop then has a pole beyond 1 however small the gain is (the characteristic polynomial at z = 1 is
-negative; Astrom and Wittenmark, Computer-Controlled Systems (1997), section 3.3).
+Integrators put real poles near 1 into a loop, too slow for any answer that is short enough to compute. An axis that is
+held shows them at once. The force of an integrator with the wrong sign goes the wrong way, tick by tick. The loop then
+has a pole beyond 1, however small the gain is, as its characteristic polynomial is negative at z = 1.
+Source: Astrom and Wittenmark, Computer-Controlled Systems (1997), section 3.3.
 """
 
 from typing import Any
