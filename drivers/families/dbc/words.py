@@ -23,7 +23,7 @@ def reader(bus: BusConfig, base_dir: Path, cyclic: Callable[[Frame], str]) -> Ca
 
 def dbc_reader(database: Database) -> Callable[[Frame], str]:
     """For a DBC file: message name, and each signal with its value, unit and name of the value where the file has
-    them. Messages of J1939 are found by their parameter group, whoever sends them, to whom, in whatever priority.
+    them. Messages of J1939 are found by their parameter group, with any source, destination and priority.
     """
     by_id = {
         message.frame_id | (EXTENDED if message.is_extended_frame else 0): message for message in database.messages
