@@ -26,6 +26,13 @@ KNOWN = {
     "hil/rig/provenance.py": "keeps the EDS files of a run",
     "sim_plant/config.py": "keys of [plant.drive], of all emulated drives in one table",
     "drivers/protocols/dbc_codec.py": "the name of a file format",
+    "drivers/sensors/cia404.py": "a node of CANopen beside the drives, with their master's services",
+    "drivers/sensors/config.py": "the name of a file format",
+    "drivers/sensors/readers.py": "the name of a file format",
+    "hil/rig/sensors.py": "which drives send the SYNC that a CiA 404 node samples at",
+    "sim_plant/nodes/cia404.py": "constants of CiA 301",
+    "sim_plant/nodes/other_frames.py": "the name of a file format",
+    "sim_plant/nodes/sensors.py": "the name of a file format",
 }
 EMULATED = ("sim_plant/drives/", "sim_plant/drive_double.py")
 
