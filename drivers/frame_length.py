@@ -1,12 +1,12 @@
 """Bit-exact lengths of CAN frames on the wire (ISO 11898-1:2015, clauses 10.4 and 10.5), by byte tables.
 
-Classic: every bit from SOF to the end of the CRC-15 is stuffed dynamically, so the length depends on the payload and
-on its real CRC. FD: bits from SOF to the last data bit are stuffed dynamically; from there fixed stuff bits make the
+Classic: every bit from SOF to the end of the CRC-15 is stuffed dynamically, so the length depends on the payload and on
+its real CRC. FD: bits from SOF to the last data bit are stuffed dynamically. From there fixed stuff bits make the
 length of stuff count and CRC-17/21 independent of their values, so no CRC has to be calculated.
 
 Stuffing is a state machine over (last bit, length of its run); its transition for a whole byte is one table look-up.
 For FD payloads of up to 24 bytes the stuff bits so far are made part of the state, so that a byte costs one index and
-nothing else: the simulated wire asks for every frame of every tick.
+nothing else. The simulated wire asks for every frame of every tick.
 """
 
 from functools import cache, lru_cache
@@ -200,7 +200,7 @@ def worst_case_bits(length: int, *, fd: bool, extended: bool) -> tuple[int, int]
 
     Classic: Davis et al. 2007, equation 1: 8n + g + 13 + floor((g + 8n - 1) / 4) with g = 34 (11-bit) or 54 (29-bit
     identifiers). FD (with bit-rate switch): one stuff bit after each four bits behind the first, from SOF to the data's
-    end; both bits in which the rate changes counted as nominal ones, which covers every sample point and the extra
+    end. Both bits in which the rate changes count as nominal ones, which covers every sample point and the extra
     nominal bit of phase shift that ISO 11898-1 allows there.
     """
     if fd:

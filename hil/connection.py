@@ -143,7 +143,7 @@ class LiveRig(Closing):
         [law], or such a table; None: that of the rig file. gains: of that law, instead of those it has there.
 
         The loop is checked as by `hil check`, and an unstable one refused. Under torque the force goes on without a
-        step. The law lasts until the control process ends. Only hil's own laws are set, and none that learns. Raises
+        step. The law lasts until the control process ends. Only hil's own laws are set, and no law that learns. Raises
         RigError for what is no law of this rig, NoGatewayError as `command`.
         """
         rig = self._rig()

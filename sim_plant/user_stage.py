@@ -44,7 +44,7 @@ class Plant:
         self.position, self.velocity = position.copy(), np.zeros(position.shape)
 
     def reading(self) -> Array:
-        """What the encoders show, m: the position, where a class of yours does not say otherwise."""
+        """What the encoders show, m: the position, unless your class says otherwise."""
         return self.position
 
     def acceleration(self, position: Array, velocity: Array, force: Array) -> Array:
@@ -99,7 +99,7 @@ def stage_problems(plant: PlantConfig, axis_names: Sequence[str]) -> list[str]:
 
 
 class UserStage(Stage):
-    """One stage or a batch (..., n_axes) of stages that users bring: an object of theirs each, with its own encoders.
+    """One stage or a batch (..., n_axes) of stages that users bring: an object each, with its own encoders.
 
     Whatever it raises, or returns that is no position, is a PlantError that names the file and the line.
     """

@@ -2,9 +2,9 @@
 
 A rig names a class by a name of our own table, by a name that an installed package registers (an entry point), as
 `package.module:Class`, or as `./file.py:Class` of a file beside the rig. Key `source` of the same table has the text of
-a file, or of a package the digest of its code (package_digest.py), so that it is part of the rig's hash, of the
-recording, and of the work sent to other processes. Packages are looked for where Python does, and in FOLDER, as long as
-that is root's alone.
+a file, or of a package the digest of its code (package_digest.py). So it is part of the rig's hash, of the recording,
+and of the work sent to other processes. Packages are looked for where Python does, and in FOLDER, as long as that is
+root's alone.
 
 A name that comes from a recording, or over the network, is its author's: `only` says which code may run meanwhile.
 """

@@ -31,7 +31,7 @@ def open_untrusted(path: str | os.PathLike[str], largest: int) -> BinaryIO:
     """A regular file of at most `largest` bytes, open for reading; nothing is waited for.
 
     Raises OSError where it cannot be opened, UnsuitableFileError where it is something else or longer. A file may grow
-    after that: whoever reads it whole uses `read_bounded`.
+    after that: a reader that wants it whole uses `read_bounded`.
     """
     place = Path(path)
     if "\0" in str(place):

@@ -4,7 +4,8 @@
         bus.send(can.Message(arbitration_id=0x123, data=[1, 2, 3], is_extended_id=False))
 
 It is for tools and tests; a control loop takes drivers.bus.port.Port, which sits on the same medium and is several
-times faster. drivers/bus/local_medium.py says how the bus works and what happens to members that die or stop reading.
+times faster. The module drivers/bus/local_medium.py says how the bus works and what happens to members that die or stop
+reading.
 """
 
 import errno

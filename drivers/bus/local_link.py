@@ -1,6 +1,6 @@
 """The connection between two members of a local bus: one frame per packet, and how many may wait.
 
-The first packet on a link is a handshake, which tells the other side how many frames it may leave waiting; every other
+The first packet on a link is a handshake, which tells the other side how many frames it may leave waiting. Every other
 packet is a frame, in the bytes that a SocketCAN socket would carry.
 """
 

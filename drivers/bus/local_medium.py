@@ -1,19 +1,19 @@
 """A CAN bus between the processes of one machine: no kernel module, no root, no broker.
 
 A channel is a directory in the runtime directory (local_channel.py). Every member has a listening AF_UNIX socket there
-and one SOCK_SEQPACKET connection, a link (local_link.py), to every other member; a link carries exactly the bytes that
+and one SOCK_SEQPACKET connection, a link (local_link.py), to every other member. A link carries exactly the bytes that
 a SocketCAN socket would: `struct can_frame` or `struct canfd_frame`, one frame per packet, time-stamped by the kernel.
 
 Rules and theory of operation:
 
 - Joining: under the channel's lock, connect to every listening socket found, open one's own, then count up in the lock
-  file, which every member has mapped: a changed count is the join notice, and reading it needs no system call. So there
+  file, which every member has mapped. A changed count is the join notice, and reading it needs no system call. So there
   is exactly one link per pair, and a new member receives everything that is sent after it has joined. (What it sends
   itself before the others have accepted it is stamped when they do, at their next read or write.)
 - Leaving: the kernel closes a member's links however it ends, SIGKILL included; the others see it at once.
-- A member that stops reading fills its own links only. A frame that does not fit is lost for that member alone, as
-  it would be in a node whose receive buffer is full, and the member is told with the error frame that a
-  controller uses for that: CAN_ERR_CRTL_RX_OVERFLOW (data[5]: how many were lost, at most 255 at a time).
+- A member that stops reading fills its own links only. A frame that does not fit is lost for that member alone, as it
+  would be in a node whose receive buffer is full. The member is told with the error frame that a controller uses for
+  that: CAN_ERR_CRTL_RX_OVERFLOW (data[5]: how many were lost, at most 255 at a time).
 - Queues are short, and the receiver chooses their lengths: the name of a listening socket says how many frames a link
   to it may hold, and the handshake says it for the other direction. Links are used because the queue of an unconnected
   datagram socket is bound by net.unix.max_dgram_qlen: 10 on some machines, 512 on others, and only root can change it.
@@ -178,7 +178,7 @@ class LocalMedium:
         """Descriptors to read from now, whether or not something is there.
 
         A member that waits (`fileno`) is woken by the join notice of another one, before the count goes up, and has to
-        accept it then: else it would be woken again and again, for ever where it has the higher priority.
+        accept it then. Else it would be woken again and again, for ever where it has the higher priority.
         """
         if self._watched:
             return self.wait(0.0)

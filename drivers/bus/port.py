@@ -9,8 +9,8 @@ Theory of operation. A Port sits on a Medium: one CAN socket, or the links of a 
 path, for a tick in which all frames are alike. Anything else (an error frame, an echo, an odd length, a count of lost
 frames, a full block) takes the slow path, which looks at each message by itself. Of what has arrived, the newest
 `receive_limit` frames are returned, so that a flood cannot delay a tick. The kernel stamps frames with the wall clock;
-`drain` converts to the monotonic clock and keeps each stamp between the previous drain and the present one, so that
-setting the wall clock cannot move a sample in time. `send` hands a frame to the kernel or refuses it, at once.
+`drain` converts to the monotonic clock and keeps each stamp between the previous drain and the present one. So setting
+the wall clock cannot move a sample in time. `send` hands a frame to the kernel or refuses it, at once.
 """
 
 import errno
@@ -124,11 +124,11 @@ class Port:
     def drain(self, now_ns: int) -> list[Frame]:
         """Take everything that has arrived; return the newest `receive_limit` frames of it, oldest first.
 
-        now_ns: CLOCK_MONOTONIC just before the call. timestamp_ns of each frame is the kernel's time stamp, brought
-        from CLOCK_REALTIME to CLOCK_MONOTONIC, kept between the previous drain and the present (setting the wall clock
-        cannot move it out of that interval), and cut to whole microseconds: two clocks are not read any closer.
-        Error frames and own echoes are counted, not returned (but see `echo_id`). What has gathered before the first
-        drain of an opened bus is no flood: what is beyond the limit counts neither as discarded nor as overflow.
+        now_ns: CLOCK_MONOTONIC just before the call. The timestamp_ns of each frame is the kernel's time stamp, brought
+        from CLOCK_REALTIME to CLOCK_MONOTONIC. It is kept between the previous drain and the present: setting the wall
+        clock cannot move it out of that interval. It is cut to whole microseconds, as two clocks are not read any
+        closer. Error frames and own echoes are counted, not returned (but see `echo_id`). What has gathered before the
+        first drain of an opened bus is no flood: what is beyond the limit counts neither as discarded nor as overflow.
         """
         earliest_ns, self._drained_ns = self._drained_ns, stamp(now_ns)
         sources = self._ready()
@@ -338,10 +338,9 @@ def resolve_interface(bus: BusConfig) -> str:
 def open_port(bus: BusConfig, *, role: Role, fd: bool, echo_id: int | None = None) -> Port:
     """Open the bus of a rig for its host or for its devices; one of several segments is segmented_port.py's.
 
-    fd: the layout uses CAN FD.
-    echo_id: of own frames that are to be given back, marked ECHO and stamped with when they were out.
-    Raises PortError. "auto" falls back to the local bus only where no CAN interface of that name exists: one that
-    exists and cannot be opened is an error, as a rig must not talk to an empty local bus by mistake.
+    fd: the layout uses CAN FD. echo_id: of own frames that are to be given back, marked ECHO and stamped with when they
+    were out. Raises PortError. "auto" falls back to the local bus only where no CAN interface of that name exists. One
+    that exists and cannot be opened is an error, as a rig must not talk to an empty local bus by mistake.
     """
 
     def local() -> Medium:

@@ -98,11 +98,10 @@ class ReceiveBlock:
     def frames(self, fd: int, offset_ns: int, earliest_ns: int, latest_ns: int) -> list[Frame] | None:
         """Take what is queued, oldest first, with its time stamp (CLOCK_REALTIME) less offset_ns, as `stamp`.
 
-        None where the fast path is not for any of the `count` messages: of another size, length or flags than
-        expected, an error frame, an own echo, a stamp missing or not within earliest_ns to latest_ns and the present
-        second, a count of dropped frames with it; or SLOTS of them, as there may be more. Read them from `results` and
-        `contents` then.
-        Raises OSError as `receive` does.
+        None where the fast path is not for any of the `count` messages. Such are another size, length or flags than
+        expected, an error frame, an own echo, and a count of dropped frames. So is a stamp that is missing, or not
+        within earliest_ns to latest_ns and the present second; and SLOTS messages, as there may be more. Read them from
+        `results` and `contents` then. Raises OSError as `receive` does.
         """
         count = self.receive(fd)
         if not 0 < count < SLOTS:

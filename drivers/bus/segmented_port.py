@@ -1,7 +1,7 @@
 """One Port for the control loop of a rig whose axes are on several segments, each with a Port of its own.
 
 A frame says which segment it is on (drivers/frame.py): on those received this is said here, on those to be sent it is
-heeded. Counters are those of all segments, the state is the worst of theirs: a rig with a segment lost has lost its
+heeded. Counters are those of all segments, the state is the worst among them: a rig with a segment lost has lost its
 bus. What brings a bus back (purge, rebind) is for the one that needs it: `members`.
 """
 

@@ -102,8 +102,8 @@ class SocketCanMedium:
     def purge(self) -> bool:
         """Drop every frame that waits for the wire, by taking the interface down and up again.
 
-        Linux has no other way to recall a queued frame. It needs CAP_NET_ADMIN: False without it. Milliseconds.
-        An interface that is down holds none, and stays down: whoever took it down may be working on the bus.
+        Linux has no other way to recall a queued frame. It needs CAP_NET_ADMIN: False without it. Milliseconds. An
+        interface that is down holds none, and stays down: the person who took it down may be working on the bus.
         """
         try:
             flags = self._flags()

@@ -8,11 +8,11 @@ faults. It holds for a message that does not share a FIFO with others. A message
 inherits the other's response time as jitter (Tindell, Clark, "Holistic schedulability analysis", 1994).
 
 `backlog_bound`: for nodes that queue several messages in one FIFO, as Linux does, and for chains of messages within a
-tick. Any instance of k that is still to be sent at time a has arrived after a - R_k; so what can go before a message
+tick. Any instance of k that is still to be sent at time a has arrived after a - R_k. So what can go before a message
 follows from the response times of the others, which are raised together until nothing changes. It is sound by induction
 over time: the first instance to miss its bound would have waited for instances none of which had missed its own. What
-precedes a message within its chain is on the bus before it is queued and does not delay it again, which is what makes
-a control tick analysable: feedback never meets the command it answers.
+precedes a message within its chain is on the bus before it is queued and does not delay it again. This makes a control
+tick analysable: feedback never meets the command it answers.
 """
 
 from collections.abc import Container, Sequence

@@ -95,12 +95,12 @@ def analyse(
     """Bound the response time of every message.
 
     messages: all traffic on the segment, triggers before what they trigger. A message without `after` that others name
-    in theirs starts the tick (of several, the most frequent one): with all messages of its sender and period it is
-    queued at the tick's start, in the order given; what else that sender sends (service) is queued behind them, one
-    such frame in a tick. All others are sporadic: their period is the least time between two.
-    fifo: senders with one FIFO for all they send, as Linux has; all others send their most urgent message first.
-    bitrate, data_bitrate: bit/s. Raises ValueError naming the message for names or identifiers that are not unique and
-    for triggers that do not exist.
+    in theirs starts the tick (of several, the most frequent one). With all messages of its sender and period it is
+    queued at the tick's start, in the order given. What else that sender sends (service) is queued behind them, one
+    such frame in a tick. All others are sporadic: their period is the least time between two. fifo: senders with one
+    FIFO for all they send, as Linux has; all others send their most urgent message first. bitrate, data_bitrate: bit/s.
+    Raises ValueError naming the message for names or identifiers that are not unique and for triggers that do not
+    exist.
     """
     _check(messages)
     by_name = {

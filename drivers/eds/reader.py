@@ -1,15 +1,15 @@
 """Electronic data sheets (EDS) and device configuration files (DCF), CiA 306-1: what a device's own file says of it.
 
 Rules. Files from the field are read as far as they can be. A value that is broken costs that value, an entry without
-type or access that entry; both are warnings, and whoever needs the entry is told why (`Eds.broken`). Read are variables
-and the members of records and arrays, in compact storage too, with what its sections of names and values say.
+type or access that entry; both are warnings, and code that needs the entry is told why (`Eds.broken`). Read are
+variables and the members of records and arrays, in compact storage too, with what its sections of names and values say.
 
 A DCF was written for one node. For another one, the values that the file derives from $NODEID move with the node, and
 so do identifiers of the predefined connection set (CiA 301, 7.3.5) that contain the file's own node. Both are told.
 
 Why not the canopen package's reader, which knows the same format: it gives up a whole file for one missing key, a
-miscounted comment or a section that comes twice; it gives signed limits of 24 to 56 bits up, reads no octal number, no
-values of compact arrays and no file that is not UTF-8, and hands on defaults that their type cannot hold.
+miscounted comment or a section that comes twice. It gives up signed limits of 24 to 56 bits, and reads no octal number,
+no values of compact arrays and no file that is not UTF-8. It hands on defaults that their type cannot hold.
 """
 
 import re
@@ -36,7 +36,7 @@ class Entry(NamedTuple):
     """One value of the object dictionary.
 
     data_type: number of CiA 301, table 44. access: ro, wo, rw, rwr, rww or const. value: of the file, a DCF's own value
-    before the default; None where it has none that can be used. low, high: limits of the file, None where it has none.
+    before the default; None where it has no usable one. low, high: limits of the file, None where it has none.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Eds:
         self._move()
 
     def entry(self, index: int, subindex: int = 0) -> Entry | None:
-        """The entry, or None where the file has none that can be used."""
+        """The entry; None where the file has no usable one."""
         return self.entries.get((index, subindex))
 
     def value(self, index: int, subindex: int = 0) -> int | None:

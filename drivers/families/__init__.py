@@ -34,10 +34,12 @@ class Family(NamedTuple):
     [bus]; a table among them is None where the rig has none. canopen: its drives are nodes of CANopen.
 
     Functions by name, empty where there is nothing to say:
-    cut(bus, n_axes): what another segment of the rig has otherwise, by the axes on it; without, its drives are on one.
-    problems(circumstances): what else of a rig does not go with its drives, a line each.
-    reader(bus, base_dir, cyclic): frames in words; cyclic: what words there are for samples and commands.
-    sketch(name, axes, watchdog_s): what `hil new` writes for such drives, as a `Sketched`.
+
+    - cut(bus, n_axes): what another segment of the rig has otherwise, by the axes on it. Empty: its drives are on one.
+    - problems(circumstances): what else of a rig does not go with its drives, a line each.
+    - reader(bus, base_dir, cyclic): frames in words; cyclic: what words there are for samples and commands.
+    - sketch(name, axes, watchdog_s): what `hil new` writes for such drives, as a `Sketched`.
+
     order: of its layouts among all; the first layout of the first family is that of a rig which names none.
     """
 

@@ -1,7 +1,7 @@
 """Frame layouts by the name a rig file gives them: bytes to values and back, no I/O.
 
-Our own stand with their family (drivers/families). A module of theirs is imported where it is needed: a rig pays for
-its own layout alone.
+Our own stand with their family (drivers/families). Their modules are imported where it is needed: a rig pays for its
+own layout alone.
 """
 
 from collections.abc import Sequence

@@ -51,7 +51,7 @@ class SamplingClock:
         """When a drive that samples and sends in its own time, every feedback_ns, has sampled; -1 where the frame has
         no reception time.
 
-        The frame began on the wire no earlier, and later where others went first: of these delays the least that the
+        The frame began on the wire no earlier, and later where others went first. Of these delays the least that the
         steady period allows is believed, so that a busy bus does not look like a drive that samples unevenly.
         """
         if frame.timestamp_ns <= 0:

@@ -1,7 +1,7 @@
 """The sides of a frame layout that users bring: Python classes, run interpreted in every build, trusted with nothing.
 
 What they say of themselves is checked when they are made, what they return at every call. A host's side that raises,
-returns no frames of its own messages, or does not return sends nothing any more: the drives' watchdogs act, and the
+returns no frames of its own messages, or does not return sends nothing any more. The drives' watchdogs act, and the
 control cycle does what it does when no answer comes. The next reset gives it another chance. A frame that it cannot
 decode is a frame with an invalid value. `problems` says which line of which file it was. A drives' side that raises
 ends the run of the emulated drives.

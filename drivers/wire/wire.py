@@ -1,10 +1,10 @@
 """A CAN segment in virtual time: exact frame lengths, arbitration, finite queues, and every way a bus can misbehave.
 
-Theory of operation. Time is integer nanoseconds and passes only in `Wire.advance`, which does whatever comes first: an
-action that is planned for an instant (`Segment.at`), the end of the frame on the wire, or, when the bus is free, the
+Theory of operation. Time is integer nanoseconds and passes only in `Wire.advance`, which does what comes first. That is
+an action that is planned for an instant (`Segment.at`), the end of the frame on the wire, or, when the bus is free, the
 next arbitration. Nothing is random except through the seed, so a run is the same on every machine.
 
-Rules. A frame that has begun is never interrupted by another one; the end of its last EOF bit is its time stamp; three
+Rules. A frame that has begun is never interrupted by another one. The end of its last EOF bit is its time stamp. Three
 bits later the bus is free, and of the frames then waiting the one with the lowest arbitration field begins. What is
 planned for an instant precedes what the bus does at that instant. An error, scripted or by collision, ends the frame
 early and counts in its nodes (confinement.py); everything else the script can do is in injection.py.

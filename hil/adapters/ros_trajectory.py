@@ -1,4 +1,6 @@
-"""A trajectory of ROS 2 as a stream of goals, a few at a time, so that whoever follows it can do something else too."""
+"""A trajectory of ROS 2 as a stream of goals, a few at a time, so that the program that follows it can do something
+else too.
+"""
 
 import math
 from collections.abc import Mapping

@@ -9,8 +9,8 @@ Rules:
 
 Theory of operation: a trajectory gives position, velocity and acceleration of every axis for any instants. Position,
 with the way that half the force limit would need to stop from there (the fault monitor's rule), is held against the
-travel; velocity against the speed limit; mass * acceleration + friction + gravity against the force limit, and its
-change from one control period to the next against the force rate. The jump of Coulomb friction where the velocity
+travel, velocity against the speed limit. So is mass * acceleration + friction + gravity against the force limit, and
+its change from one control period to the next against the force rate. The jump of Coulomb friction where the velocity
 changes sign is left out of the rate: it comes at rest, and the gate spreads it over a few periods. Axes do not depend
 on each other, so that starting all of them at their lower travel limits, then at the upper ones, covers every corner.
 """

@@ -99,7 +99,7 @@ class CornerFinding:
 
     def lacks(self, *, least: bool = False) -> str:
         """What is missing to the margins that are asked for (6 dB and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at
-        rest), or, with `least`, to a loop that is stable; empty for nothing.
+        rest). Or, with `least`, to a loop that is stable; empty for nothing.
         """
         where = f"axis '{self.axis}', {self.corner}"
         if not self.stable:

@@ -64,9 +64,8 @@ class RigidPlant:
 class PulseLoop:
     """Filter and law as in the cycle, around m a = force - (what the reference needs).
 
-    Rows: `copies` plants, each of which has one row in which all axes are pulsed, or one for each axis where the law
-    looks at all of them, and a last one that is left alone. speed: of the reference, m/s, (copies,) or one;
-    0: it rests.
+    Rows: `copies` plants, each with one row in which all axes are pulsed, or one for each axis where the law looks at
+    all. A last row is left alone. speed: of the reference, m/s, (copies,) or one; 0: it rests.
     """
 
     def __init__(self, rig: RigConfig, model: Model, copies: int = 1, speed: float | Array = CRUISE) -> None:
@@ -175,12 +174,12 @@ class PulseLoop:
 def responses(loop: PulseLoop, plant: Plant, ticks: int, *, kicked: bool = False) -> tuple[Array, Array]:
     """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, copies, n_axes).
 
-    The motion is the true error moved on by one period at its rate: a force that alternates from tick to tick shows in
+    The motion is the true error moved on by one period at its rate. A force that alternates from tick to tick shows in
     the speed alone, as every sample falls on a node of the position. plant: from the pulse on; before, the loop settles
-    on the rigid nominal one from a start that no rig has, at full speed.
-    Both less those of a loop without the pulse: an integrator or an observer that has not settled yet still moves.
-    Zero from where nothing is left of it. Infinite where the loop circles by itself.
-    kicked: the last copy gets a unit kick in place of the pulse: one pulse a period faster, of a force of an instant.
+    on the rigid nominal one from a start that no rig has, at full speed. Both less those of a loop without the pulse:
+    an integrator or an observer that has not settled yet still moves. Zero from where nothing is left of it. Infinite
+    where the loop circles by itself. kicked: the last copy gets a unit kick in place of the pulse: one pulse a period
+    faster, of a force of an instant.
     """
     pulse, quiet = loop.pulse(), np.zeros(loop.shape)
     kick = loop.kick(pulse) if kicked else quiet

@@ -7,9 +7,9 @@ Rules:
 - Axes do not depend on each other, so each has a range of its own; all axes must be within theirs.
 
 Theory of operation: at any instant a task's position, velocity and acceleration are affine in the position where the
-axis began (minimum-jerk approaches are linear in it, and what follows them does not depend on it). Two plans, from
+axis began. Minimum-jerk approaches are linear in it, and what follows them does not depend on it. Two plans, from
 either end of the travel, so give the motion from everywhere. By how much it exceeds its limits is convex in the place:
-travel with the way to stop, speed and smooth force are; the jump of Coulomb friction where a velocity changes sign is
+travel with the way to stop, speed and smooth force are. The jump of Coulomb friction where a velocity changes sign is
 not, and FORCE_MARGIN covers it. So where both ends are accepted all between them is; else the least excess is looked
 for, and from there the borders, by bisection.
 """

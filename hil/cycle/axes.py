@@ -1,7 +1,7 @@
 """A rig's axes as the control cycle sees them: law inputs, motion filters, setpoints and the law, all on floats.
 
-The stages of a tick write here in turn, each for the next (docs: the fields of hil.control.laws.base.LawInputs):
-sampling fills `fresh`, `position` and the intervals; the motion filters the estimates; the setpoints the references;
+The stages of a tick write here in turn, each for the next (docs: the fields of hil.control.laws.base.LawInputs).
+Sampling fills `fresh`, `position` and the intervals; the motion filters the estimates; the setpoints the references;
 the gate's outcome `force_last` and `force_before`. `measured` is the list of newest positions, m. `net_last` and
 `net_before` are the filters' known input, N: the force applied in the latest tick and in the one before it, less what
 the nominal model says friction and gravity take of it.

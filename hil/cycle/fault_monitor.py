@@ -9,8 +9,8 @@ Rules:
 
 Theory of operation: `begin` clears `active`, the checks set one bit per fault, and `worst_fault` masks what is not
 armed, counts what is, and returns the gravest with its reaction. Reactions: R0 COUNT; R1 BRIDGE: for at most two ticks
-the law runs on the filter's prediction (holding the last torque instead would throw away what the model knows, and
-decaying it would drop the friction compensation: 13 um in one tick on the paper's X axis); R2 STOP: damped stop, zero
+the law runs on the filter's prediction. (Holding the last torque instead would throw away what the model knows.
+Decaying it would drop the friction compensation: 13 um in one tick on the paper's X axis.) R2 STOP: damped stop, zero
 within stop_s; R3 ZERO: zero and disabled now, latched; R4 SILENT: R3, and nothing more is sent until an explicit reset,
 so that the drives' own watchdogs act. Bits, because a tick in which nothing is wrong then costs one comparison with
 zero.

@@ -1,8 +1,8 @@
 """The torque gate: the only way force leaves this process, and the only code that builds a command frame.
 
 Rules:
-- It knows nothing of laws and trajectories and trusts neither: whatever is asked for, what is applied lies within the
-  axis' force limit, changes by no more than the rate limit allows, and never pushes an axis further beyond its travel.
+- It knows nothing of laws and trajectories and trusts neither. What is applied lies within the axis' force limit,
+  changes by no more than the rate limit allows, and never pushes an axis further beyond its travel.
 - Anything not finite, or not permitted by the state, becomes zero at once: the rate limit never delays zero.
 - It never raises on a request; it raises on a programming error alone (a wrong number of axes).
 

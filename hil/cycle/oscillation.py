@@ -6,9 +6,9 @@ periods) that do not fade, each over within LONGEST_SWING_S, the last of them of
 oscillation. What a disturbance leaves behind fades (at a phase margin of 15 degrees to two thirds a swing), and a task
 that repeats turns more slowly.
 
-Theory of operation: the extreme since the last turning point is kept; the error has turned once it is HYSTERESIS
-amplitudes away from it, so that neither noise nor a ripple on a slow error counts. A growing oscillation is seen at
-the turning point at which it reaches the amplitude, one that begins at once after three swings.
+Theory of operation: the extreme since the last turning point is kept. The error has turned once it is HYSTERESIS
+amplitudes away from it, so that neither noise nor a ripple on a slow error counts. A growing oscillation is seen at the
+turning point at which it reaches the amplitude, one that begins at once after three swings.
 """
 
 from typing import Final

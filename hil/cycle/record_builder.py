@@ -2,7 +2,7 @@
 
 This is the one place where numbers are packed by hand. The parts are kept in arrays of machine words and of doubles
 (librt.vecs), and copied into the record at the end. Compiled, a number written there takes a few instructions, where
-struct.pack_into or a numpy field takes some hundred; the record has about a hundred numbers, so that this is worth a
+struct.pack_into or a numpy field takes some hundred. The record has about a hundred numbers, so that this is worth a
 large part of a tick (docs/what-costs-what.md). Interpreted, both cost about the same.
 
 Rules: one record, written over and over; its parts in any order, and `traffic` last, which puts it together. What is
@@ -202,7 +202,7 @@ class RecordBuilder:
             self._words[word] = _pair(self._words[word], value) if axis & 1 else _pair(value, 0)
 
     def counters(self, port: Sequence[int], rejects: list[int], lost: int, illegal: int, refused: int) -> None:
-        """Cumulative counters, but for the law's and the shell's. port: PortCounters."""
+        """Cumulative counters, except the law's and the shell's. port: PortCounters."""
         words = self._words
         for place, count in enumerate(port):
             words[_PORT + place] = count

@@ -118,7 +118,7 @@ class Sampling:
 
     instants: of the filters' state, integer ns on the samples' clock. starts: expected start of the coming force's
     interval. tracked: there is a position to start from. shares: part of the interval between two samples in which the
-    force of the latest tick acted already, per axis: 0, but for drives that sample in their own time.
+    force of the latest tick acted already, per axis: 0, except for drives that sample in their own time.
 
     wraps_ns: after which the stamps of drives with clocks of their own repeat, per axis. one_command:
     all drives sample at the same command. maps: corrections of the encoders' scales, by axis.

@@ -4,9 +4,9 @@ Rules:
 - In one tick, in this order: faults, the process's own end (SIGTERM), the operator's commands, and last what the state
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
-  ACTIVATE and HOME without a recorder, real time or heartbeat the rig asks for, ACTIVATE where the task from here would
-  break a limit (hil/analysis/start_ranges.py), HOME while the tip is beyond its safe height, as all axes go home
-  together, RESET while its cause is still there, and all three while an axis moves.
+  ACTIVATE and HOME without a recorder, real time or heartbeat that the rig asks for; RESET while its cause is there;
+  all three while an axis moves. ACTIVATE is refused where the task from here would break a limit
+  (hil/analysis/start_ranges.py). HOME is refused while the tip is beyond its safe height, as all axes go home together.
   A refused event is counted and has no other effect.
 - An axis that rests beyond its travel has a way back: it may be held there (ACTIVATE_HOLD), with less force
   (limits.return_forces), and goals move it inwards, slowly. What it has come back it does not get again (travel.py).
@@ -15,7 +15,7 @@ Rules:
 - Where the tip of a motion is beyond its safe height, it is led out first (WITHDRAW, withdrawal.py): STOPPING then has
   the law's force and the rig's own references, and the damped stop behind that.
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
-  applies torque; where the rig asks for a commissioning push, behind that.
+  applies torque. Where the rig asks for a commissioning push, it starts behind that.
 
 Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`,
 which asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions.

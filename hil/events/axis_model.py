@@ -70,8 +70,8 @@ def steps(
     model: AxisModel, period_s: float, position: Floats, force: Floats, velocity: Floats, seen: float = np.inf
 ) -> Steps:
     """Acceleration times a period squared, and what can act on the axis: forces of the ticks just before, friction,
-    gravity, and what the instant of a sample may be off by. position, force, set-point's velocity: (n,), n > 2. seen:
-    the largest step of good ticks, which tells that instant's error and the tool's mass better than the model.
+    gravity, and what the instant of a sample may be off by. Arrays position, force, set-point's velocity: (n,), n > 2.
+    seen: the largest step of good ticks, which tells that instant's error and the tool's mass better than the model.
     """
     change, size = np.diff(position, 2), np.abs(force)
     acting = sliding_window_view(np.concatenate((np.full(_BEFORE, size[0]), size)), _BEFORE).max(axis=1)[2:-1]

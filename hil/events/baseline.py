@@ -1,4 +1,4 @@
-"""What a sound run of a rig and task is like, so that later runs can be held against it: per axis and phase, over the
+"""What a sound run of a rig and task is like, so that later runs can be held against it. Per axis and phase, over the
 windows of hil.events.accuracy, the median and the largest of each figure.
 
 Figures, SI units (rad, N m for rotary axes): rms, bias: of the following error, its RMS and its mean's size. fast,

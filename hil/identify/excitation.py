@@ -69,7 +69,7 @@ def _loop(mass: Any, hertz: Any) -> tuple[Any, Any]:
 class Excitation(Law):
     """PD on the reference with an integrator until the force begins, Coulomb friction along the reference, and a force.
 
-    The force of each shape depends on task time alone, but for growing triangles: they stop growing, and end after
+    The force of each shape depends on task time alone, except for growing triangles. These stop growing, and end after
     three more, once a cycle has moved the axis by `excursion`, and end at once beyond four times that. Each is centred
     by the drift of the one before it.
     """

@@ -62,7 +62,7 @@ class Axis(NamedTuple):
 
 
 def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], base: int) -> Response:
-    """From passes at constant speed. lines: multiples of 1 / (base period) that were excited, at least 2 apart; the
+    """From passes at constant speed. lines: multiples of 1 / (base period) that were excited, at least 2 apart. The
     passes are all of `n` ticks, a multiple of `base` and at least twice that, for the window that keeps what does not
     repeat out of the lines.
 

@@ -1,7 +1,7 @@
 """Friction and forces along the travel from passes at constant speed, both ways.
 
 What changes its sign with the direction is friction, what does not is a force of the place: gravity, cables, cogging.
-The balance is linear but for the periods along the travel, which are searched.
+The balance is linear except for the periods along the travel, which are searched.
 """
 
 from collections.abc import Sequence

@@ -6,7 +6,7 @@ Rules:
 - Nothing in the file, whatever its bytes, can raise in the control process.
 - No goal outlives the process it was meant for: each control process makes a new, empty page.
 - A goal that has waited longer than GOAL_LIFE_NS is refused, and so is one of a lease that has ended.
-- The control process revokes the lease once the rig is no longer ACTIVE. Whoever moves it next takes a new one.
+- The control process revokes the lease once the rig is no longer ACTIVE. The next who moves it takes a new one.
 
 Theory of operation: as the mailbox (mailbox.py), a memory-mapped ring of slots and two counters. A tick without goals
 costs one comparison. Newest wins: a client never waits for room. Where more goals than MOST_A_TICK wait, the oldest are
@@ -155,7 +155,7 @@ class GoalPage(Closing):
         self._words[FIRST_VERDICT + (number - 1) % SLOTS] = number << 8 | refusal
 
     def revoke(self) -> None:
-        """End the lease, whoever holds it: nobody moves the rig any more."""
+        """End the lease of any holder: nobody moves the rig any more."""
         lease = self._words[_LEASE]
         if lease != self._words[_REVOKED]:
             self._words[_REVOKED] = lease

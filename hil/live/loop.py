@@ -6,10 +6,11 @@ Rules:
 - Chores (systemd, rig file, statistics) are done a few times a second, one per tick, after the tick's frames are out.
 
 Theory of operation: `run` repeats `_tick`, which hands the cycle (hil/cycle/step.py) what has come in since the last
-one and hands on what the cycle makes of it: command frames to the bus, then the record to the ring, then times to the
-timing record. The loop decides nothing about the stage. It ends when the cycle is in SHUTDOWN; asked to stop, it waits
-for that no longer than a damped stop may take and STOP_GRACE_S. What the kernel does to the process (lateness, lost
-slots, page faults) is measured here and never acted upon: skipped slots reach the cycle as a gap in the ticks' index.
+one and hands on what the cycle makes of it. That is command frames to the bus, then the record to the ring, then times
+to the timing record. The loop decides nothing about the stage. It ends when the cycle is in SHUTDOWN; asked to stop, it
+waits for that no longer than a damped stop may take and STOP_GRACE_S. What the kernel does to the process (lateness,
+lost slots, page faults) is measured here and never acted upon: skipped slots reach the cycle as a gap in the ticks'
+index.
 """
 
 import threading

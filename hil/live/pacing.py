@@ -4,12 +4,12 @@ Slot k of a run starts at epoch + k * period; a tick's index is its slot's numbe
 
 Rules:
 - A tick starts only out of a sleep (or, woken ahead, out of reading the clock), and at most KEEP_WITHIN of a period
-  after its deadline. A slot that cannot be kept is skipped and counted; nothing is ever run in a burst to catch up: two
+  after its deadline. A slot that cannot be kept is skipped and counted; nothing is ever run in a burst to catch up. Two
   command frames closer than half a period would make the drives sample while the answers to the first one are still on
   the bus.
 - The deadline is computed from the slot's number, never from when the last tick ended: lateness does not add up.
-- The loop is woken before the deadline by what waking usually takes here, and reads the clock for the rest: one tick
-  in ten starts late by more than a look at the clock, instead of every one. None starts early.
+- The loop is woken before the deadline by what waking usually takes here, and reads the clock for the rest. One tick in
+  ten starts late by more than a look at the clock, instead of every one. None starts early.
 - Deadlines lie half a period off the multiples of the period on CLOCK_MONOTONIC. The kernel's own tick comes on
   multiples of its period (4 ms at 250 Hz) and brings softirqs, 16 to 40 us. Where it fell into the loop's ticks, it
   made three of four of their slowest hundredth.

@@ -1,7 +1,7 @@
 """`hil run RIG`: the control process. Sets up, runs the loop, and says how it ended.
 
-Exit status: 0 stopped as asked, zero torque sent last; 69 no bus, or the rig is being run already; 70 the cycle failed
-(sending stopped at once, the drives' watchdogs act); 77 the kernel refused real time and [timing] allow_degraded is
+Exit status: 0 stopped as asked, zero torque sent last; 69 no bus, or the rig is being run already. 70 the cycle failed
+(sending stopped at once, the drives' watchdogs act). 77 the kernel refused real time and [timing] allow_degraded is
 false; 78 the rig file is wrong (no bus was touched).
 """
 

@@ -1,9 +1,9 @@
-"""The page of memory through which a rig is stopped: its layout, and the end of whoever presses stop.
+"""The page of memory through which a rig is stopped: its layout, and the side that presses stop.
 
 A control process maps the file `stop` in its rig's runtime directory for as long as it lives, and holds a lock on it.
-Whoever presses stop writes the time into one word of it. The loop reads that word in every tick; any change is a press,
-which latches ESTOP, and the loop then writes beside it what it recorded. Nothing else is needed: no rig file, sidecar,
-network or disk space (the page is allocated before the loop begins).
+The one who presses stop writes the time into one word of it. The loop reads that word in every tick; any change is a
+press, which latches ESTOP, and the loop then writes beside it what it recorded. Nothing else is needed: no rig file,
+sidecar, network or disk space (the page is allocated before the loop begins).
 
 This module loads nothing that takes time, and writes with pwrite(2) instead of mapping the file: a file that is cut
 short under a mapping would be a SIGBUS.
@@ -105,7 +105,7 @@ def live_pages(rig: str) -> "list[Page]":
 
     Where there is none, those that a process which this user may look into holds open, because the directory may have
     been removed, or the process was given another one (systemd). Only where the environment names a runtime directory,
-    no other counts: whoever names one means the rigs in it, and not their namesakes elsewhere.
+    no other counts: naming one means the rigs in it, and not their namesakes elsewhere.
     """
     if not rig or rig.startswith(".") or "/" in rig:
         return []

@@ -1,9 +1,9 @@
 """The journal: a child of the control process that prints every event of its ring to standard error, one line each.
 
-The control process never prints while it ticks, as printing may wait. The sidecar may be down for hours. So whoever
-starts the control process gets its events from a process that does nothing else: it reads the ring as any reader does,
-costs the loop nothing, and outlives the control process by the moment it takes to tell the last events. Under systemd
-its standard error is the journal of hil-control@RIG.
+The control process never prints while it ticks, as printing may wait. The sidecar may be down for hours. So its events
+come from a process that does nothing else. It reads the ring as any reader does, costs the loop nothing, and outlives
+the control process by the moment it takes to tell the last events. Under systemd its standard error is the journal of
+hil-control@RIG.
 
 Whatever ends this process ends the journal's lines alone; events on Zenoh and in recordings are the sidecar's.
 """

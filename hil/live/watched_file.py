@@ -11,7 +11,7 @@ from drivers.base.toml_file import LARGEST
 
 class WatchedFile:
     """One stat(2) per question; the file is read again (some kB) only when its inode or times have moved, and its size
-    has not: whatever takes its place, be it endless or a pipe that nobody writes to, holds nobody up.
+    has not. What takes its place, be it endless or a pipe that nobody writes to, holds nobody up.
     """
 
     def __init__(self, path: Path) -> None:

@@ -92,7 +92,7 @@ class Hub:
             self.operator = ""
 
     def take(self, name: str, *, over: bool = False) -> bool:
-        """Make somebody the operator, where nobody is or `over` says to take it from whoever is."""
+        """Make somebody the operator, where nobody is or `over` says to take it from the one who is."""
         if over or self.operator in ("", name):
             self.operator = name
         return self.operator == name

@@ -31,7 +31,7 @@ def write_baseline(rig: RigConfig, document: dict[str, Any]) -> Path:
 
 
 def read_baseline(rig: RigConfig) -> dict[str, Any] | None:
-    """The one that is kept; None where there is none, or none that can be used."""
+    """The one that is kept; None where there is no usable one."""
     try:
         found = json.loads(read_bounded(baseline_path(rig), _LARGEST))
     except (OSError, UnsuitableFileError, ValueError, RecursionError):

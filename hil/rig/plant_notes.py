@@ -8,8 +8,8 @@ from sim_plant.physics.truth import Truth
 
 
 def plant_notes(rig: RigConfig) -> list[str]:
-    """What to know of the emulated stage before a simulation, a line each: which of its keys come from the nominal
-    model, and which encoders are emulated with another resolution than the control service uses; what computes it.
+    """What to know of the emulated stage before a simulation, a line each. Told are keys that come from the nominal
+    model, encoders emulated with another resolution than the control service uses, and what computes it.
     """
     absent = [name for name in MODEL_KEYS if name not in rig.plant.model_fields_set and any(getattr(rig.plant, name))]
     scaled = {"mass": rig.plant.mass_scale} | dict.fromkeys(

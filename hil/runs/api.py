@@ -284,7 +284,7 @@ class Recording(Run):
     missing; loss: that in words, empty where nothing is missing.
 
     exact: the motion is what the cycle wrote, bit for bit. The file has it rounded (hil/telemetry/tick_schema.py), so
-    the cycle is run again, as `hil replay` does; where ticks are missing, this version comes to other frames, or the
+    the cycle is run again, as `hil replay` does. Where ticks are missing, this version comes to other frames, or the
     run had a law, estimator or layout that is not hil's own, the rounded values stay. Raises RecordingError.
     """
 

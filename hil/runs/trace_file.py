@@ -1,4 +1,4 @@
-"""Recordings of a CAN bus in candump's format and those that python-can reads, whoever wrote them.
+"""Recordings of a CAN bus in candump's format and those that python-can reads, of any program.
 
 python-can's readers trust their file. Here their input is bounded instead: a regular file, lines and blocks no longer
 than any writer makes them, a second for each frame. Whatever a reader raises on bytes of any kind becomes one error

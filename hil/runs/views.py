@@ -86,8 +86,8 @@ def diff(
 
 def differences(first: Run, second: Run) -> dict[str, Any]:
     """Keys: same (every tick is the same, as far as Run.compare looks), ticks [2], rig (lines), final_state [2],
-    events_gone and events_new (texts), accuracy (lines: where the second is beyond what the first was like, with axis,
-    instant and signature), and per axis in axes: largest (as Run.compare), and each figure [2].
+    events_gone and events_new (texts). Further keys: accuracy (lines: where the second is beyond what the first was
+    like, with axis, instant and signature), and per axis in axes: largest (as Run.compare), and each figure [2].
 
     Raises ValueError where the runs have other axes.
     """

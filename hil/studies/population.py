@@ -49,7 +49,7 @@ def stacked(rig: RigConfig, plants: Iterable[PlantConfig]) -> Truth:
 
 
 def run(batch: BatchRun, ticks: range, before: Callable[[int], None], after: Callable[[int], None]) -> None:
-    """Let all stages of a batch run together for these ticks; whoever looks at them is called before and after each.
+    """Let all stages of a batch run together for these ticks; `before` and `after` are called around each.
 
     A stage that diverges becomes infinite and ends as NaN; the others go on.
     """

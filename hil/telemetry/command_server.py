@@ -2,7 +2,7 @@
 
 Nothing here waits. Every bound is a constant below: connections, their age before they are of use, bytes a message,
 messages a round. When a bound is reached, the connection that has been idle longest gives way, of the same address
-where one address has its share: a client that opens thousands and says nothing keeps nobody else out.
+where one address has its share. A client that opens thousands and says nothing keeps nobody else out.
 """
 
 import contextlib

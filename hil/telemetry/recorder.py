@@ -1,9 +1,9 @@
 """MCAP recordings: self-describing, for any viewer, readable to the last half second when cut short.
 
 Attachment `run.json` (first in the file) and metadata `hil` hold rig, hash, version and platform. Topics: `tick` (every
-tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to the byte, for replay: cycle_codec.py),
-`status` (10 Hz), `commands` (every request, refused ones included), `events` (what happened, one message each), and
-`cells` where cells are injected. recording.py reads them.
+tick, at the time it was due: tick_schema.py), `cycle` (what went in and out, to the byte, for replay: cycle_codec.py)
+and `status` (10 Hz). More are `commands` (every request, refused ones included), `events` (what happened, one message
+each), and `cells` where cells are injected. recording.py reads them.
 """
 
 import contextlib

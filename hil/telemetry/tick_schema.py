@@ -61,7 +61,8 @@ def scales(rig: dict[str, Any]) -> dict[str, dict[str, Scale]]:
     """Unit and step of every motion field, by axis and name. rig: a validated rig as JSON has it.
 
     Steps, or the power of two below: half a count of positions, a quarter of a count of their differences, an eighth of
-    a count per period, a 4096th of the force limit (drives that are bought take a thousandth of what they are rated).
+    a count per period. Of forces it is a 4096th of the limit (drives that are bought take a thousandth of what they are
+    rated).
     """
     found = {}
     for name, axis in rig["axes"].items():

@@ -1,7 +1,7 @@
 """An emulated ODrive on CANSimple, from its maker's documentation and not from any binding of ours.
 
 Source: ODrive's manual, page "CAN Protocol" (docs.odriverobotics.com/v/latest/manual/can-protocol.html), its error and
-state numbers, and the published firmware 0.5 where the page is silent (any frame to an axis feeds its watchdog;
+state numbers. The published firmware 0.5 is followed where the page is silent (any frame to an axis feeds its watchdog;
 requested states and controller modes act at once). Rules:
 - An identifier is node * 32 + command, 11 bits; numbers are little-endian, floats IEEE 754.
 - It sends Heartbeat (01h) and Get_Encoder_Estimates (09h) in its own time, and answers remote frames for these two and

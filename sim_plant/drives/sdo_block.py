@@ -2,7 +2,7 @@
 
 Rules. A block has up to 127 segments of seven bytes, numbered from 1; the receiver acknowledges the last one that came
 in order, and the sender goes on behind it. The CRC over all data is CiA 301's (polynomial 1021h, start value 0), where
-the client says that it has one; some clients check it wherever the server says so, hence it says so to no other.
+the client says that it has one. Some clients check it wherever the server says so, hence it says so to no other.
 """
 
 from binascii import crc_hqx

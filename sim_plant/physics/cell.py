@@ -48,9 +48,9 @@ class Layer(NamedTuple):
 
 
 class Handling(NamedTuple):
-    """How the whole cell gives way: lateral_stiffness (N/m), slip_off (N, sideways); it rolls away for roll_distance
-    (m) within roll_time (s) once it bears roll_force (N); it leaves the dish with the pipette once that pulls with
-    hold (N).
+    """How the whole cell gives way: lateral_stiffness (N/m), slip_off (N, sideways). It rolls away for roll_distance
+    (m) within roll_time (s) once it bears roll_force (N). It leaves the dish with the pipette once that pulls with hold
+    (N).
     """
 
     lateral_stiffness: float = 0.0

@@ -86,7 +86,7 @@ class NativeAxis:
 
     @property
     def motion(self) -> Motion:
-        """Its state but for its past."""
+        """Its state without its past."""
         return Motion(*self._words[self._row + _AT : self._row + _PAST])
 
     @property

@@ -53,7 +53,7 @@ class Structure(NamedTuple):
 
 class Motion(NamedTuple):
     """State of an axis: the motor's position and velocity, m and m/s; pierced: 1.0 or 0.0; the load's position and
-    velocity; bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
+    velocity. bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
     position behind the backlash; walked: N, of the bias.
     """
 

@@ -1,14 +1,14 @@
 """CANopen drives in cyclic synchronous torque mode (CiA 301, CiA 402). Contract: cia402.eds.
 
 Theory of operation. Every tick the host sends one RPDO that all nodes share, with four target torques (6071h) of which
-each node takes its own and maps the others to dummy objects, and then SYNC with a counter: drives apply, sample, and
+each node takes its own and maps the others to dummy objects. SYNC with a counter follows: drives apply, sample, and
 answer with position and statusword. Behind them goes at most one service frame, so that it delays no SYNC; master.py
 decides which. node.py follows one drive: it configures the drive over SDO, starts it and watches its states.
 
 Rules. Controlwords: two RPDOs carry them. A frame that disables any drive acts at once (RPDO 2), all others at the next
-SYNC (RPDO 3), so that an enabled drive has its torque from the first moment: until then a weight would fall. Where a
-drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
-disable; the drive is then enabled, without torque, until the host has seen it and repeats the command (4 ticks).
+SYNC (RPDO 3), so that an enabled drive has its torque from the first moment. Else a weight would fall until then. Where
+a drive hears neither the SYNC that an enabling frame waits for nor the next one, a disabling frame finds nothing to
+disable. The drive is then enabled, without torque, until the host has seen it and repeats the command (4 ticks).
 
 Torque: the rated torque (6076h, whole mN m; mN on a linear axis) is set so that the rated force is just within the
 32767 thousandths that 6071h can express. A step is then 6076h * 1e-6 N, about 1/32767 of the rated force.

@@ -6,9 +6,9 @@ read-only or out of range refuses the drive; an optional one is skipped, and the
 user's and counts as required. An object that is read-only but has the value already is no obstacle.
 
 What a drive does on its own when it is disabled, in fault, or no longer hears its host (1029h, 6007h, 605Bh, 605Ch,
-605Eh) is to let go, unless the rig says otherwise: a ramp of the drive's own is a force that nothing here bounds.
+605Eh) is to let go, unless the rig says otherwise. A ramp of the drive's own is a force that nothing here bounds.
 
-6071h is in thousandths of 6076h (mN m; mN on a linear axis), on many drives the motor's rated torque: it is read from
+6071h is in thousandths of 6076h (mN m; mN on a linear axis), on many drives the motor's rated torque. It is read from
 the drive at every start, or compared with what the rig states, and written only where the rig asks for it.
 
 Two layouts. Shared: one RPDO carries the torques of all drives, each maps its own and dummies for the others; two more

@@ -2,7 +2,7 @@
 
 Every legal answer of a server is understood: expedited with its size told or not, and segmented, which a server may
 choose for any size. A server that refuses to upload an object so is asked for it by blocks (7.2.4.3.13), which it may
-not choose by itself; a block has one segment, as the schedule counts on one answer to a request. Answers that belong to
+not choose by itself. A block has one segment, as the schedule counts on one answer to a request. Answers that belong to
 somebody else's access (another SDO client on the same channel) are told apart by object and command.
 """
 

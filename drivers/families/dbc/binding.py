@@ -1,7 +1,7 @@
 """The signals of a DBC file that a rig binds: found by name, and put onto the pages of their messages.
 
 A signal that is there on some pages of a multiplexed message only is bound on these. One that is always there belongs
-to the one page of its message that is bound otherwise; where there is none, in feedback to any page, and in commands to
+to the one page of its message that is bound otherwise. Where there is none, in feedback to any page, and in commands to
 the page that a `constant` on the multiplexer names.
 """
 

@@ -317,7 +317,7 @@ class DbcHost(DbcLayout):
 
 
 def reject_id(can_id: int, known: Container[int], own: Container[int]) -> Reject:
-    """Why a frame whose identifier is none that is listened to carries nothing."""
+    """Why a frame carries nothing whose identifier nobody listens to."""
     if can_id & ERROR:
         return Reject.ERROR_FRAME
     if can_id & REMOTE:

@@ -1,7 +1,7 @@
 """One message of a DBC file as a rig uses it, or one page of a multiplexed message: its codec, and what its values are.
 
-A page is what the multiplexers of a message select: the signals that are there for these values of theirs. A message
-that is not multiplexed is one page.
+A page is what the multiplexers of a message select: the signals that are there for these values. A message that is not
+multiplexed is one page.
 """
 
 from collections.abc import Mapping, Sequence

@@ -5,9 +5,9 @@ Rules:
   once. It samples and applies its torque when it receives its frame.
 - Torque is position mode (10) with feedforward torque, and all scales of its own loop at zero. Position NaN: where it
   is. Every such frame carries the watchdog timeout; when it expires the drive goes to mode 11.
-- A disabled drive gets a query alone. Mode 0 (stop) also clears faults and timeouts, so it is sent only to drives that
-  were enabled, twice and until they say that they have no power, to drives that say they have, and when a reset is
-  asked for. No start of this process unlatches anything.
+- A disabled drive gets a query alone. Mode 0 (stop) also clears faults and timeouts, so it is sent only where that is
+  wanted. These are drives that were enabled, twice and until they say that they have no power; drives that say they
+  have; and a reset that is asked for. No start of this process unlatches anything.
 - What every command says besides its torque is written to the registers of a drive without power, without a mode, so
   that nothing acts, and read back: at the start and after every reset. Until a drive has told all of it rightly it
   counts as in fault (drivers/protocols/read_back.py). Its mode comes with every answer: another with power than the

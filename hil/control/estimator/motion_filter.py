@@ -85,9 +85,9 @@ class VelocityBlend:
       gains are the limit of the Kalman filter on white acceleration; a finite difference has beta = 1.
 
     Each weight falls with the fourth power of the error that its predictions of the position had (RMS, forgotten within
-    a few ticks). No law acts on this: a loop whose filter depends on the motion has no margins that could be stated,
-    and on the paper's stage PD loops err less with the filter alone, whose error at a reversal pushes the right way.
-    Floats (one axis) or arrays, as MotionFilter.
+    a few ticks). No law acts on this: a loop whose filter depends on the motion has no margins that could be stated. On
+    the paper's stage PD loops err less with the filter alone, whose error at a reversal pushes the right way. Floats
+    (one axis) or arrays, as MotionFilter.
     """
 
     __slots__ = ("_coaster", "_errors_alone", "_errors_followed", "_errors_known", "_follower", "velocity")

@@ -1,7 +1,7 @@
 """Estimators that users bring: ordinary Python classes, run interpreted in every build, and trusted with nothing.
 
 They stand between the rig's filter and its law: the law is asked behind them, and sees their position and velocity in
-place of the filter's. One that raises, returns no two finite numbers, or does not return counts no more: in its place
+place of the filter's. One that raises, returns no two finite numbers, or does not return counts no more. In its place
 NaN is asked for, which the cycle answers with zero torque and a fault, as it does to a law that fails. `failure` says
 which line of which file it was. The next `reset` gives it another chance.
 """
@@ -128,7 +128,7 @@ class EstimatedAxes:
 
 
 class EstimatedLaw(Law):
-    """A law on arrays (..., axes) behind users' estimators: an object of theirs for every axis of every stage.
+    """A law on arrays (..., axes) behind users' estimators: one object for every axis of every stage.
 
     Whatever one raises, or returns that is no pair of numbers, is a ValueError that names the file and the line. A
     stage that has diverged has no estimate.

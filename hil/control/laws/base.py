@@ -1,6 +1,6 @@
 """The one signature of all control laws.
 
-Timing (docs/architecture.md): a sample taken at s_k is seen at tick k+1; the force computed there acts from a_{k+1}
+Timing (docs/architecture.md): a sample taken at s_k is seen at tick k+1. The force computed there acts from a_{k+1}
 (the expected reception of tick k+1's command, about one period after s_k) for one period. Laws see both instants.
 """
 

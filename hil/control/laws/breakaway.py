@@ -1,9 +1,9 @@
 """The start of a move from rest: friction holds an axis until the force exceeds what nobody knows yet.
 
-Until then the axis says nothing but that friction holds: gravity's misfit and friction's cannot be told apart before it
-has slid in both directions, and a filter that takes "it has not moved" for agreement grows sure of what it never saw.
-So while the reference leads and the axis still stands where it rested, the force creeps up until it slides, as one
-measures a breakaway force (Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994, section 5).
+Until then the axis says only that friction holds. Gravity's misfit and friction's cannot be told apart before it has
+slid in both directions. A filter that takes "it has not moved" for agreement grows sure of what it never saw. So while
+the reference leads and the axis still stands where it rested, the force creeps up until it slides. A breakaway force is
+measured so (Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994, section 5).
 """
 
 from typing import Any
@@ -35,8 +35,8 @@ class Breakaway:
         self._slides = position != position  # nowhere
 
     def watch(self, position: Number, fresh: Number, before: Number, after: Number) -> tuple[Any, Any, Number]:
-        """The newest sample (m, where it is fresh) and the reference's speeds at both ends of the interval before it:
-        where the reference rests, where it has left rest and the axis has not, and where the axis stands, m.
+        """The newest sample (m, where it is fresh) and the reference's speeds at both ends of the interval before it.
+        Returns where the reference rests, where it has left rest and the axis has not, and where the axis stands, m.
         """
         moves = (before != 0.0) | (after != 0.0)
         if moves is True and self._slides is True:

@@ -1,9 +1,9 @@
 """Iterative learning over a repeated task, around any law: what the last cycle's error asks for is added in the next.
 
 Learning by plant inversion (Bristow, Tharayil, Alleyne, IEEE Control Systems 26(3), 2006, section "Plant inversion"),
-on the closed loop as the law leaves it: a force u over one period moves the error by m ë + kd ė + kp e = u. With the
-centred differences below the learning step is 1 - rate cos^2(omega T / 2) for the inertial part: real, within [0, 1] at
-every frequency up to the Nyquist one, so that an event shorter than the loop's bandwidth (friction that reverses
+on the closed loop as the law leaves it. A force u over one period moves the error by m ë + kd ė + kp e = u. With the
+centred differences below the learning step is 1 - rate cos^2(omega T / 2) for the inertial part. It is real, within [0,
+1] at every frequency up to the Nyquist one. So an event shorter than the loop's bandwidth (friction that reverses
 between two samples) is learnt too, without phase error.
 """
 
@@ -28,13 +28,13 @@ class IterativeLearning(Law):
     """The law `inner` plus a learnt force per tick of the task's period.
 
     u(i) <- u(i) - g (M a + learning_kd v + learning_kp e), where e, v, a are the error, its rate and its acceleration
-    in the interval i in which u(i) acted, and g = learning_rate / (1 + learning_decay j) in repeat j, so that late
-    repeats average noise. learning_kp and learning_kd are those of the inner loop: make_law takes the inner law's kp
-    and kd. M is learning_inertia times the nominal mass.
+    in the interval i in which u(i) acted. The gain is g = learning_rate / (1 + learning_decay j) in repeat j, so that
+    late repeats average noise. The gains learning_kp and learning_kd are those of the inner loop: make_law takes the
+    inner law's kp and kd. M is learning_inertia times the nominal mass.
 
     Most inner laws never see the learnt force: an observer that only adds what is missing would take it for a
     disturbance and undo it. A filter that predicts where the axis will be must be told of all that moves it, or it
-    takes the learnt force for errors of its model, and both diverge together; what it feeds forward then leaves the
+    takes the learnt force for errors of its model, and both diverge together. What it feeds forward then leaves the
     learning only what the model cannot say (Law.told_of_learning). The learnt force stays within half the force limit
     and is not changed in ticks with missing samples or a force at its limit.
     """

@@ -1,10 +1,10 @@
 """Linear observer of an axis' error behind a drive's lag and with one flexible mode, written for floats and arrays.
 
-State [e, v, f, x, n, d]: error of the axis' centre of mass (m) and its rate, force behind the lag (N), the encoder's
-motion against the centre of mass (m) and its rate, opposing disturbance (N). The encoder sees e + x. Inputs and forces
-are differences to what the reference needs, so that all is zero where the reference is followed. With the tool, a part
-`load` of the mass, on a spring (two-mass model, e.g. Schmidt, Schitter, Rankers, The Design of High Performance
-Mechatronics (2014), section 3.3):
+State [e, v, f, x, n, d]: error of the axis' centre of mass (m) and its rate; force behind the lag (N); the encoder's
+motion against it (m) and its rate; disturbance (N). The encoder sees e + x. Inputs and forces are differences to what
+the reference needs, so that all is zero where the reference is followed. With the tool, a part `load` of the mass, on a
+spring (two-mass model, e.g. Schmidt, Schitter, Rankers, The Design of High Performance Mechatronics (2014), section
+3.3):
 
     e'' = (f - d) / m,   f' = (u - f) / lag,   x'' = load / (1 - load) (f - d) / m - w^2 x - 2 zeta w x'
 

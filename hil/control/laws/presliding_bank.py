@@ -4,7 +4,7 @@ arrays.
 Each operator is a friction of unit size that turns round over a reach D of its own, z' = x' / D - |x'| z / D (Dahl, The
 Aerospace Corp. TOR-0158(3107-18)-1, 1968), here in its implicit step z <- (z + dx / D) / (1 + |dx| / D): smooth, and
 stable for any dx. A weighted sum of them is the rate-independent part of the LuGre model (Canudas de Wit and others,
-IEEE TAC 40(3), 1995), and close to any generalised Maxwell-slip curve (Al-Bender and others, IEEE TAC 50(11), 2005).
+IEEE TAC 40(3), 1995). It is close to any generalised Maxwell-slip curve (Al-Bender and others, IEEE TAC 50(11), 2005).
 """
 
 from hil.control.number import Number

@@ -1,9 +1,9 @@
 """Gains of presliding-kalman that follow from the model, written for floats and arrays.
 
 Loop and observer in motion hold 6 dB and 30 degrees as the model says, and 3 dB and 15 degrees with mass +-20 % and
-mode +-10 % (hil/analysis/loop_corners.py), for any mode from 0.15 swings in a period on: a search that kept these and
-made the tool's error after a step of force small. The slower the mode, the lower is the one that the observer takes it
-for: a mode slower than expected turns the phase that the loop lives on.
+mode +-10 % (hil/analysis/loop_corners.py). This goes for any mode from 0.15 swings in a period on. A search kept these
+and made the tool's error after a step of force small. The slower the mode, the lower is the one that the observer takes
+it for: a mode slower than expected turns the phase that the loop lives on.
 """
 
 from hil.control.number import Number, at_least, at_most, select, zeros_like

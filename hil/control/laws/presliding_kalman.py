@@ -17,9 +17,9 @@ flexible mode inside the observer; a bias that is found.
   soft, the loop then takes gains that are stable on any.
 - A change of the reference's acceleration makes the mode swing, too. To the weights that is noise while it rings: from
   fast moves they would else learn a friction that is too stiff.
-- Where a weight hangs on the axis, its brake opens before the drive's force has come up over its lag, and throws it:
-  a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make it too
-  stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
+- Where a weight hangs on the axis, its brake opens before the drive's force has come up over its lag, and throws it.
+  That is a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make
+  it too stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
 - Where the task repeats and law.iterative_learning says so, what d still is at each instant of it is fed forward in
   the next repeat (hil/control/laws/repeat_memory.py); weights and table stay as they are meanwhile. Where a repeat
   begins, d steps by what that force changes: else both would act until d has found out, which throws a light axis.

@@ -3,10 +3,10 @@ next repeat.
 
     u(i) <- u(i) + q (u(i-1) - 2 u(i) + u(i+1)) + rate d(i + lag)
 
-d is the observer's disturbance, smoothed over seven samples without a shift: it speaks of force, where an error's
-second difference would speak of noise. q keeps what repeats add by themselves from growing at high frequencies (a
-Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems 26(3), 2006). Each repeat is judged by the mean square of its
-error:
+Here d is the observer's disturbance, smoothed over seven samples without a shift: it speaks of force, where an error's
+second difference would speak of noise. The filter q keeps what repeats add by themselves from growing at high
+frequencies. It is a Q-filter (Bristow, Tharayil, Alleyne, IEEE Control Systems 26(3), 2006). Each repeat is judged by
+the mean square of its error:
 
 - more than WORSE of the best: the best force is played again, and learning goes on from it at half the rate;
 - the best, played again, is more than CHANGED off: the stage has changed, and learning is as quick as at first;

@@ -25,9 +25,9 @@ class RobustPd(Law):
 
     The law's alpha N e cancels between (27) and (28) and is not computed: 1/Ẋ in the printed N is unbounded. Readings:
 
-    printed         -(alpha M + Kd) ė - Kp e - nu,            nu = ė rho^2 / (|ė| rho + epsilon - beta |e|^2)
-    filtered-error  the same with s = ė + alpha e for ė in nu
-    alpha-brackets  -alpha (M + Kd) ė - alpha Kp e - nu       (alpha before both brackets; nu as printed)
+        printed         -(alpha M + Kd) ė - Kp e - nu,            nu = ė rho^2 / (|ė| rho + epsilon - beta |e|^2)
+        filtered-error  the same with s = ė + alpha e for ė in nu
+        alpha-brackets  -alpha (M + Kd) ė - alpha Kp e - nu       (alpha before both brackets; nu as printed)
 
     |.| is the Euclidean norm over all axes (norm = vector) or each axis by itself (per-axis). The printed denominator
     crosses zero at |e| = sqrt(epsilon / beta): it is held at or above `floor`, and `denominator_floors` counts how

@@ -7,10 +7,10 @@ State per axis: [e, ė, d0, theta1, theta2, theta3], error and disturbance
 Every regressor is the reference's mean over the interval in which a force acted, by the samples' own time stamps. The
 Coulomb term therefore switches on the reference's reversal, not on the measured speed, and needs no time to be found
 again; theta3 carries the error of the mass. What the filter expects of the next sample follows set-valued friction all
-the same: an axis that sticks, before it first moves or where it reverses slowly, says nothing of the disturbance beyond
-that friction holds, and a filter that expects it to move would learn a bias that is not there. Kalman filter: e.g.
-Simon, Optimal State Estimation (2006), section 5.1. Where a slow axis' friction falls with speed, theta2 may be the
-height of that peak instead of viscous friction.
+the same. An axis that sticks, before it first moves or where it reverses slowly, says only that friction holds. A
+filter that expects it to move would learn a bias that is not there. Kalman filter: e.g. Simon, Optimal State Estimation
+(2006), section 5.1. Where a slow axis' friction falls with speed, theta2 may be the height of that peak instead of
+viscous friction.
 
 The covariance depends on the reference and on which samples came, never on what they say: plants that share both share
 one covariance. The arithmetic is in hil/control/laws/structured_filter.py.

@@ -69,7 +69,7 @@ class AskedMotion:
             self.motion.begin(list(position))
 
     def step(self, seen: Observation) -> References | None:
-        """Its answer; None where there is none that can be used, and `failure` says why."""
+        """Its answer; None where there is no usable one, and `failure` says why."""
         if not self.failure:
             with self._step:
                 return self._checked(self.motion.step(seen))

@@ -194,11 +194,11 @@ class AxisPlan:
             self._add(seconds, (self._p, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def still(self, velocity: float) -> None:
-        """Here the acceleration is 0 and the velocity this, m/s, but for rounding."""
+        """Here the acceleration is 0 and the velocity this, m/s, except for rounding."""
         self._v, self._a = velocity, 0.0
 
     def settle(self, target: float) -> None:
-        """From here on at rest at `target`, which is where the plan has come to, but for rounding."""
+        """From here on at rest at `target`, which is where the plan has come to, except for rounding."""
         self._p, self._v, self._a = target, 0.0, 0.0
         self.target = target
         self._see_place(target)
@@ -254,7 +254,7 @@ class AxisPlan:
         self.settle(other.target)
 
     def keeps(self, limits: MotionLimits) -> bool:
-        """Whether all of it is within the limits and the fence, but for rounding; one that leads back to the fence
+        """Whether all of it is within the limits and the fence, except for rounding. One that leads back to the fence
         from outside is not.
         """
         way = ROUNDING * (limits.high - limits.low)

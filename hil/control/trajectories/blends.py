@@ -1,9 +1,9 @@
 """Straight lines from rest to rest, and waypoints passed without stopping, at corners rounded within a stated distance.
 
-A corner is left and entered at the same speed: the velocity turns from one direction to the other by the smooth step
-3 u^2 - 2 u^3, so that it begins and ends b from the point where it lasts 2 b / v, with the peaks 1.5 v D / T of
-acceleration and 6 v D / T^2 of jerk (D: change of the direction). A line joins its ends' speeds by the same step, and
-adds a minimum-jerk move for what is left of the way. Acceleration is zero at every border.
+A corner is left and entered at the same speed. The velocity turns from one direction to the other by the smooth step 3
+u^2 - 2 u^3. So it begins and ends b from the point where it lasts 2 b / v. Its peaks are 1.5 v D / T of acceleration
+and 6 v D / T^2 of jerk (D: change of the direction). A line joins its ends' speeds by the same step, and adds a
+minimum-jerk move for what is left of the way. Acceleration is zero at every border.
 """
 
 import math
@@ -33,7 +33,7 @@ class _Line(NamedTuple):
 
 def lines(points: Sequence[Values], limits: Limits, blend: float, ns: Callable[[float], int]) -> list[Segment]:
     """From rest to rest through points (m, one a column; at least two, none twice in a row) within `limits` of every
-    axis, passing each within `blend` (m); where that is 0, or would take longer, from rest to rest in each.
+    axis, passing each within `blend` (m). Where that is 0, or would take longer, it goes from rest to rest in each.
 
     ns: seconds as ns, up to whole periods; all of it lasts whole periods, every corner at least one.
     """

@@ -1,6 +1,6 @@
 """The kinds of task by name, each from a rig's [task] to a plan: what hil/rig/task_kinds.py lists.
 
-Each takes the task, the names of the rig's axes, the control period (ns) and the axes' encoder counts (m), and raises
+Each takes the task, the names of the rig's axes, the control period (ns) and the axes' encoder counts (m). It raises
 ValueError naming key, value and allowed range where the task cannot be done as asked. Durations are rounded to whole
 periods.
 """

@@ -1,8 +1,8 @@
 """Paths through points: approached from wherever the stage rests, then followed as they were made beforehand.
 
 Samples in time are gone through as rows.py says. Waypoints become lines from rest to rest or with rounded corners
-(blends.py), or a spline through them whose time is scaled: each as quick as the limits on speed, acceleration and jerk
-of every axis allow. Points that are nearer to each other than an encoder count, in every axis, are one point.
+(blends.py), or a spline through them whose time is scaled. Each is as quick as the limits on speed, acceleration and
+jerk of every axis allow. Points that are nearer to each other than an encoder count, in every axis, are one point.
 """
 
 import math
@@ -181,8 +181,8 @@ def waypoints(
     points: Sequence[Sequence[float]], limits: Limits, ns: Callable[[float], int], dwell_ns: int, blend: float, *,
     repeat: bool,
 ) -> Segments:  # fmt: skip
-    """Through points (m, one a column; none twice in a row) within (speed, acceleration, jerk) along every axis: from
-    rest to rest, with a rest of dwell_ns at each; where `blend` (m) is above 0 past them at no more than that, with a
+    """Through points (m, one a column; none twice in a row) within (speed, acceleration, jerk) along every axis, from
+    rest to rest, with a rest of dwell_ns at each. Where `blend` (m) is above 0 past them at no more than that, with a
     rest at the end.
 
     ns: seconds as ns, up to whole periods. Points that repeat end where they begin.

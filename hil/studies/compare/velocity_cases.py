@@ -61,7 +61,7 @@ def cases_of(rig: RigConfig) -> dict[str, RigConfig]:
 
 class Data:
     """Of one run, steady window only, arrays (ticks, n_axes): position as measured, setpoint and its velocity, true
-    velocity, net force (applied force less nominal friction) and length (s) of the interval before each sample;
+    velocity, net force (applied force less nominal friction) and length (s) of the interval before each sample. Then
     velocity as the structured filter has it, as laws see it and as it is shown.
 
     The length is by the samples' stamps: stuff bits alone move a command by a microsecond, and at 3 m/s that is 3 um.

@@ -2,7 +2,7 @@
 
 Lockstep runs give the data (velocity_cases.py); every estimator then sees the same samples and forces. Kalman filters
 are filterpy's, run to their steady state; Simon, Optimal State Estimation (2006), chapter 5. "structured" is the filter
-of hil/control/laws/structured_kalman.py with the rig's gains for it, watching; the last two rows are what the cycle
+of hil/control/laws/structured_kalman.py with the rig's gains for it, watching. The last two rows are what the cycle
 itself had: its filter, which laws see, and the velocity shown in telemetry (hil/control/estimator).
 """
 

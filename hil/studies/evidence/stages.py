@@ -1,9 +1,10 @@
 """Drawn stages: what differs from a rig's nominal model, and by how much.
 
 A stage's parameters follow from the seed and its number alone. It differs from the nominal model as real stages do:
-presliding (LuGre), a lag and a mode that are not quite what the model says, mass and friction off, friction that varies
-along the travel, cogging, a cable, an unknown constant force, noise of half a count. How far an axis is off is its
-tolerance: what was measured of it (axes.NAME.measured), else the usual. Hard stages have more of what real ones have.
+presliding (LuGre), a lag and a mode that are not quite what the model says. Mass and friction are off, and there are
+friction that varies along the travel, cogging, a cable, an unknown constant force, noise of half a count. How far an
+axis is off is its tolerance: what was measured of it (axes.NAME.measured), else the usual. Hard stages have more of
+what real ones have.
 
 mode_hz: Hz of the free axis, 0: rigid; None: lag, mode and presliding are those of the rig file.
 """

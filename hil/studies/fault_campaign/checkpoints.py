@@ -28,7 +28,7 @@ PATIENCE = 10_000  # ticks in which every rig is READY, and its drives enabled
 class Checkpoint:
     """A moment of a run: `ticks` after its beginning, in `state`.
 
-    command: what the operator asks for as soon as the rig is READY; the moment's beginning is then when it was asked
+    command: what the operator asks for as soon as the rig is READY. The moment's beginning is then when it was asked
     for or, with `following`, when the drives are enabled and the task's time is 0. Without a command it is when the rig
     became READY, or that share of the time until then which `start` says. stop: the operator stops, so many ticks
     before the moment; 0: not. motion: what a client asks for (motions.py) since the rig holds, which is then the

@@ -176,7 +176,7 @@ def filter_nan(run: LockstepRun, axis: int) -> None:
 
 
 def disbelieve(run: LockstepRun, axis: int, k: int) -> None:
-    """The axis' filter expects each sample twice the limit beside where it is, to and fro; its state is set so that its
+    """The axis' filter expects each sample twice the limit beside where it is, to and fro. Its state is set so that its
     correction brings velocity and disturbance back to what they were: nothing else is to be seen of it.
     """
     motion, period = run.cycle.filters[axis], run.rig.period_ns * 1e-9

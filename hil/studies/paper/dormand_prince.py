@@ -1,9 +1,9 @@
 """An adaptive Runge-Kutta 5(4) solver as simulation tools ship it: what such a solver adds to the paper's figures.
 
-Dormand and Prince, J. Comput. Appl. Math. 6 (1980), with the step control of the ode45 family: the largest component of
-the error estimate, relative to the larger of its values before and after the step, floored at atol / rtol (Shampine and
-Reichelt, SIAM J. Sci. Comput. 18, 1997). scipy's RK45 is the same pair with a root-mean-square norm, which lets a
-single component err about twice as much (3.4 instead of 1.7 um on Y here).
+Dormand and Prince, J. Comput. Appl. Math. 6 (1980), with the step control of the ode45 family. It holds the largest
+component of the error estimate, relative to the larger of its values before and after the step, floored at atol / rtol
+(Shampine and Reichelt, SIAM J. Sci. Comput. 18, 1997). scipy's RK45 is the same pair with a root-mean-square norm,
+which lets a single component err about twice as much (3.4 instead of 1.7 um on Y here).
 """
 
 from collections.abc import Callable

@@ -23,7 +23,7 @@ PI = 3.141592653589793
 
 
 def paper_model() -> Model:
-    """The laws' nominal model; it is the plant itself, but for Delta."""
+    """The laws' nominal model; it is the plant itself, except for Delta."""
     return Model(mass=MASS, coulomb=COULOMB, viscous=VISCOUS, quadratic=QUADRATIC, gravity=np.zeros(2))
 
 

@@ -1,7 +1,7 @@
 """Thousands of plants with seeded parameters under one rig, in arrays, over all cores or a cluster.
 
 A plant's parameters follow from the seed and its number alone, and a batch's arithmetic does not depend on how plants
-are dealt to workers: the same numbers come out of one core, of many, and of a dask.distributed cluster. The worst
+are dealt to workers. The same numbers come out of one core, of many, and of a dask.distributed cluster. The worst
 plants are saved as rig files; `hil sim` on one of them gives the same error, bit for bit, and the sweep checks that.
 """
 

@@ -1,7 +1,7 @@
 """Many candidates for one axis' gains, each on many trials at once: one batch of arrays (candidates, trials, 1).
 
-As hil/virtual/batch.py, with three differences: every plant has a reference of its own, so that tasks of all kinds run
-side by side; a command can be late (jitter) or lost; and one axis runs alone, as axes do not interact. References are
+As hil/virtual/batch.py, with three differences. Every plant has a reference of its own, so that tasks of all kinds run
+side by side. A command can be late (jitter) or lost; and one axis runs alone, as axes do not interact. References are
 worked out once and serve every generation of a search.
 """
 
@@ -67,9 +67,8 @@ class Figures(NamedTuple):
 
 class Schedule:
     """When commands arrive, (ticks + 1, trials) ns, and which do not; drawn from `seed`, so the same for every rig.
-    Trials of the same jitter have the same delays, so that their plants can move together, and trials of the same loss
-    lose the same commands: one lost just where a figure reverses costs any law friction T^2 / m, and says nothing of
-    gains.
+    Trials of the same jitter have the same delays, so that their plants can move together. Trials of the same loss lose
+    the same commands: one lost just where a figure reverses costs any law friction T^2 / m, and says nothing of gains.
     """
 
     def __init__(self, trials: Sequence[Trial], ticks: int, period_ns: int, seed: int) -> None:
@@ -119,8 +118,8 @@ class _Table:
 
 
 class CandidateSimulation:
-    """One axis of a rig on a set of trials, from activation on; figures of its ticks `first` <= tick < `last`, which
-    None takes from every trial's own task: from where its statistics begin until it ends. preview: periods that
+    """One axis of a rig on a set of trials, from activation on. Figures are of its ticks `first` <= tick < `last`,
+    which None takes from every trial's own task: from where its statistics begin until it ends. preview: periods that
     laws may look ahead.
     """
 

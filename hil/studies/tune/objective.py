@@ -52,7 +52,7 @@ def kind_for(rig: RigConfig) -> Kind:
 
 def trials(rig: RigConfig, repeats: int = 1) -> list[Trial]:
     """The rig's own task, variations of it in size and speed, light and heavy plants, for figures other kinds of task
-    and commands lost as well: gains found on one task alone do not generalise (docs/paper.md).
+    and commands lost as well. Gains found on one task alone do not generalise (docs/paper.md).
 
     repeats: of every figure, each SMALLER than the one before. Raises RigError where the task is none.
     """
@@ -175,8 +175,8 @@ def margins_of(axis: AxisStability) -> Margins:
 
 class Outcome(NamedTuple):
     """Per candidate: error in the trial that did worst by its own measure (m), and as a multiple of what is good there;
-    the median of those multiples; chatter (N); gain margin (dB, NO_MARGINS' where unstable) and phase margin (degrees);
-    cost.
+    the median of those multiples. Then chatter (N); gain margin (dB, NO_MARGINS' where unstable) and phase margin
+    (degrees); cost.
     """
 
     error: Array

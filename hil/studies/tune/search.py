@@ -73,7 +73,7 @@ def rounded_to(digits: int, value: float) -> float:
 
 
 def write_gains(path: Path, law: str, gains: Mapping[str, Any], notes: Sequence[str]) -> None:
-    """Put [law.tuned.<law>] into the rig file; everything else, comments included, stays as it is, but for values in
+    """Put [law.tuned.<law>] into the rig file; everything else, comments included, stays as it is, except values in
     [law.gains] that would hide what was found.
     """
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
@@ -113,7 +113,7 @@ class Judged(NamedTuple):
 
 class Found(NamedTuple):
     """One axis: the rig file's gains and the best ones of the search; every stable candidate's error (m), chatter (N)
-    and gain margin (dB), (met, 3); the gains to have from now on, (1,) each, and whether they are the rig file's.
+    and gain margin (dB), (met, 3). Then the gains to have from now on, (1,) each, and whether they are the rig file's.
     """
 
     before: Judged
@@ -130,7 +130,7 @@ class Found(NamedTuple):
 
 def is_better(new: Judged, old: Judged, least: Margins) -> bool:
     """Whether new gains should replace those there are, one candidate each: with the margins asked for where the old
-    ones have not; else of less cost on plants that no search has seen, where the worst must not be worse, nor in the
+    ones have not. Else of less cost on plants that no search has seen, where the worst must not be worse, nor in the
     trials of the search.
     """
     lacking = [Margins(float(each.gain_db[0]), float(each.phase_deg[0])).short(least) for each in (new[0], old[0])]

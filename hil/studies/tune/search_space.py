@@ -2,7 +2,7 @@
 
 Ranges are in units of mass, rate, force limit and encoder counts, so that their middle is a sensible law on any axis.
 On an injection plan a stage whose nominal model is a few per cent off is at rest again and again and has to be right at
-once: a law may declare ranges of its own for it, sized by the nominal mass and friction.
+once. A law may declare ranges of its own for it, sized by the nominal mass and friction.
 """
 
 from collections.abc import Mapping

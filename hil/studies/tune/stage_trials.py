@@ -132,7 +132,7 @@ class StageTrials:
 
     def unseen(self, count: int, seed: int, *, real: bool) -> list[Trial]:
         """As many plants with all of it at once, drawn from `seed`: mass and friction, constant force, cogging and its
-        phase, the size of the moves; where they are `real`, presliding (by its logarithm), lag and mode as well.
+        phase, the size of the moves. Where they are `real`, presliding (by its logarithm), lag and mode as well.
         """
         random = np.random.default_rng([seed, self._axis])
         least, _, greatest = self._presliding

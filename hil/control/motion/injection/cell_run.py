@@ -81,7 +81,7 @@ class CellRun:
             self._steps[self.phase](seen)
 
     def decide(self, verdict: Verdict, evidence: str, seen: Observation) -> None:
-        """The first verdict counts, but for one that is worse than OK; the tip leaves the cell."""
+        """The first verdict counts, except after OK, where a worse one does; the tip leaves the cell."""
         if self.result.verdict in (Verdict.NONE, Verdict.OK):
             self.result.verdict, self.result.evidence = verdict, evidence
             self._decided = seen.tick
