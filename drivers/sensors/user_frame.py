@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from drivers.base import plugins
-from drivers.base.call_limit import FAILED
 from drivers.base.guard import BadAnswerError, Guard
 from drivers.frame import FD, Frame
 from drivers.protocols.base import LayoutError, Reject
@@ -70,7 +69,7 @@ class UserSensorFrame:
             return Reject.INVALID_VALUE if found is None else self._checked(found)
         except LayoutError as error:
             self.problem = str(error)
-        except FAILED as error:
+        except BadAnswerError as error:
             self.problem = self._guard.told("decode", error)
         return Reject.INVALID_VALUE
 

@@ -253,14 +253,14 @@ def offset_s(motion: Array, period: float) -> float:
     averages = motion[-7 * width :].reshape(7, width).mean(axis=1)
     if half.min() * half.max() <= 0.0 and np.abs(averages[-4:]).max() < SLOW * np.abs(half).max():
         return 0.0
-    left = np.abs(half).max() / (OFFSET_LEFT * np.abs(motion).max())
-    if left <= 1.0:
+    left, allowed = np.abs(half).max(), OFFSET_LEFT * np.abs(motion).max()
+    if left <= allowed:
         return 0.0
     fitted, *_ = np.linalg.lstsq(np.stack([averages[1:-1], averages[:-2]], axis=1), averages[2:], rcond=1e-9)
-    kept = float(np.abs(np.roots([1.0, *-fitted])).max())
+    kept = max(float(np.abs(np.roots([1.0, *-fitted])).max()), ROUNDING)
     if kept >= 1.0 - ROUNDING:
         return math.inf
-    return (len(motion) + width * math.log(left) / -math.log(kept)) * period
+    return (len(motion) + width * math.log(left / allowed) / -math.log(kept)) * period
 
 
 def _judged(motion: Array, kicked: Array, period: float, away: bool = False) -> AxisStability:

@@ -4,9 +4,7 @@ import pytest
 
 from tests.project.prose import (
     MOST_WORDS,
-    Finding,
-    Sentence,
-    beyond_owed,
+    code,
     docstrings,
     findings,
     messages,
@@ -64,14 +62,5 @@ def test_docstrings_of_public_names_are_read_and_of_no_others() -> None:
     assert sorted(text for _, text in found) == ["Module.", "Of A.", "Of f."]
 
 
-def test_a_room_owes_so_many_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.project.prose.OWED", {"ours/rig": 1})
-    found = [Finding(Sentence(f"ours/rig/{name}.py", 1, "Long."), "40 words, at most 35") for name in ("a", "b")]
-    assert beyond_owed(found[:1]) == []
-    assert beyond_owed(found) == found
-    elsewhere = [Finding(Sentence("ours/live/a.py", 1, "Long."), "40 words, at most 35")]
-    assert beyond_owed(elsewhere) == elsewhere
-
-
 def test_nothing_is_wrong_with_a_page_or_a_message() -> None:
-    assert [str(finding) for finding in (*findings(pages()), *findings(messages()))] == []
+    assert [str(finding) for finding in (*findings(pages()), *findings(messages()), *findings(code()))] == []

@@ -80,8 +80,9 @@ def make_axis_laws(
     if not ours and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
         return interpreted_axis_laws(law, model, period, force_limit, repeat)
     made, n = law_class(law, __name__), model.mass.size
+    gains = _known_gains(law, n)
     if not ours and made.coupled:
-        whole = _construct(law, _guarded(law, made), _known_gains(law, n), model, period, force_limit, repeat)
+        whole = _construct(law, _guarded(law, made), gains, model, period, force_limit, repeat)
         return UserAxes([whole], law.name, n)
     maker = AxisLawMaker(law, model, period, force_limit, repeat)
     while not maker.work():
