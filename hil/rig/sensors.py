@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from drivers.families.cia402.cia301 import HEARTBEAT_ID, SDO_RESPONSE_ID
 from drivers.frame import FD_LENGTHS
 from drivers.protocols.base import HostProtocol, LayoutError, Message
 from drivers.sensors.base import SensorReader, trigger_of
@@ -67,6 +66,8 @@ def check_sensors(rig: RigConfig, layout: HostProtocol) -> None:
                     f"sensors.{name}.kind = 'cia404': bus.protocol = {rig.bus.protocol!r} sends no SYNC; such a device "
                     "goes with protocol = 'cia402'"
                 )
+            from drivers.families.cia402.cia301 import HEARTBEAT_ID, SDO_RESPONSE_ID  # few rigs have such a node
+
             if SDO_RESPONSE_ID + sensor.node in users or HEARTBEAT_ID + sensor.node in users:
                 raise LayoutError(f"sensors.{name}.node = {sensor.node}: it is the node of a drive; choose another")
         if sensor.can_id in users:
