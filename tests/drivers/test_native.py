@@ -1,5 +1,6 @@
 """What a tick does with its frames, in C against its twins in Python: the same bytes, whatever comes."""
 
+import ctypes
 import importlib.util
 import math
 import shutil
@@ -181,7 +182,7 @@ def test_what_a_socket_has_is_received_alike(c: ModuleType) -> None:
         assert received == [FEEDBACK._replace(can_id=number) for number in range(3)]
     descriptor = near.fileno()
     assert descriptor == -1
-    plain = outcome(plain_receive, descriptor, MessageMemory(CANFD_MTU, CANFD_MTU).target, SLOTS)
+    plain = outcome(plain_receive, descriptor, ctypes.byref(memory._headers), SLOTS)
     assert outcome(c.receive, descriptor, memory.headers, SLOTS) is plain is OSError
 
 

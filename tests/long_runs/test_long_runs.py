@@ -50,6 +50,7 @@ def test_a_clock_that_drifts_refuses_no_sample_and_leads_no_filter_astray(layout
         assert found.held, (ppm, found)
 
 
+@pytest.mark.replaces_methods
 def test_a_clock_that_follows_no_drift_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.cycle.drive_clock.DRIFT", 100_000)
     assert not day("stage_fd", 500, 100.0, 0.03).held

@@ -103,6 +103,7 @@ def tried(path: Path, draw: random.Random) -> str:
 
 
 _signals = cache(signals)
+_SINGLE = FORCE * 2.0**-23  # what a signal of single precision leaves of it
 
 
 def drawn(known: Sequence[Signal], n_axes: int, draw: random.Random) -> tuple[dict[str, Any], list[float], list[float]]:
@@ -168,7 +169,9 @@ def _command_heard(host: Any, device: Any, steps: Sequence[float]) -> str:
         heard += [found for frame in frames if isinstance(found := device.decode_command(frame), Command)]
     if not heard:
         return "the drives hear no command"
-    apart = [force for force, step in zip(heard[-1].force, steps, strict=True) if abs(force - FORCE) > 0.51 * step]
+    apart = [
+        force for force, step in zip(heard[-1].force, steps, strict=True) if abs(force - FORCE) > 0.51 * step + _SINGLE
+    ]
     return f"told {FORCE} N, the drives hear {heard[-1].force}" if apart else ""
 
 

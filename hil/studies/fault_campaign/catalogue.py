@@ -252,7 +252,7 @@ _LISTED: tuple[Trial, ...] = (
     ),
     Trial(
         "loop swings at 25 Hz",
-        swing(0.9, 20),
+        swing(2.0, 20),
         (Fault.OSCILLATION, *_STUCK),
         within=200,
         following_only=True,
