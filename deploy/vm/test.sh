@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Boots a PREEMPT_RT kernel under QEMU (software emulation, no KVM), on this machine's own file system read-only, runs
 # tests/vm in it and brings the results out to .vm/results. Exit status 0 only if the guest ran tests and all passed.
+# Tests marked slow run only when named: test.sh tests/vm/test_hostile.py -vv
 # usage: test.sh [PYTEST ARGUMENTS]     --last-failed alone: what failed the last time, or all if it did not get that far
 set -euo pipefail
 
@@ -10,7 +11,7 @@ RESULTS=$VM/results
 LIMIT=${HIL_VM_LIMIT:-4500}  # s, whole guest; it takes 11 to 16 minutes, by the host and its load
 
 "$PROJECT/deploy/vm/prepare.sh" "$VM"
-LANE=(tests/vm -m "(vcan or controller) and not systemd" -vv --durations=15)
+LANE=(tests/vm -m "(vcan or controller) and not systemd and not slow" -vv --durations=15)
 kept=none  # of the last results
 case "$*" in
 "") arguments=("${LANE[@]}") ;;

@@ -13,13 +13,9 @@ pytestmark = [
         "virtme" not in Path("/proc/cmdline").read_text(), reason="takes a core, sets the clock: only in make test-vm"
     ),
 ]
-COMMANDS = (
-    "events",
-    "recover",
-    "run",
-    "sim",
-    "sidecar",
-)  # make hostile in the guest tries all
+# Minutes each in this guest, whose cores are emulated: they run when this file is named.
+LONG = ("run", "sim", "sidecar")
+COMMANDS = ("events", "recover", *(pytest.param(name, marks=pytest.mark.slow) for name in LONG))
 
 
 @pytest.fixture(scope="module")
