@@ -60,9 +60,9 @@ def private_runtime_dir(runtime_of_its_own: None) -> Path:
 
 
 @pytest.fixture
-def hil_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> CommandLine:
+def hil_here(capsys: pytest.CaptureFixture[str]) -> CommandLine:
     """`hil WORDS` in this process."""
-    return command_line(capsys, monkeypatch)
+    return command_line(capsys)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import contextlib
 import io
 import os
 import random
+import shutil
 import sys
 import tempfile
 from collections import Counter
@@ -17,22 +18,21 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.__main__ import main as run_hil
 from tests.fuzz.generated_laws import law_source
 from tests.fuzz.generated_rigs import changes, new_words
+from tests.support.command_line import exit_status
 
 REFUSED = (2, 78)  # usage, and a rig file that is wrong
 # What is refused of the words or the law's own choice, and not of what check accepts.
 OTHERWISE = ("--seconds", "the law declares no gain with a range to search", "batches the layout stage_fd")
-SHORT = {
-    "sim": ("sim", "{rig}", "--seconds", "0.3", "--record", "run.mcap"),
-    "events": ("events", "run.mcap"),
-    "replay": ("replay", "run.mcap", "--run-its-code"),
-    "sweep": ("sweep", "{rig}", "--plants", "2", "--seconds", "9", "--workers", "1", "--worst", "0"),
-    "tune": ("tune", "{rig}", "--population", "5", "--generations", "1", "--unseen", "1", "--dry-run"),
-    "compare": ("compare", "{rig}", "--undisturbed", "--seconds", "1", "--workers", "1", "--laws", "{law}"),
-    "explain": ("explain", "law.name"),
-}
+SHORT = (
+    ("sim", "{rig}", "--seconds", "0.3", "--record", "run.mcap"),
+    ("events", "run.mcap"),
+    ("replay", "run.mcap", "--run-its-code"),
+    ("sweep", "{rig}", "--plants", "2", "--seconds", "9", "--workers", "1", "--worst", "0"),
+    ("tune", "{rig}", "--population", "5", "--generations", "1", "--unseen", "1", "--trials", "task", "--dry-run"),
+    ("compare", "{rig}", "--undisturbed", "--seconds", "1", "--workers", "1", "--laws", "{law}"),
+)
 WITH_SET = ("sim", "sweep", "tune", "compare")
 
 
@@ -47,15 +47,8 @@ class Answer(NamedTuple):
 def hil(*words: str) -> Answer:
     """`hil WORDS` in this process. Raises what the command raises."""
     written = io.StringIO()
-    before, sys.argv = sys.argv, ["hil", *words]
-    try:
-        with contextlib.redirect_stdout(written), contextlib.redirect_stderr(written):
-            run_hil()
-        status = 0
-    except SystemExit as ended:
-        status = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
-    finally:
-        sys.argv = before
+    with contextlib.redirect_stdout(written), contextlib.redirect_stderr(written):
+        status = exit_status(*words)
     return Answer(words, status, written.getvalue())
 
 
@@ -70,16 +63,16 @@ def _sound(answer: Answer) -> Answer:
     return answer
 
 
-def _answers(rig: str, law: str, sets: Sequence[str], commands: Sequence[str]) -> Iterator[Answer]:
+def _answers(rig: str, law: str, sets: Sequence[str]) -> Iterator[Answer]:
     """Those of check, and, where it accepts, of the other commands."""
     options = [word for key in sets for word in ("--set", key)]
     checked = _sound(hil("check", rig, *options))
     yield checked
     if checked.status:
         return
-    for name in commands:
-        words = [word.format(rig=rig, law=law) for word in SHORT[name]]
-        answer = _sound(hil(*words, *(options if name in WITH_SET else ())))
+    for short in SHORT:
+        words = [word.format(rig=rig, law=law) for word in short]
+        answer = _sound(hil(*words, *(options if words[0] in WITH_SET else ())))
         if answer.status in REFUSED and not any(words in answer.text for words in OTHERWISE):
             raise BrokenError(f"check accepts, {' '.join(answer.words)}: status {answer.status}\n{answer.text}")
         yield answer
@@ -89,7 +82,7 @@ def one_law(chance: random.Random) -> Iterator[Answer]:
     """A drawn law on the paper's rig."""
     Path("drawn.py").write_text(law_source(chance), encoding="utf-8")
     law = "./drawn.py:Drawn"
-    yield from _answers("paper", law, [f"law.name={law}"], ("sim", "events", "replay", "sweep", "tune", "compare"))
+    yield from _answers("paper", law, [f"law.name={law}"])
 
 
 def one_rig(chance: random.Random) -> Iterator[Answer]:
@@ -97,8 +90,7 @@ def one_rig(chance: random.Random) -> Iterator[Answer]:
     made = _sound(hil("new", "drawn.toml", *new_words(chance)))
     yield made
     if made.status == 0:
-        law = "pd-feedforward"
-        yield from _answers("drawn.toml", law, changes(chance), ("sim", "events", "replay", "sweep", "tune", "compare"))
+        yield from _answers("drawn.toml", "pd-feedforward", changes(chance))
 
 
 KINDS = {"laws": one_law, "rigs": one_rig}
@@ -107,7 +99,7 @@ KINDS = {"laws": one_law, "rigs": one_rig}
 def tried(kind: str, count: int, seed: int, first: int = 0) -> Counter[str]:
     """How often each command ended with which status, over `count` draws, each in an empty folder.
 
-    Raises BrokenError with the draw's number, and leaves its folder.
+    Raises BrokenError with the draw's number and folder, which stays.
     """
     answered: Counter[str] = Counter()
     here = Path.cwd()
@@ -121,6 +113,7 @@ def tried(kind: str, count: int, seed: int, first: int = 0) -> Counter[str]:
             raise BrokenError(f"draw {number} of seed {seed}, in {folder}: {type(error).__name__}: {error}") from error
         finally:
             os.chdir(here)
+        shutil.rmtree(folder)
     return answered
 
 

@@ -2,6 +2,7 @@
 
 import sys
 from typing import NamedTuple, Protocol
+from unittest.mock import patch
 
 import pytest
 
@@ -23,16 +24,19 @@ class CommandLine(Protocol):
         """What it said, and its exit status."""
 
 
-def command_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> CommandLine:
+def exit_status(*words: str) -> int:
+    """Of `hil WORDS`, run to its end here. What it writes goes where sys.stdout and sys.stderr lead."""
+    with patch.object(sys, "argv", ["hil", *words]), pytest.raises(SystemExit) as ended:
+        main()
+    assert isinstance(ended.value.code, int | None), "a text is for the interpreter to print"
+    return ended.value.code or 0
+
+
+def command_line(capsys: pytest.CaptureFixture[str]) -> CommandLine:
     """Of a test that captures what is written."""
 
     def hil(*words: str) -> Said:
         capsys.readouterr()
-        with monkeypatch.context() as patch:
-            patch.setattr(sys, "argv", ["hil", *words])
-            with pytest.raises(SystemExit) as ended:
-                main()
-        assert isinstance(ended.value.code, int | None), "a text is for the interpreter to print"
-        return Said(ended.value.code or 0, *capsys.readouterr())
+        return Said(exit_status(*words), *capsys.readouterr())
 
     return hil
