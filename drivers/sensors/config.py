@@ -15,6 +15,12 @@ KINDS: dict[str, str] = {
 }
 SENSOR_KIND = Kind("sensor frame", "sensor frames", "sensors", "kind", "hil.sensors", KINDS, ("decode",))
 
+
+def sensor_kind(name: str) -> Kind:
+    """SENSOR_KIND of one sensor: messages name its own table."""
+    return SENSOR_KIND._replace(table=f"sensors.{name}")
+
+
 MAX_SENSORS: Final = 8
 _COUNTS: Final = 2.0**31  # a value on the bus is an int32
 _FALSE_ALARM: Final = 1e-12  # most probable that a sensor that works looks stuck in a tick: once in 30 years at 1 kHz

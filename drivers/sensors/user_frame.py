@@ -8,7 +8,7 @@ from drivers.base.guard import BadAnswerError, Guard
 from drivers.frame import FD, Frame
 from drivers.protocols.base import LayoutError, Reject
 from drivers.sensors.base import Measured
-from drivers.sensors.config import SENSOR_KIND, SensorConfig
+from drivers.sensors.config import SensorConfig, sensor_kind
 
 _FAR = 1e12  # most that a value may be
 
@@ -48,7 +48,7 @@ class UserSensorFrame:
     """A SensorReader around one. Raises LayoutError naming key, file and line."""
 
     def __init__(self, name: str, config: SensorConfig) -> None:
-        kind = SENSOR_KIND._replace(table=f"sensors.{name}")
+        kind = sensor_kind(name)
         try:
             made = plugins.find(kind, config.kind, config.source)
             plugins.check_parameters(kind, config.kind, made, config.parameters, given=0)

@@ -76,8 +76,9 @@ class ControlCycle:
         self.readings = Readings(list(rig.sensors.values()), readers, rig.period_ns) if readers else None
         self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings)
         self.axes = Axes(rig)
-        for inputs in self.axes.inputs:
-            inputs.readings = self.readings.newest if self.readings is not None else ()
+        if self.readings is not None:
+            for inputs in self.axes.inputs:
+                inputs.readings = self.readings.newest
         self.inputs, self.filters, self.setpoints = self.axes.inputs, self.axes.filters, self.axes.setpoints
         resolution = [axis.encoder_resolution for axis in axes]
         wraps_ns = self.protocol.stamp_wraps_ns

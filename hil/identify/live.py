@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from drivers.base.named_file import naming
+from drivers.base.named_file import write_text
 from drivers.base.runtime import runtime_dir
 from drivers.base.toml_file import toml_text
 from hil.identify.experiments import ROW_S
@@ -79,8 +79,7 @@ class LiveExperiments:
         begun.mkdir(parents=True)
         file = trial.folder / f".{trial.axis}-{trial.experiment}-{RIG_FILE}"  # what the rig names lies beside it
         try:
-            with naming(file):
-                file.write_text(toml_text(live_document(trial.document)), encoding="utf-8")
+            write_text(file, toml_text(live_document(trial.document)))
             rig = load_rig(file)
             scene = Scene(rig, file, (), self._runtime, begun, is_emulated(rig))
             stage = Demo(scene, self._console, self._signals, insists=False, holds=False)

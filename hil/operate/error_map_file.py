@@ -8,11 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 import tomlkit
-import typer
 from pydantic import ValidationError
 
-from drivers.base.named_file import naming
-from hil.cli.exit_status import EXIT_FILE
+from drivers.base.named_file import write_text
 from hil.control.error_map import ErrorMap
 from hil.control.laws.base import Array
 from hil.operate.approach_file import ENCODER, Deviations, read_reference
@@ -53,8 +51,8 @@ def _uncorrected(error_map: ErrorMap, corrected: Array) -> Array:
 
 
 def write_corrected(rig: Path, config: RigConfig, reference: Path, target: Path) -> None:
-    """A new rig file: that of `rig`, with the error map of every axis that the file of readings has. Raises RigError;
-    exits where `target` cannot be written.
+    """A new rig file: that of `rig`, with the error map of every axis that the file of readings has. Raises RigError,
+    and OSError where `target` cannot be written.
     """
     names = config.axis_names
     read, by_encoder = read_reference(reference, names), read_reference(reference, names, ENCODER)
@@ -67,12 +65,7 @@ def write_corrected(rig: Path, config: RigConfig, reference: Path, target: Path)
             raise RigError([f"{reference}, axis {name}: {why}"]) from None
     digest = hashlib.sha256(reference.read_bytes()).hexdigest()
     text = _rig_text(by_name("rigs", rig), found, f"{reference.name} sha256 {digest[:16]}")
-    try:
-        with naming(target):
-            target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        typer.echo(f"hil: {target}: {error.strerror}", err=True)
-        raise typer.Exit(EXIT_FILE) from None
+    write_text(target, text)
 
 
 def _rig_text(source: Path, found: Mapping[str, ErrorMapConfig], evidence: str) -> str:

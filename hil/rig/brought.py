@@ -12,7 +12,7 @@ from drivers.base.plugins import DIGEST, Kind, file_of, known, package_digest
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.base.toml_file import shown
 from drivers.config import LAYOUT_KIND
-from drivers.sensors.config import SENSOR_KIND
+from drivers.sensors.config import sensor_kind
 from hil.rig import law_names
 from hil.rig.camera import DETECTOR_KIND
 from hil.rig.motion_tables import MOTION_KIND
@@ -86,7 +86,7 @@ def _tables(document: dict[str, Any]) -> list[tuple[Kind, list[str], dict[str, A
     sensors = document.get("sensors")
     if isinstance(sensors, dict):
         for name, table in sensors.items():
-            found.append((SENSOR_KIND._replace(table=f"sensors.{name}"), ["sensors", name], table))
+            found.append((sensor_kind(name), ["sensors", name], table))
     return [(plugin, path, table) for plugin, path, table in found if isinstance(table, dict)]
 
 

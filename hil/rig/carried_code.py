@@ -13,7 +13,7 @@ from typing import NamedTuple
 from drivers.base.plugins import code_digest
 from drivers.base.text_file import UnsuitableFileError, read_bounded
 from drivers.config import LAYOUT_KIND
-from drivers.sensors.config import SENSOR_KIND
+from drivers.sensors.config import sensor_kind
 from hil.rig import law_names
 from hil.rig.motion_tables import MOTION_KIND
 from hil.rig.schema import RigConfig
@@ -39,7 +39,7 @@ class Code(NamedTuple):
 def carried_code(rig: RigConfig) -> list[Code]:
     """What a control cycle of this rig runs that is not ours."""
     tables = [(kind, getattr(rig, kind.table)) for kind in _KINDS]
-    tables += [(SENSOR_KIND._replace(table=f"sensors.{name}"), sensor) for name, sensor in rig.sensors.items()]
+    tables += [(sensor_kind(name), sensor) for name, sensor in rig.sensors.items()]
     found = []
     for kind, table in tables:
         name = getattr(table, kind.key)

@@ -1,6 +1,5 @@
 """Sensors whose frames are not ours, on an emulated bus: of a DBC file, of CiA 404, and of a class of the user's."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,50 +11,18 @@ from drivers.frame import Frame
 from hil.control.law_registry import law_class
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CycleResult, Tick
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.carried_code import carried_code
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import RigError
 from hil.telemetry.recorder import LockstepRecorder
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from sim_plant.nodes.sensor import invalid, silent, stuck, tapped
-from tests.support.records import kept
+from tests.support.kept_readings import Kept
 from tests.virtual.sensor_files import KINDS, eds, rig_with
 
 # Punctured at 0.86 mN
 CELL = "plant.cells=[{axis='z', surface=-0.0038, direction=-1, stiffness=1.75e8, puncture_depth=170e-6}]"
-
-
-class Kept:
-    """A run and its readings by tick."""
-
-    def __init__(self, rig: RigConfig, folder: Path) -> None:
-        self.rows: list[np.void] = []
-        self.sent: list[Frame] = []
-        self.run = LockstepRun(rig, folder, observer=self._observe)
-
-    def _observe(self, tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
-        self.rows.append(kept(result.record))
-        self.sent += result.frames
-
-    def ticks(self, count: int) -> "Kept":
-        for _ in range(count):
-            self.run.tick()
-        return self
-
-    def until_active(self) -> "Kept":
-        while self.run.cycle.state is not State.ACTIVE:
-            assert self.ticks(1).run.index < 1500
-        return self
-
-    @property
-    def values(self) -> Any:
-        return np.array([row["readings"][0] for row in self.rows])
-
-    @property
-    def ages(self) -> Any:
-        return np.array([row["reading_age"][0] for row in self.rows])
 
 
 @pytest.mark.long

@@ -1,18 +1,14 @@
 """Sensors beside every layout, in lockstep: their readings in the record, their faults, and what a rig without pays."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import hil
-from drivers.frame import Frame
 from drivers.protocols.base import Reject
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CycleResult, Tick
 from hil.rig.bus_load import refuse_unschedulable
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.layout import host_layout
@@ -23,38 +19,14 @@ from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from sim_plant.scenario.language import Scenario
 from tests.support.judged import analysed
+from tests.support.kept_readings import Kept
 from tests.support.paths import RIGS
-from tests.support.records import kept
 
 FORCE = 'sensors.force={can_id=0x3F1, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}'
 # Punctured at 0.86 mN; the sensor's amplifier shows the fall within 3 ms.
 CELL = "plant.cells=[{axis='z', surface=-0.0038, direction=-1, stiffness=1.75e8, puncture_depth=170e-6}]"
 MEASURED = "plant.sensors=[{sensor='force', measures='cell_force', axis='z', lag=5e-4}]"
 SHIPPED = sorted(path.stem for path in RIGS.glob("*.toml"))
-
-
-class Kept:
-    """The readings of a run, by tick."""
-
-    def __init__(self, rig: RigConfig, scenario: Scenario | None = None) -> None:
-        self.rows: list[np.void] = []
-        self.run = LockstepRun(rig, RIGS, observer=self._observe, scenario=scenario)
-
-    def _observe(self, tick: Tick, frames: Sequence[Frame], result: CycleResult) -> None:
-        self.rows.append(kept(result.record))
-
-    def ticks(self, count: int) -> "Kept":
-        for _ in range(count):
-            self.run.tick()
-        return self
-
-    @property
-    def values(self) -> Any:
-        return np.array([row["readings"][0] for row in self.rows])
-
-    @property
-    def ages(self) -> Any:
-        return np.array([row["reading_age"][0] for row in self.rows])
 
 
 def test_a_force_that_falls_by_three_quarters_of_a_millinewton_in_3_ms_is_no_fault_and_in_the_record() -> None:
@@ -130,7 +102,7 @@ SCENARIOS = {
 def test_a_sensor_that_fails_stops_the_stage_by_the_faults_name(kind: str) -> None:
     fault = {"kind": kind, "sensor": "force", "at_s": 0.6} | ({"value": 0.011} if kind == "sensor_value" else {})
     scenario = Scenario.model_validate({"fault": [fault]})
-    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario).ticks(700)
+    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario=scenario).ticks(700)
     assert (kept.run.cycle.state, kept.run.cycle.fault) == (State.FAULT, SCENARIOS[kind])
     latched = next(place for place, row in enumerate(kept.rows) if row["fault"])
     assert 600 < latched <= 611
@@ -142,7 +114,7 @@ def test_one_gap_is_bridged_and_a_wrong_sequence_number_is_counted() -> None:
         {"kind": "sensor_sequence", "at_s": 0.7},
     ]
     scenario = Scenario.model_validate({"fault": faults})
-    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario).ticks(800)
+    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario=scenario).ticks(800)
     assert (kept.run.cycle.state, kept.run.cycle.fault) == (State.ACTIVE, Fault.NONE)
     assert kept.ages[550:].max() == 2
     assert kept.run.cycle.monitor.named_counts()["sensor_sequence"] == 1
@@ -150,7 +122,7 @@ def test_one_gap_is_bridged_and_a_wrong_sequence_number_is_counted() -> None:
 
 def test_a_sensor_that_was_never_there_stops_the_first_motion_and_a_reset_does_not_mend_it() -> None:
     scenario = Scenario.model_validate({"fault": [{"kind": "sensor_silent", "at_s": 0.0}]})
-    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario).ticks(300)
+    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario=scenario).ticks(300)
     assert kept.run.cycle.fault is Fault.SENSOR_SILENT
     assert np.isnan(kept.values).all()
     assert not any(row["force"].any() for row in kept.rows[-100:])
@@ -173,7 +145,9 @@ def test_replay_needs_the_recording_alone(tmp_path: Path) -> None:
 
 def test_a_frame_that_was_held_up_makes_an_older_reading() -> None:
     delay = {"kind": "wire_delay", "node": "force", "at_s": 0.6, "duration_s": 0.1, "delay_s": 1.1e-3, "count": 100}
-    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), Scenario.model_validate({"fault": [delay]})).ticks(800)
+    kept = Kept(load_rig(RIGS / "paper.toml", (FORCE,)), scenario=Scenario.model_validate({"fault": [delay]})).ticks(
+        800
+    )
     assert (kept.run.cycle.state, kept.run.cycle.fault) == (State.ACTIVE, Fault.NONE)
     assert set(kept.ages[610:690].tolist()) == {1}, "sampled a tick earlier, although one comes in every tick"
     assert set(kept.ages[720:].tolist()) == {0}

@@ -76,14 +76,8 @@ def make_axis_laws(
     """As make_law, from a Model of arrays (n_axes,), for one rig on plain floats; the same bits at a fraction of the
     cost.
     """
-    ours = is_built_in(law)
-    if not ours and __name__ != PACKAGE:  # the compiled build: a user's law inherits from no compiled class
+    if not is_built_in(law) and __name__ != PACKAGE:  # the compiled build: it inherits from no compiled class
         return interpreted_axis_laws(law, model, period, force_limit, repeat)
-    made, n = law_class(law, __name__), model.mass.size
-    gains = _known_gains(law, n)
-    if not ours and made.coupled:
-        whole = _construct(law, _guarded(law, made), gains, model, period, force_limit, repeat)
-        return UserAxes([whole], law.name, n)
     maker = AxisLawMaker(law, model, period, force_limit, repeat)
     while not maker.work():
         pass
@@ -91,7 +85,7 @@ def make_axis_laws(
 
 
 class AxisLawMaker:
-    """make_axis_laws for laws of one axis each, one at a time: a tick of a rig that runs has no time for all.
+    """make_axis_laws, an axis at a time where each has a law of its own: a tick of a rig that runs has no time for all.
 
     designed: by axis, what `designed_laws` says of laws that were made from the same arguments. Raises ValueError as
     make_axis_laws.
@@ -104,8 +98,9 @@ class AxisLawMaker:
         self._law, self._model, self._period, self._limit, self._repeat = law, model, period, force_limit, repeat
         self._designed, self._count = designed, int(model.mass.size)
         self._gains = _known_gains(law, self._count)
-        made = law_class(law, __name__)
-        self._make = made if is_built_in(law) else _guarded(law, made)
+        made, self._ours = law_class(law, __name__), is_built_in(law)
+        self._make = made if self._ours else _guarded(law, made)
+        self._users_whole = not self._ours and bool(made.coupled)
         self._axes: list[Law] = []
         self._coupled: AxisLaws | None = None
 
@@ -114,6 +109,10 @@ class AxisLawMaker:
         if self.whole:
             return True
         axis, law, period = len(self._axes), self._law, self._period
+        if self._users_whole:
+            whole = _construct(law, self._make, self._gains, self._model, period, self._limit, self._repeat)
+            self._coupled = UserAxes([whole], law.name, self._count)
+            return True
         gains = _axis_gains(self._gains, axis)
         if self._designed:
             gains["designed"] = list(self._designed[axis])
@@ -136,7 +135,7 @@ class AxisLawMaker:
         """What came of it, once `work` has said that all are made."""
         if self._coupled is not None:
             return self._coupled
-        return PerAxis(self._axes) if is_built_in(self._law) else UserAxes(self._axes, self._law.name, self._count)
+        return PerAxis(self._axes) if self._ours else UserAxes(self._axes, self._law.name, self._count)
 
 
 def designed_laws(laws: AxisLaws) -> list[list[float]]:

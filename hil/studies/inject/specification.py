@@ -55,7 +55,7 @@ def _found(median: float, most: float) -> Callable[[Batch, float], list[Line]]:
 
     def bars(batch: Batch, limit: float) -> list[Line]:
         depths = [cell.found_depth * 1e6 for cell in batch.judged if not isnan(cell.found_depth)]
-        lines = [line for line in judged(batch, limit) if line.name.startswith(("further", "pulses"))]
+        lines = _lurch(batch, limit)
         if not depths:
             return lines
         middle, high = quantile(depths, 0.5), quantile(depths, 0.95)
@@ -66,8 +66,13 @@ def _found(median: float, most: float) -> Callable[[Batch, float], list[Line]]:
     return bars
 
 
+def _of(batch: Batch, limit: float, *begin: str) -> list[Line]:
+    """The usual bars whose names begin so."""
+    return [line for line in judged(batch, limit) if line.name.startswith(begin)]
+
+
 def _lurch(batch: Batch, limit: float) -> list[Line]:
-    return [line for line in judged(batch, limit) if line.name.startswith(("further", "pulses"))]
+    return _of(batch, limit, "further", "pulses")
 
 
 def _good(batch: Batch, limit: float) -> list[Line]:
@@ -92,7 +97,7 @@ def _false(batch: Batch, name: str, of: Callable[[Injected], tuple[float, float]
 
 def _classes(batch: Batch, limit: float) -> list[Line]:
     """Each kind of cell by itself."""
-    lines = [line for line in judged(batch, limit) if line.name.startswith(("greatest", "pulses"))]
+    lines = _of(batch, limit, "greatest", "pulses")
     for anomaly in EACH:
         cells = [cell for cell in batch.judged if cell.anomaly == anomaly]
         right = sum(cell.right for cell in cells)
@@ -109,7 +114,7 @@ def _fades(batch: Batch, limit: float) -> list[Line]:
 
 
 def _verdicts(batch: Batch, limit: float) -> list[Line]:
-    return [line for line in judged(batch, limit) if line.name in ("verdicts", "pulses into a cell that is whole")]
+    return _of(batch, limit, "verdicts", "pulses")
 
 
 def _held(batch: Batch, limit: float) -> list[Line]:
