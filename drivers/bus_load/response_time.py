@@ -129,7 +129,7 @@ def priority_queue_bound(bus: Bus, item: Item) -> int:
     """The paper's revised analysis, equations 6 to 13 with the error function of its section 6."""
     if bus.shared(item):
         return UNBOUNDED
-    urgent = [other for other in bus.items if other.priority < item.priority]
+    urgent = [other for other in bus.items if other.priority < item.priority or _is_twin(item, other)]
     jitters = [other.response - other.cost if bus.shared(other) else other.latest_queueing for other in urgent]
     if any(jitter >= UNBOUNDED // 2 for jitter in jitters) or item.latest_queueing >= UNBOUNDED // 2:
         return UNBOUNDED
@@ -189,11 +189,16 @@ def backlog_bound(bus: Bus, item: Item) -> int:
         mates = []  # nothing of the sender's gets between two messages that it queues together
     lowest = max(other.priority for other in [item, *mates])
     others = [other for other in beside if not bus.queued_with(item, other)]
-    rivals = [other for other in others if other.priority < lowest]
+    rivals = [other for other in others if other.priority < lowest or _is_twin(item, other)]
     blockers = tuple(other for other in others if other.priority > lowest)
     if item.before is not None and not _arrives_late(item):
         blockers = ()  # it takes part in the arbitration that follows the message before it: nothing slips in
     return _settle(bus, item, [*mates, *rivals], blockers)
+
+
+def _is_twin(item: Item, other: Item) -> bool:
+    """Another message of the same node in the same identifier: which of them goes first is up to the node."""
+    return other is not item and (other.priority, other.sender) == (item.priority, item.sender)
 
 
 def _arrives_late(item: Item) -> bool:

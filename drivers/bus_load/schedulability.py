@@ -158,14 +158,15 @@ def _check(messages: Sequence[Message]) -> None:
     if not messages:
         raise ValueError("no messages to analyse")
     names: set[str] = set()
-    identifiers: dict[int, str] = {}
+    identifiers: dict[int, Message] = {}
     for message in messages:
         if message.name in names:
             raise ValueError(f"message {message.name}: the name is used twice")
         names.add(message.name)
-        other = identifiers.setdefault(arbitration_key(message.can_id), message.name)
-        if other not in (message.name, message.after):  # an answer in its command's identifier never meets it
-            raise ValueError(f"messages {other} and {message.name} have one identifier, {message.can_id:#x}")
+        other = identifiers.setdefault(arbitration_key(message.can_id), message)
+        # One node's frames never meet on the bus, nor do a command and its answer.
+        if other.sender != message.sender and other.name != message.after:
+            raise ValueError(f"messages {other.name} and {message.name} have one identifier, {message.can_id:#x}")
         if message.period_ns < 1 or message.deadline_ns < 1 or message.jitter_ns < 0:
             raise ValueError(f"message {message.name}: period and deadline must be positive, jitter not negative")
     by_name = {message.name: message for message in messages}

@@ -220,6 +220,12 @@ def _field(signal: Signal, length: int) -> _Field:
     return _Field(big, shift, (1 << signal.length) - 1, sign, to_float, from_float)
 
 
+def bits_of(signal: Signal, length: int) -> bytes:
+    """A payload of so many bytes in which the bits of a signal are set, and no other."""
+    field = _field(signal, length)
+    return (field.mask << field.shift).to_bytes(length, "big" if field.big else "little")
+
+
 _WORD = {1: "B", 2: "H", 4: "I", 8: "Q"}  # lengths that a struct turns into an integer, in half of int.from_bytes' time
 _SOURCE = """
 def unpack(data):

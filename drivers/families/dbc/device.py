@@ -51,13 +51,10 @@ class DbcDevice(DbcLayout):
         if pages is None:
             return Reject.SERVICE if frame.can_id in self._lone_ids else reject_id(frame.can_id, self._by_id, ())
         for page in pages:
-            unfit = page.fits(frame)
-            if unfit is not None:
-                if page.is_another(frame):
-                    continue
-                return unfit
-            values = page.values(frame.data)
-            if page.is_in(values):
+            values = page.read(frame)
+            if isinstance(values, Reject):
+                return values
+            if values is not None:
                 self._received[page] = values
                 return self._complete() if page is self._cyclic[-1] and not self._asked_ids else Reject.SERVICE
         return Reject.SERVICE  # a page that is not bound

@@ -36,8 +36,9 @@ from collections.abc import Container, Sequence
 from typing import Any, NamedTuple
 
 from drivers.config import BusConfig, Wiring
-from drivers.families.dbc.layout import COUNTS, ENABLED, FAULT, DbcLayout
+from drivers.families.dbc.layout import COUNTS, ENABLED, FAULT
 from drivers.families.dbc.page import BoundMessage
+from drivers.families.dbc.traffic import DbcTraffic
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import EVERY_STATUS, Command, Reject, Sample
@@ -56,7 +57,7 @@ class Turns(NamedTuple):
     turned: float
 
 
-class DbcHost(DbcLayout):
+class DbcHost(DbcTraffic):
     """HostProtocol of any DBC file."""
 
     def __init__(self, wiring: Wiring) -> None:
@@ -122,14 +123,11 @@ class DbcHost(DbcLayout):
             return reject_id(frame.can_id, self._heard, self._own)
         samples: list[Sample] = []
         for page in pages:
-            unfit = page.fits(frame)
-            if unfit is not None:
-                if page.is_another(frame):
-                    continue
-                return unfit
-            values = page.values(frame.data)
-            if not page.is_in(values):
+            values = page.read(frame)
+            if values is None:
                 continue
+            if isinstance(values, Reject):
+                return values
             if page in self._answers:
                 self._note_answer(page, values)
                 continue

@@ -10,10 +10,11 @@ from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_
 from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.endpoints import number_pages
 from drivers.families.dbc.file import load_used
+from drivers.families.dbc.identifiers import Values, frame_look, heard_look, refuse_both_ways, tell_apart
 from drivers.families.dbc.page import Bound, BoundMessage, Place
-from drivers.frame import EXTENDED_MASK, REMOTE
-from drivers.protocols.base import EVERY_STATUS, SERVICE, DriveStatus, LayoutError, Message
-from drivers.protocols.read_back import ANSWER_TICKS, Question
+from drivers.frame import REMOTE
+from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError
+from drivers.protocols.read_back import Question
 
 _NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
@@ -22,7 +23,6 @@ COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the 
 _UNASKED = (
     "bus.dbc.read_back has no entry: whether the drives keep the mode and the limits that they were told is not asked"
 )
-OCCASIONAL_NS = 10_000_000  # least period of a command that is not sent every tick, for the schedulability analysis
 
 
 class Lone(NamedTuple):
@@ -91,8 +91,8 @@ class DbcLayout:
         self.axis_tells = [sum(each.bit for each in self._inputs if each.axis == axis) for axis in range(n_axes)]
         self.checksum = all(message.checksum_at >= 0 for message in self._pages)
         self.fd = any(message.fd for message in self._pages)
-        self._check_identifiers(path.name)
         self._check_places(binding, path.name)
+        self._check_identifiers(path.name)
         self._check_agreement(binding)
         self._check_resets()
 
@@ -218,16 +218,31 @@ class DbcLayout:
         return REMOTE | self._requests[-1].can_id if self._requests else self._cyclic[-1].can_id
 
     def _check_identifiers(self, file: str) -> None:
-        """An identifier belongs to one bound message."""
-        lone = [alone.message for alone in (*self._start, *self._stop, *(asked.ask for asked in self._read_back))]
-        lone += [asked.answer.message for asked in self._read_back]
-        names: dict[int, str] = {}
-        for page in (*self._commands, *lone, *self._feedback, *self._state_only):
-            if names.setdefault(page.can_id, page.name) != page.name:
-                raise LayoutError(
-                    f"{file}: messages {names[page.can_id]} and {page.name} are both bound, on one identifier, "
-                    f"{page.can_id & EXTENDED_MASK:#x}: nothing tells them apart"
-                )
+        """An identifier belongs to one bound message, or bits tell their frames apart."""
+        values = Values()
+        for bound, value in self._constant:
+            values.stated(bound, [value])
+        for bound, switch in zip(self._enable, self._switch, strict=True):
+            if self._bit_per_axis:
+                values.free(bound)
+            else:
+                values.stated(bound, switch)
+        for bound, switch in zip(self._reset, self._reset_switch, strict=True):
+            values.stated(bound, switch[:1] if bound.message in self._resets_alone else switch)
+        for bound in (*self._torque, *self._counters):
+            values.free(bound)
+        looks = [(page, values.look(page)) for page in self._commands]
+        tell_apart([*looks, *((page, frame_look(page, raw)) for page, raw in self._frames_alone())], file)
+        tell_apart([(page, heard_look(page)) for page in self._heard_pages()], file)
+
+    def _frames_alone(self) -> list[Lone]:
+        """The frames that say something by themselves."""
+        return [*self._start, *self._stop, *(asked.ask for asked in self._read_back)]
+
+    def _heard_pages(self) -> list[BoundMessage]:
+        """Once each."""
+        answers = (asked.answer.message for asked in self._read_back)
+        return list(dict.fromkeys([*self._feedback, *self._state_only, *answers]))
 
     def _check_places(self, binding: DbcBinding, file: str) -> None:
         """Counters echo beside their position; torques reach; nothing is both said and heard; values fit."""
@@ -239,11 +254,7 @@ class DbcLayout:
                 )
         if len({(bound.message, bound.place.at) for bound in self._position}) != self.n_axes:
             raise LayoutError(f"{file}: two axes with one position; each axis needs a signal of its own in a message")
-        said = {page.can_id for page in self._commands} | {lone.message.can_id for lone in (*self._start, *self._stop)}
-        said |= {asked.ask.message.can_id for asked in self._read_back}
-        for message in [*self._feedback, *self._state_only, *(asked.answer.message for asked in self._read_back)]:
-            if message.can_id in said:
-                raise LayoutError(f"{file}: message {message.name} is bound both as command and as feedback")
+        refuse_both_ways([*self._commands, *(lone.message for lone in self._frames_alone())], self._heard_pages(), file)
         check_numbers(binding)
         self._check_values()
         if len({bound.place.bits for bound in [*self._counters, *self._echo]}) > 1:
@@ -293,45 +304,6 @@ class DbcLayout:
                     f"bus.dbc.reset: on = off = {on} in {message.name}, which is sent for more than resets, or every "
                     "tick: it would say nothing"
                 )
-
-    def messages(self, period_ns: int) -> list[Message]:
-        """All commands, then the feedbacks, which the last command triggers, and what is sent less often."""
-        trigger = None if self._free_running else self._cyclic[-1].name
-        if self._requests:
-            trigger = f"request of {self._requests[-1].name}"
-        slow_ns = max(period_ns, OCCASIONAL_NS)
-        state_ns = max(period_ns, self.state_ns)
-        feedback_ns = self.feedback_ns or period_ns
-        feedback: dict[BoundMessage, int] = {}  # and the first of its axes
-        for axis, page in enumerate(self._feedback):
-            feedback.setdefault(page, axis)
-        seldom = {m: max(period_ns, self._period_ns.get(m, slow_ns)) for m in self._commands if m not in self._cyclic}
-        lone = dict.fromkeys([lone.message for lone in (*self._start, *self._stop)], slow_ns)
-        return [
-            *(_message(m.name, m, period_ns, "host") for m in self._cyclic),
-            *(
-                Message(f"request of {m.name}", REMOTE | m.can_id, 0, False, period_ns, period_ns, 0, "host")
-                for m in self._requests
-            ),
-            *(_message(m.name, m, feedback_ns, f"axis {axis}", trigger) for m, axis in feedback.items()),
-            *(_message(m.name, m, state_ns, f"axis {axis}") for m, axis in self._state_only.items()),
-            *(_message(m.name, m, seldom_ns, "host") for m, seldom_ns in (seldom | lone).items()),
-            *self._service(period_ns),
-        ]
-
-    def _service(self, period_ns: int) -> list[Message]:
-        """Questions and their answers: of each drive one in ANSWER_TICKS."""
-        asked_ns, found = ANSWER_TICKS * period_ns, {}
-        for asked in self._read_back:
-            ask, answer = asked.ask.message, asked.answer.message
-            name = f"{SERVICE} {ask.name}"
-            found[ask.can_id] = _message(name, ask, asked_ns, "host")
-            found[answer.can_id] = _message(answer.name, answer, asked_ns, f"axis {asked.axis}", name)
-        return list(found.values())
-
-
-def _message(name: str, page: BoundMessage, period_ns: int, sender: str, trigger: str | None = None) -> Message:
-    return Message(name, page.can_id, page.length, page.fd, period_ns, period_ns, 0, sender, trigger, page.brs)
 
 
 def _asking(key: str, ask: AskBinding, answer: BoundMessage) -> FrameBinding:

@@ -5,7 +5,7 @@ multiplexed is one page.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal
@@ -15,8 +15,9 @@ from drivers.families.dbc.config import SignalBinding
 from drivers.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 from drivers.protocols.base import LayoutError, Reject
 from drivers.protocols.checksum import ALGORITHMS
-from drivers.protocols.dbc_codec import LONGEST_CLASSIC, Codec, compile_signals, is_fd, switches_rate
+from drivers.protocols.dbc_codec import LONGEST_CLASSIC, Codec, bits_of, compile_signals, is_fd, switches_rate
 
+LONGEST: Final = FD_LENGTHS[-1]  # bytes of a payload
 _NOBODY = "Vector__XXX"  # a file's word for no node in particular
 Selection = Mapping[str, frozenset[int]]  # multiplexer -> the values with which a signal is there
 
@@ -55,12 +56,24 @@ def selection_of(message: DbcMessage, signal: Signal) -> dict[str, frozenset[int
     return selection
 
 
+class Mark(NamedTuple):
+    """Bits of a payload, as an integer of LONGEST bytes from its start: which ones, and what they are."""
+
+    mask: int = 0
+    bits: int = 0
+
+
+def as_number(payload: bytes) -> int:
+    """A payload as an integer of LONGEST bytes, from its start."""
+    return int.from_bytes(payload.ljust(LONGEST, b"\0"), "big")
+
+
 class BoundMessage:
     """One page of a message that the rig uses.
 
-    selection: of the page. checksum_at: byte of its checksum, or -1. fixed: raw values by place that are the same in
-    every frame: the multiplexers'. owners: nodes at the drives' end, by the file. Signals that are not bound are sent
-    as zero and not looked at.
+    selection: of the page. chosen: its multiplexers' places, and the raw values that each may have. fixed: raw values
+    by place that are the same in every frame: the multiplexers'. checksum_at: byte of its checksum, or -1. owners:
+    nodes at the drives' end, by the file. Signals that are not bound are sent as zero and not looked at.
     """
 
     def __init__(self, message: DbcMessage, algorithm: str, selection: Selection | None = None) -> None:
@@ -84,12 +97,13 @@ class BoundMessage:
         self.codec: Codec = compile_signals(signals, self.length)
         self._signals = {str(signal.name): signal for signal in signals}
         chosen = {self.codec.names.index(name): ids for name, ids in self.selection.items()}
-        self._chosen = tuple(chosen.items())
+        self.chosen = tuple(chosen.items())
         self.fixed = {at: min(ids) for at, ids in chosen.items()}
         self._whole = max((_end(signal) for signal in signals), default=0)
         self._known = max((_end(self._signals[name]) for name in self.selection), default=self.length)
         self._checksum = ALGORITHMS[algorithm]
         self.checksum_at = -1
+        self._mark = Mark()
 
     def _has(self, message: DbcMessage, signal: Signal) -> bool:
         """Whether the signal is there with every value that the page's multiplexers may have."""
@@ -127,7 +141,7 @@ class BoundMessage:
             raise LayoutError(f"bus.dbc.checksum: {self.name}.{binding.signal} is not one whole byte")
         self.checksum_at = signal.start // 8
 
-    def fits(self, frame: Frame) -> Reject | None:
+    def _unfit(self, frame: Frame) -> Reject | None:
         """Why a frame with this identifier cannot be unpacked, or None."""
         if bool(frame.flags & FD) != self.fd:
             return Reject.WRONG_FORMAT
@@ -139,19 +153,43 @@ class BoundMessage:
             return Reject.BAD_CHECKSUM
         return None
 
-    def values(self, data: bytes) -> Sequence[Any]:
-        """Raw values of a frame that `fits`; of a page that is sent shorter than its message, those that are there."""
+    def bits(self, at: int) -> int:
+        """The bits of the value at this place, as those of a Mark."""
+        return as_number(bits_of(self._signals[self.codec.names[at]], self.length))
+
+    def marked(self, mark: Mark) -> None:
+        """Take only frames with these bits: another bound message has the same identifier."""
+        self._mark = Mark(self._mark.mask | mark.mask, self._mark.bits | mark.bits)
+
+    def read(self, frame: Frame) -> Sequence[Any] | Reject | None:
+        """Raw values of a frame that is of this page; None of one that is not; Reject of one that cannot be read."""
+        if self._mark.mask and self._is_foreign(frame):
+            return None
+        unfit = self._unfit(frame)
+        if unfit is not None:
+            return None if self._is_another(frame) else unfit
+        values = self._values(frame.data)
+        return values if self._is_in(values) else None
+
+    def _is_foreign(self, frame: Frame) -> bool:
+        """A frame of another message with this identifier; one that is too short to tell is none."""
+        mask, bits = self._mark
+        untold = 8 * (LONGEST - len(frame.data))
+        return not mask & ((1 << untold) - 1) and as_number(frame.data) & mask != bits
+
+    def _values(self, data: bytes) -> Sequence[Any]:
+        """Raw values of a frame that fits; of a page that is sent shorter than its message, those that are there."""
         return self.codec.unpack(data if len(data) == self.length else data.ljust(self.length, b"\0"))
 
-    def is_another(self, frame: Frame) -> bool:
+    def _is_another(self, frame: Frame) -> bool:
         """A frame of a multiplexed message, shorter than it, that has another page in it than this one."""
         if not self._known <= len(frame.data) < self.length or bool(frame.flags & FD) != self.fd:
             return False
-        return not self.is_in(self.values(frame.data))
+        return not self._is_in(self._values(frame.data))
 
-    def is_in(self, values: Sequence[Any]) -> bool:
+    def _is_in(self, values: Sequence[Any]) -> bool:
         """Whether these values are of this page."""
-        return not self._chosen or all(values[at] in ids for at, ids in self._chosen)
+        return not self.chosen or all(values[at] in ids for at, ids in self.chosen)
 
     def blank(self) -> list[Any]:
         """Values of a frame that says nothing yet."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from cantools.database.can import Database
+from cantools.database.can import Database, Message
 
 from drivers.config import BusConfig
 from drivers.families.dbc.binding import bound_names
@@ -23,30 +23,34 @@ def reader(bus: BusConfig, base_dir: Path, cyclic: Callable[[Frame], str]) -> Ca
 
 def dbc_reader(database: Database) -> Callable[[Frame], str]:
     """For a DBC file: message name, and each signal with its value, unit and name of the value where the file has
-    them. Messages of J1939 are found by their parameter group, with any source, destination and priority.
+    them. Two messages with one identifier are both told. Messages of J1939 are found by their parameter group, with any
+    source, destination and priority.
     """
-    by_id = {
-        message.frame_id | (EXTENDED if message.is_extended_frame else 0): message for message in database.messages
-    }
+    by_id: dict[int, list[Message]] = {}
+    for message in database.messages:
+        by_id.setdefault(message.frame_id | (EXTENDED if message.is_extended_frame else 0), []).append(message)
     by_group = {group_of(message.frame_id): message for message in database.messages if message.protocol == "j1939"}
 
     def text(frame: Frame) -> str:
-        message, source = by_id.get(frame.can_id), ""
-        if message is None and frame.can_id & EXTENDED:
+        messages = by_id.get(frame.can_id, [])
+        if not messages and frame.can_id & EXTENDED:
             message = by_group.get(group_of(frame.can_id & EXTENDED_MASK))
-            source = f" from {frame.can_id & 0xFF:02X}h"
-        if message is None:
-            return ""
-        try:
-            values = message.decode(frame.data, decode_choices=True, allow_truncated=True)
-        except Exception as error:  # whatever the package makes of a payload that does not fit
-            return f"{message.name}: {type(error).__name__} {error}"
-        assert isinstance(values, dict)
-        units = {signal.name: signal.unit or "" for signal in message.signals}
-        shown = (f"{name} {_value(value)}{' ' * bool(units[name])}{units[name]}" for name, value in values.items())
-        return f"{message.name}{source}: {', '.join(shown)}"
+            return _told(message, frame, f" from {frame.can_id & 0xFF:02X}h") if message else ""
+        return " or ".join(_told(message, frame, "") for message in messages)
 
     return text
+
+
+def _told(message: Message, frame: Frame, source: str) -> str:
+    """A frame as this message."""
+    try:
+        values = message.decode(frame.data, decode_choices=True, allow_truncated=True)
+    except Exception as error:  # whatever the package makes of a payload that does not fit
+        return f"{message.name}: {type(error).__name__} {error}"
+    assert isinstance(values, dict)
+    units = {signal.name: signal.unit or "" for signal in message.signals}
+    shown = (f"{name} {_value(value)}{' ' * bool(units[name])}{units[name]}" for name, value in values.items())
+    return f"{message.name}{source}: {', '.join(shown)}"
 
 
 def group_of(can_id: int) -> int:

@@ -163,6 +163,15 @@ def test_the_number_of_faults_tolerated_is_the_last_that_fits() -> None:
     assert len({*counted}) > 3, "odd and even ones"
 
 
+def test_two_messages_of_a_node_in_one_identifier_wait_for_each_other() -> None:
+    pair = [Message(name, 0x100, 8, False, 10 * MS, 10 * MS, 0, "drive0") for name in ("torque", "order")]
+    assert {response.worst_ns for response in at_1_mbit(pair).responses} == {2 * 135_000}
+    apart = [pair[0], pair[1]._replace(can_id=0x101)]
+    assert worst(at_1_mbit([*apart, pair[1]._replace(name="later", can_id=0x102)]), "torque") == 2 * 135_000
+    with pytest.raises(ValueError, match="messages torque and order have one identifier, 0x100"):
+        at_1_mbit([pair[0], pair[1]._replace(sender="drive1")])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
