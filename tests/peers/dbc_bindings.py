@@ -16,7 +16,7 @@ from drivers.config import BusConfig
 from drivers.families.dbc import file as dbc_file
 from drivers.protocols import device_protocol, host_protocol
 from drivers.protocols.base import Command, LayoutError, Sample
-from drivers.protocols.dbc_codec import load_dbc
+from drivers.protocols.dbc_codec import load_dbc, parse_dbc
 from tests.peers.files import Tried
 from tests.peers.table import DIFFERS, PASSED, Row
 
@@ -42,7 +42,7 @@ class Signal(NamedTuple):
 def rows(files: Sequence[Tried], bindings: int) -> Iterator[Row]:
     """A row a file. bindings: of all files together."""
     chosen = [file for file in files if file.path.stat().st_size <= _LARGEST and _torques(file.path)][:_FILES]
-    with mock.patch.object(dbc_file, "load_dbc", cache(load_dbc)):
+    with mock.patch.object(dbc_file, "parse_dbc", cache(parse_dbc)):
         for file in chosen:
             draw, count, wrong = random.Random(file.path.name), Counter[str](), ""
             for _ in range(-(-bindings // len(chosen))):

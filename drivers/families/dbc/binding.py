@@ -12,7 +12,8 @@ from typing import Any
 from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 
-from drivers.families.dbc.config import DbcBinding, FrameBinding, SignalBinding
+from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding
+from drivers.families.dbc.named_pages import pages_of
 from drivers.families.dbc.page import Bound, BoundMessage, selection_of
 from drivers.protocols.base import LayoutError
 
@@ -110,6 +111,16 @@ def bound_names(binding: DbcBinding) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
+def bound_signals(binding: DbcBinding) -> set[tuple[str, str]]:
+    """Names of message and signal of all that the binding names."""
+    frames: list[FrameBinding | AskBinding] = [*binding.start, *binding.stop]
+    frames += [item.ask for item in binding.read_back]
+    pairs = {(item.message, item.signal) for _, item in bound_items(binding)}
+    pairs |= {(item.message, item.signal) for item in frames}
+    pages = [*binding.on_change, *(item.message for item in binding.periodic)]
+    return pairs | {(message, signal) for message, _, signal in (name.partition(".") for name in pages)}
+
+
 class Pages:
     """All pages that a binding uses. Raises LayoutError with every name that is not in the file, and the nearest."""
 
@@ -202,7 +213,11 @@ class Pages:
         elif signal:
             (message,) = messages
             found = sum(other.name == signal for other in message.signals)
-            if not found:
+            by_page = pages_of(signal, (other.name for other in message.signals))
+            if not found and by_page:
+                pages = " or ".join(map(repr, by_page))
+                problems.append(f"{key}: {name}.{signal} stands on {len(by_page)} pages; name one: {pages}")
+            elif not found:
                 problems.append(
                     f"{key}: message {name} has no signal {signal!r}{_nearest(signal, message.signals, name + '.')}"
                 )

@@ -18,12 +18,12 @@ from drivers.protocols.dbc_codec import (
     LONGEST_CLASSIC,
     fd_by_length,
     is_fd,
-    load_dbc,
     parse_dbc,
     read_dbc,
 )
 
 _MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+(\d+)[ \t]+(\w+)[ \t]*:[^\n]*(?:\n[ \t]*SG_[ \t][^\n]*)*", re.M)
+_PAGED = re.compile(r"^[ \t]*SG_[ \t]+(\w+[ \t]+m\d+)M?[ \t]*:", re.M)
 _ABOUT = re.compile(r"^[ \t]*(?:SIG_VALTYPE_|SG_MUL_VAL_|VAL_)[ \t]+(\d+)[ \t][^;]*;", re.M)
 _FRAME_FORMAT = re.compile(
     r'^[ \t]*(?:BA_DEF_[ \t]+BO_[ \t]+"(?:VFrameFormat|CANFD_BRS)"[^;]*;'
@@ -38,10 +38,10 @@ def load_used(path: Path, names: Collection[str]) -> tuple[Database, list[str]]:
     """The file with at least the messages of these names, and what is wrong with the rest, for people. Raises
     LayoutError where a message of these names cannot be read, or there is none of them.
     """
+    text = read_dbc(path)
     try:
-        database = load_dbc(path)
+        database = parse_dbc(text, path)
     except LayoutError as error:
-        text = read_dbc(path)
         used = _only(text, names)
         if not used:
             raise
@@ -49,7 +49,7 @@ def load_used(path: Path, names: Collection[str]) -> tuple[Database, list[str]]:
         unfit = [f"{path.name}: read as far as it is used, not whole: {short(str(error), 200)}"]
     else:
         unfit = _unfit(database, path.name, names)
-    return database, _guessed(database, path.name, names) + unfit
+    return database, _guessed(database, path.name, names) + _unselected(text, database, path.name, names) + unfit
 
 
 def _only(text: str, names: Collection[str]) -> str:
@@ -69,6 +69,18 @@ def _guessed(database: Database, file: str, names: Collection[str]) -> list[str]
     longer = [message for message in database.messages if message.name in names and fd_by_length(message)]
     said = ", ".join(f"{message.name} ({message.length} bytes)" for message in longer)
     return [f"{file}: taken as CAN FD, as no classic frame is so long: {said}"] if longer else []
+
+
+def _unselected(text: str, database: Database, file: str, names: Collection[str]) -> list[str]:
+    """Which signals of bound messages are on a page that no multiplexer selects."""
+    problems = []
+    multiplexed = {message.name for message in database.messages if message.is_multiplexed()}
+    for found in _MESSAGE.finditer(text):
+        paged = [] if found[2] in multiplexed or found[2] not in names else _PAGED.findall(found[0])
+        if paged:
+            said = short(", ".join(paged), 100)
+            problems.append(f"{file}: message {found[2]} has no multiplexer (M), so it is read as one page: {said}")
+    return problems
 
 
 def _unfit(database: Database, file: str, names: Collection[str]) -> list[str]:

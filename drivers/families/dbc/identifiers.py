@@ -50,12 +50,19 @@ def frame_look(page: BoundMessage, values: Sequence[Any]) -> Mark:
 def heard_look(page: BoundMessage) -> Mark:
     """The bits of a page's multiplexers, as far as they are the same for all their values."""
     values = page.blank()
-    mask = changing = 0
+    changing = 0
     for at, raws in page.chosen:
-        mask |= page.bits(at)
         changing |= _changing(page, values, at, raws)
-    mask &= ~changing
+    mask = _multiplexers(page) & ~changing
     return Mark(mask, as_number(page.codec.pack(*values)) & mask)
+
+
+def _multiplexers(page: BoundMessage) -> int:
+    """The bits of a page's multiplexers."""
+    mask = 0
+    for at, _ in page.chosen:
+        mask |= page.bits(at)
+    return mask
 
 
 def _changing(page: BoundMessage, values: Sequence[Any], at: int, raws: Collection[Any]) -> int:
@@ -88,6 +95,17 @@ def tell_apart(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
                 )
             one.marked(Mark(mask, first.bits & mask))
             other.marked(Mark(mask, second.bits & mask))
+
+
+def refuse_one_page(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
+    """Raise LayoutError for two bound pages of a command message that are one by their multiplexers."""
+    for (one, first), (other, second) in combinations(looks, 2):
+        if one.name == other.name and not (first.bits ^ second.bits) & (_multiplexers(one) | _multiplexers(other)):
+            page = min(raw for _, raws in one.chosen for raw in raws)
+            raise LayoutError(
+                f"{file}: message {one.name}: two of its bound pages are one by their multiplexers, so that their "
+                f"frames would undo each other; name the page of a signal that is on several: 'SIGNAL m{page}'"
+            )
 
 
 def refuse_both_ways(said: Sequence[BoundMessage], heard: Sequence[BoundMessage], file: str) -> None:

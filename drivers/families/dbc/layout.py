@@ -6,11 +6,19 @@ from typing import Any, NamedTuple
 from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
 from drivers.families.dbc.agreement import Owned, check_owners, check_torques, count_size, per_axis
-from drivers.families.dbc.binding import Pages, bound_items, bound_names, check_binding, check_numbers
+from drivers.families.dbc.binding import Pages, bound_items, bound_names, bound_signals, check_binding, check_numbers
 from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.endpoints import number_pages
 from drivers.families.dbc.file import load_used
-from drivers.families.dbc.identifiers import Values, frame_look, heard_look, refuse_both_ways, tell_apart
+from drivers.families.dbc.identifiers import (
+    Values,
+    frame_look,
+    heard_look,
+    refuse_both_ways,
+    refuse_one_page,
+    tell_apart,
+)
+from drivers.families.dbc.named_pages import name_pages
 from drivers.families.dbc.page import Bound, BoundMessage, Place
 from drivers.frame import REMOTE
 from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError
@@ -68,6 +76,7 @@ class DbcLayout:
         self.n_axes = n_axes
         self._rated = list(rated_force)
         database, self.warnings = load_used(path, bound_names(binding))
+        name_pages(database, bound_signals(binding))
         number_pages(database, binding, base_dir)
         self.unasked = () if binding.read_back else (_UNASKED,)
         self._pages = Pages(database, binding, path.name)
@@ -232,6 +241,7 @@ class DbcLayout:
         for bound in (*self._torque, *self._counters):
             values.free(bound)
         looks = [(page, values.look(page)) for page in self._commands]
+        refuse_one_page(looks, file)
         tell_apart([*looks, *((page, frame_look(page, raw)) for page, raw in self._frames_alone())], file)
         tell_apart([(page, heard_look(page)) for page in self._heard_pages()], file)
 
