@@ -5,7 +5,7 @@ to the one page of its message that is bound otherwise. Where there is none, in 
 the page that a `constant` on the multiplexer names.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -117,6 +117,7 @@ def bound_signals(binding: DbcBinding) -> set[tuple[str, str]]:
     frames += [item.ask for item in binding.read_back]
     pairs = {(item.message, item.signal) for _, item in bound_items(binding)}
     pairs |= {(item.message, item.signal) for item in frames}
+    pairs |= {(frame.message, item.signal) for frame in (*binding.start, *binding.stop) for item in frame.constant}
     pages = [*binding.on_change, *(item.message for item in binding.periodic)]
     return pairs | {(message, signal) for message, _, signal in (name.partition(".") for name in pages)}
 
@@ -134,6 +135,8 @@ class Pages:
         for key in ("start", "stop"):
             for at, frame in enumerate(getattr(binding, key)):
                 self._check(f"bus.dbc.{key}[{at}]", frame.message, frame.signal, problems)
+                for beside, item in enumerate(frame.constant):
+                    self._check(f"bus.dbc.{key}[{at}].constant[{beside}]", frame.message, item.signal, problems)
         for at, asked in enumerate(binding.read_back):
             self._check(f"bus.dbc.read_back[{at}].ask", asked.ask.message, asked.ask.signal, problems)
         if problems:
@@ -174,23 +177,19 @@ class Pages:
     def alone(self, key: str, frame: FrameBinding) -> tuple[BoundMessage, list[Any]]:
         """A page for one frame that says something by itself, and its raw values."""
         message = self._database.get_message_by_name(frame.message)
-        if not frame.signal:
+        stated = _stated(key, frame)
+        if not stated:
             if message.signals and not self.of(frame.message):
                 raise LayoutError(f"{key}: message {frame.message} has signals; say which value with `signal`")
             page = BoundMessage(message, self._algorithm)
             return page, page.blank()
-        signal = _signal(message, frame.signal)
-        selection = selection_of(message, signal)
-        if signal.is_multiplexer:
-            selection[frame.signal] = frozenset({frame.value})
-        page = BoundMessage(message, self._algorithm, selection)
-        place = page.place(SignalBinding(message=frame.message, signal=frame.signal))
-        if not place.low <= frame.value <= place.high:
-            raise LayoutError(
-                f"{key}: {frame.message}.{frame.signal} = {frame.value}: allowed {place.low:g} to {place.high:g}"
-            )
+        page = BoundMessage(message, self._algorithm, _selection(key, message, stated))
         values = page.blank()
-        values[place.at] = frame.value
+        for name, value in stated.items():
+            place = page.place(SignalBinding(message=frame.message, signal=name))
+            if not place.low <= value <= place.high:
+                raise LayoutError(f"{key}: {frame.message}.{name} = {value}: allowed {place.low:g} to {place.high:g}")
+            values[place.at] = value
         return page, values
 
     def empty(self, key: str, name: str) -> BoundMessage:
@@ -256,6 +255,35 @@ class Pages:
                 f"{multiplexers}"
             )
         self._page(message, {})
+
+
+def _stated(key: str, frame: FrameBinding) -> dict[str, int]:
+    """The raw values of a frame that says something by itself, by signal. Raises LayoutError for two of one signal."""
+    stated = {frame.signal: frame.value} if frame.signal else {}
+    for at, item in enumerate(frame.constant):
+        if item.signal in stated:
+            raise LayoutError(
+                f"{key}.constant[{at}]: {frame.message}.{item.signal} = {item.value}: its value is stated as "
+                f"{stated[item.signal]} already"
+            )
+        stated[item.signal] = item.value
+    return stated
+
+
+def _selection(key: str, message: DbcMessage, stated: Mapping[str, int]) -> dict[str, frozenset[int]]:
+    """The page of all these signals. Raises LayoutError where there is none."""
+    selection: dict[str, frozenset[int]] = {}
+    for name, value in stated.items():
+        signal = _signal(message, name)
+        needs = selection_of(message, signal) | ({name: frozenset({value})} if signal.is_multiplexer else {})
+        for multiplexer, numbers in needs.items():
+            selection[multiplexer] = selection.get(multiplexer, numbers) & numbers
+            if not selection[multiplexer]:
+                raise LayoutError(
+                    f"{key}: no value of the multiplexer {message.name}.{multiplexer} has a page with all of "
+                    f"{', '.join(stated)}"
+                )
+    return selection
 
 
 def _names(page: BoundMessage, item: SignalBinding) -> bool:

@@ -54,12 +54,22 @@ class ConstantBinding(SignalBinding):
     value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
 
 
+class BesideBinding(Table):
+    """A signal of such a frame that always has the same raw value."""
+
+    signal: str = key(REQUIRED, "name of the signal in the message")
+    value: int = key(REQUIRED, "raw value", "1", ge=-(2**63), lt=2**64)
+
+
 class FrameBinding(Table):
-    """A frame that says something by itself: a message without signals, or with one value in it."""
+    """A frame that says something by itself: a message without signals, or with stated values in it."""
 
     message: str = key(REQUIRED, "name of the message in the DBC file")
     signal: str = key("", "name of a signal in it; without: the message alone says it")
     value: int = key(0, "raw value of that signal", "1", ge=-(2**63), lt=2**64)
+    constant: list[BesideBinding] = key(
+        [], "other signals of the frame, with their raw values", exclude_if=lambda entries: not entries
+    )
 
 
 class AskBinding(Table):
