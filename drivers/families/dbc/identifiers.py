@@ -77,6 +77,11 @@ def _checksum(page: BoundMessage) -> int:
     return as_number(bytes(page.checksum_at) + b"\xff") if page.checksum_at >= 0 else 0
 
 
+def _apart(one: Mark, other: Mark) -> int:
+    """The bits that are never the same in frames of these two looks."""
+    return one.mask & other.mask & (one.bits ^ other.bits)
+
+
 def tell_apart(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
     """Mark the messages that share an identifier. Raises LayoutError for two whose frames may be the same."""
     by_id: dict[int, list[tuple[BoundMessage, Mark]]] = {}
@@ -86,7 +91,7 @@ def tell_apart(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
         for (one, first), (other, second) in combinations(sharing, 2):
             if one.name == other.name:
                 continue
-            mask = first.mask & second.mask & (first.bits ^ second.bits)
+            mask = _apart(first, second)
             if not mask:
                 raise LayoutError(
                     f"{file}: messages {one.name} and {other.name} are both bound, on one identifier, "
@@ -106,6 +111,20 @@ def refuse_one_page(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> No
                 f"{file}: message {one.name}: two of its bound pages are one by their multiplexers, so that their "
                 f"frames would undo each other; name the page of a signal that is on several: 'SIGNAL m{page}'"
             )
+
+
+def refuse_hidden(
+    looks: Sequence[tuple[BoundMessage, Mark]], lone: Sequence[tuple[BoundMessage, Mark]], file: str
+) -> None:
+    """Raise LayoutError for a frame that says something by itself and may be a command of its own message."""
+    for page, frame in lone:
+        for command, look in looks:
+            if command.name == page.name and not _apart(look, frame):
+                raise LayoutError(
+                    f"{file}: message {page.name} is bound as command, and a frame of it stands in bus.dbc.start, stop "
+                    "or read_back: a command may be the same frame. A signal with another value in each has to tell "
+                    "them apart"
+                )
 
 
 def refuse_both_ways(said: Sequence[BoundMessage], heard: Sequence[BoundMessage], file: str) -> None:

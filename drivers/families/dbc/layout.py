@@ -15,6 +15,7 @@ from drivers.families.dbc.identifiers import (
     frame_look,
     heard_look,
     refuse_both_ways,
+    refuse_hidden,
     refuse_one_page,
     tell_apart,
 )
@@ -241,8 +242,10 @@ class DbcLayout:
         for bound in (*self._torque, *self._counters):
             values.free(bound)
         looks = [(page, values.look(page)) for page in self._commands]
+        lone = [(page, frame_look(page, raw)) for page, raw in self._frames_alone()]
         refuse_one_page(looks, file)
-        tell_apart([*looks, *((page, frame_look(page, raw)) for page, raw in self._frames_alone())], file)
+        refuse_hidden(looks, lone, file)
+        tell_apart([*looks, *lone], file)
         tell_apart([(page, heard_look(page)) for page in self._heard_pages()], file)
 
     def _frames_alone(self) -> list[Lone]:

@@ -78,6 +78,22 @@ def test_start_and_stop_may_differ_in_their_constants_alone(tmp_path: Path) -> N
         ends(tmp_path, on, on)
 
 
+@pytest.mark.parametrize(("on", "off", "fits"), [(1, 2, True), (1, 0, False), (0, 2, False)])
+def test_an_order_in_the_message_of_the_torque_is_never_a_torque(on: int, off: int, fits: bool, tmp_path: Path) -> None:
+    """A command has zero in the order's signal, as nothing else is bound there."""
+    text = TEXT.replace("BO_ 772", ' SG_ Mode : 16|8@1+ (1,0) [0|0] "" D\nBO_ 772')
+    (tmp_path / "made.dbc").write_text(text)
+    frames = {
+        key: [{"message": "Cmd", "signal": "Mode", "value": value}] for key, value in (("start", on), ("stop", off))
+    }
+    bus = BusConfig.model_validate({"protocol": "dbc:made.dbc", "dbc": table({}, {}) | frames})
+    if fits:
+        assert host_protocol(bus, 1, [20.0], tmp_path, MS).encode(Command(0, [0.0], 0, False))[0].data[2] == off
+        return
+    with pytest.raises(LayoutError, match=r"made\.dbc: message Cmd is bound as command, and a frame of it stands"):
+        host_protocol(bus, 1, [20.0], tmp_path, MS)
+
+
 @pytest.mark.parametrize(
     ("constant", "says"),
     [
