@@ -122,6 +122,15 @@ def bound_signals(binding: DbcBinding) -> set[tuple[str, str]]:
     return pairs | {(message, signal) for message, _, signal in (name.partition(".") for name in pages)}
 
 
+def refuse_selector(key: str, item: SignalBinding, page: BoundMessage) -> None:
+    """Raise LayoutError for a signal that selects its page."""
+    if item.signal in page.selection:
+        raise LayoutError(
+            f"{key}: {item.message}.{item.signal} is a multiplexer and says which page is bound: nothing but a "
+            "bus.dbc.constant can be on it"
+        )
+
+
 class Pages:
     """All pages that a binding uses. Raises LayoutError with every name that is not in the file, and the nearest."""
 
@@ -157,7 +166,14 @@ class Pages:
     def bound(self, key: str, item: SignalBinding, beside: BoundMessage | None = None) -> Bound:
         """The page that a signal is bound on, and its place there. beside: the page, where the signal is on it."""
         if beside is not None and beside.name == item.message and beside.carries(item.signal):
-            return Bound(beside, beside.place(item))
+            page = beside
+        else:
+            page = self._page_of(key, item)
+        if not key.startswith("bus.dbc.constant"):
+            refuse_selector(key, item, page)
+        return Bound(page, page.place(item))
+
+    def _page_of(self, key: str, item: SignalBinding) -> BoundMessage:
         message = self._database.get_message_by_name(item.message)
         selection = selection_of(message, _signal(message, item.signal))
         pages = [page for page in self._pages[item.message] if page.carries(item.signal)]
@@ -171,8 +187,7 @@ class Pages:
                 f"{key}: {item.message}.{item.signal} is on {len(pages)} bound pages of a multiplexed message; bind "
                 "the signals of one page"
             )
-        page = (exact or pages)[0]
-        return Bound(page, page.place(item))
+        return (exact or pages)[0]
 
     def alone(self, key: str, frame: FrameBinding) -> tuple[BoundMessage, list[Any]]:
         """A page for one frame that says something by itself, and its raw values."""

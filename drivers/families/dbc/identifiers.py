@@ -102,14 +102,20 @@ def tell_apart(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
             other.marked(Mark(mask, second.bits & mask))
 
 
-def refuse_one_page(looks: Sequence[tuple[BoundMessage, Mark]], file: str) -> None:
-    """Raise LayoutError for two bound pages of a command message that are one by their multiplexers."""
-    for (one, first), (other, second) in combinations(looks, 2):
-        if one.name == other.name and not (first.bits ^ second.bits) & (_multiplexers(one) | _multiplexers(other)):
-            page = min(raw for _, raws in one.chosen for raw in raws)
+def refuse_one_page(said: Sequence[BoundMessage], heard: Sequence[BoundMessage], file: str) -> None:
+    """Raise LayoutError for two bound pages of a message that may be one by their multiplexers: values of the one would
+    be zero in frames of the other.
+
+    Pages of feedback may be one within the other, and a signal that is on all pages is read on each.
+    """
+    pairs = [*combinations(said, 2), *((a, b) for a, b in combinations(heard, 2) if {*a.selection} == {*b.selection})]
+    for one, other in pairs:
+        shared = one.selection.keys() & other.selection.keys() if one.name == other.name else set()
+        both = [min(one.selection[name] & other.selection[name], default=-1) for name in shared]
+        if both and min(both) >= 0:
             raise LayoutError(
                 f"{file}: message {one.name}: two of its bound pages are one by their multiplexers, so that their "
-                f"frames would undo each other; name the page of a signal that is on several: 'SIGNAL m{page}'"
+                f"frames would undo each other; name the page of a signal that is on several: 'SIGNAL m{min(both)}'"
             )
 
 

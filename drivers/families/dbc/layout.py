@@ -6,7 +6,15 @@ from typing import Any, NamedTuple
 from drivers.arbitration import arbitration_key
 from drivers.config import Wiring
 from drivers.families.dbc.agreement import Owned, check_owners, check_torques, count_size, per_axis
-from drivers.families.dbc.binding import Pages, bound_items, bound_names, bound_signals, check_binding, check_numbers
+from drivers.families.dbc.binding import (
+    Pages,
+    bound_items,
+    bound_names,
+    bound_signals,
+    check_binding,
+    check_numbers,
+    refuse_selector,
+)
 from drivers.families.dbc.config import AskBinding, DbcBinding, FrameBinding, SignalBinding, StatusBinding, dbc_keys
 from drivers.families.dbc.endpoints import number_pages
 from drivers.families.dbc.file import load_used
@@ -26,6 +34,7 @@ from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError
 from drivers.protocols.read_back import Question
 
 _NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
+_CHECKSUM = "bus.dbc.checksum"
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
 _INPUT_BITS = {"limit_low": DriveStatus.LIMIT_LOW, "limit_high": DriveStatus.LIMIT_HIGH, "home": DriveStatus.HOME}
 COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
@@ -109,7 +118,7 @@ class DbcLayout:
     def _bind(self, binding: DbcBinding) -> None:
         """Every signal to its page."""
         for key, item in bound_items(binding):
-            if not key.startswith(_NUMBERS):
+            if not key.startswith((*_NUMBERS, _CHECKSUM)):
                 self._bound(key, item).message.whole(key, item)
         self._position = self._all("position", binding.position)
         self._torque = self._all("torque", binding.torque)
@@ -129,8 +138,10 @@ class DbcLayout:
             for axis, item in enumerate(binding.feedback_counter)
         ]
         self._counters = self._all("command_counter", binding.command_counter)
-        for checksum in binding.checksum:
-            for page in self._pages.of(checksum.message):
+        for at, checksum in enumerate(binding.checksum):
+            for page in self._pages.of(f"{checksum.message}.{checksum.signal}"):
+                refuse_selector(f"{_CHECKSUM}[{at}]", checksum, page)
+                page.whole(f"{_CHECKSUM}[{at}]", checksum)
                 page.protect(checksum)
         self._switch = [(item.on, item.off) for item in binding.enable]
         self._bit_per_axis = len(self._enable) == 1 and self._enable[0].place.bits > 1 and self._switch[0] == (1, 0)
@@ -243,7 +254,7 @@ class DbcLayout:
             values.free(bound)
         looks = [(page, values.look(page)) for page in self._commands]
         lone = [(page, frame_look(page, raw)) for page, raw in self._frames_alone()]
-        refuse_one_page(looks, file)
+        refuse_one_page(self._commands, self._heard_pages(), file)
         refuse_hidden(looks, lone, file)
         tell_apart([*looks, *lone], file)
         tell_apart([(page, heard_look(page)) for page in self._heard_pages()], file)

@@ -92,6 +92,10 @@ def test_pages_with_such_a_signal_may_be_sent_on_change(text: str, tmp_path: Pat
         (RANGES, {"status": "State m2"}, "message Fb has no signal 'State m2'; did you mean Fb.State"),
         (RANGES, {"status": "State m1", "error": "State"}, "Fb: State is bound on page 'State m1' and on all"),
         (RANGES, {"enable": "On"}, "message Cmd: two of its bound pages are one by their multiplexers"),
+        (RANGES, {"status": "State"}, "message Fb: two of its bound pages are one by their .* 'SIGNAL m1'"),
+        (RANGES, {"status": "Kind"}, r"bus.dbc.status\[0\]: Fb.Kind is a multiplexer and says which page is bound"),
+        (RANGES, {"enable": "Sort"}, r"bus.dbc.enable\[0\]: Cmd.Sort is a multiplexer and says which page is bound"),
+        (RANGES, {"checksum": "Kind"}, r"bus.dbc.checksum\[0\]: Fb.Kind is a multiplexer and says which page"),
         (DOUBLES.replace(" m3 :", " m1 :"), {}, r"message Fb has 2 signals 'State m1'"),
     ],
 )
@@ -102,6 +106,20 @@ def test_what_is_not_one_page_is_refused_in_one_line(
     with pytest.raises(LayoutError, match=says) as refusal:
         ends(tmp_path, text, **bound)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("page", "sums"), [(" m1", ("04", "00")), ("", ("04", "0d"))])
+def test_a_checksum_protects_the_pages_that_have_it(page: str, sums: tuple[str, str], tmp_path: Path) -> None:
+    text = DOUBLES + f' SG_ Sum{page} : 56|8@1+ (1,0) [0|0] "" D\n'
+    host, _ = ends(
+        tmp_path,
+        text,
+        checksum=[{"message": "Cmd", "signal": "Sum"}],
+        checksum_algorithm="sum8",
+        constant=[{"message": "Cmd", "signal": "Limit m4", "value": 9}],
+    )
+    first, second = sorted(frame.data for frame in host.encode(Command(0, [0.02], 1, False)))
+    assert (first.hex(), second.hex()) == ("01020001000000" + sums[0], "04090000000000" + sums[1])
 
 
 def test_pages_that_nothing_selects_are_told(tmp_path: Path) -> None:
