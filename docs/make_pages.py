@@ -266,13 +266,13 @@ def main() -> None:
     """Write the pages."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     folder.mkdir(exist_ok=True)
+    WRITTEN.write_text(as_json(in_schema()), encoding="utf-8")  # first: pages are made from it
     (folder / "states.md").write_text(states_page(), encoding="utf-8")
     (folder / "faults.md").write_text(faults_page(), encoding="utf-8")
     (folder / "answers.md").write_text(answers_page(), encoding="utf-8")
     (folder / "safety-case.md").write_text(safety_case_page(), encoding="utf-8")
     (folder / "rig-file.md").write_text(rig_file_page(), encoding="utf-8")
     SCHEMA.write_text(rig_schema(), encoding="utf-8")
-    WRITTEN.write_text(as_json(in_schema()), encoding="utf-8")
     for path, text in viewer_files().items():
         path.write_text(text, encoding="utf-8")
     (folder / "laws.md").write_text(laws_page(), encoding="utf-8")

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 from drivers.frame import Frame
 
@@ -30,8 +30,10 @@ class DriveStatus(IntFlag):
 MOST_SENT: Final = 16  # frames to the drives in a tick, of any layout: a record keeps every one (hil/cycle/record.py)
 EVERY_STATUS: Final = int(~DriveStatus(0))  # all bits; anything beyond is no status
 INPUTS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH | DriveStatus.HOME  # digital inputs, of the axis' mechanics
-OF_DRIVES: Final = EVERY_STATUS & ~int(INPUTS)  # what a drive says of itself
+OF_DRIVES: Final = (1 << 7) - 1  # ENABLED to ENCODER_FAULT: what any drive says of itself; a later bit, who names it
 UNHEALTHY = DriveStatus.FAULT | DriveStatus.WATCHDOG | DriveStatus.ENCODER_FAULT  # with any of these no rig gets READY
+InputName = Literal["limit_low", "limit_high", "home"]  # INPUTS, as rig files name them
+STATUS_NAMES: Final = tuple((bit.name or "").lower() for bit in DriveStatus)  # as rig files and recordings name them
 
 
 class Reject(IntEnum):

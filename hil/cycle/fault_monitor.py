@@ -37,12 +37,8 @@ from hil.rig.schema import SafetyConfig
 _FAULTS: Final = list(Fault)  # by number
 REACTIONS: Final = [Reaction.COUNT] + [ROWS[fault].reaction for fault in Fault if fault]
 _BLOCKING: Final = sum(1 << f for f, rule in ROWS.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
-_STATUS_FAULTS = (
-    (int(DriveStatus.FAULT), Fault.DRIVE_FAULT),
-    (int(DriveStatus.WATCHDOG), Fault.DRIVE_WATCHDOG),
-    (int(DriveStatus.ENCODER_FAULT), Fault.ENCODER_FAULT),
-)
-_BAD_STATUS: Final = sum(bit for bit, _ in _STATUS_FAULTS)
+_STATUS_FAULTS: Final = [(int(rule.status), fault) for fault, rule in ROWS.items() if rule.status]
+_BAD_STATUS: Final = sum(bits for bits, _ in _STATUS_FAULTS)
 NO_ACK_TICKS: Final = 2  # in a row
 _ARMED: Final = [sum(1 << fault for fault, rule in ROWS.items() if state in rule.states) for state in State]
 
@@ -216,8 +212,8 @@ class FaultMonitor:
             if sample is None:
                 continue
             if sample.status & _BAD_STATUS:
-                for bit, fault in _STATUS_FAULTS:
-                    if sample.status & bit:
+                for bits, fault in _STATUS_FAULTS:
+                    if sample.status & bits:
                         self.flag_state(fault, 1, axis)
             if enabled_seen and not sample.status & DriveStatus.ENABLED:
                 self.flag_state(Fault.DRIVE_DISABLED, 0, axis)

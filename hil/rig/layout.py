@@ -43,4 +43,6 @@ def demands(rig: RigConfig) -> list[tuple[str, int, int]]:
             found.append((f"axes.{name}.limits.switches = true", number, int(LIMITS)))
         if axis.home is not None and axis.home.by == "switch":
             found.append((f'axes.{name}.home.by = "switch"', number, int(DriveStatus.HOME)))
+        for bit in axis.must_tell:
+            found.append((f'axes.{name}.must_tell = ["{bit}"]', number, int(DriveStatus[bit.upper()])))
     return found

@@ -6,10 +6,11 @@ Quantities are in SI units; where an axis is rotary, the unit in brackets holds.
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from drivers.base.keys import REQUIRED, Table, key
 from drivers.base.plugins import Kind, known, unknown
+from drivers.protocols.base import STATUS_NAMES
 from drivers.protocols.mounting import Mounting
 from hil.rig.error_map_table import ErrorMapConfig
 from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
@@ -23,9 +24,17 @@ MAX_AXES: Final = 4
 LEAST_RATE_HZ = 10
 AXIS_NAME = r"^[a-z][a-z0-9_]{0,15}$"
 
+
+def _status_bit(name: str) -> str:
+    if name not in STATUS_NAMES:
+        raise ValueError(f"no status bit; allowed: {', '.join(STATUS_NAMES)}")
+    return name
+
+
 Duration = Annotated[float, Field(gt=0, le=1e6)]  # s; a thousand cells of the longest still fit 64 bits of ns
 Pause = Annotated[float, Field(ge=0, le=1e6)]  # s
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+StatusBit = Annotated[str, AfterValidator(_status_bit), Field(json_schema_extra={"enum": list(STATUS_NAMES)})]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -118,6 +127,11 @@ class AxisConfig(Table):
     offset: float = key(0.0, "the axis' position where the drive's is 0", "m (rad)")
     push: PushConfig | None = key(
         None, "see by a small push that force and position have the stated sign and scale, before a task may run"
+    )
+    must_tell: list[StatusBit] = key(
+        [],
+        "status bits that the axis' drive has to be able to tell: a layout that has no room for one is refused",
+        exclude_if=lambda bits: not bits,
     )
     home: HomeConfig | None = key(None, "switch that tells the axis its home position; while homing, it is no fault")
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")

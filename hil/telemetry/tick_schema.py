@@ -15,7 +15,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import Message
 
-from drivers.protocols.base import DriveStatus
+from drivers.protocols.base import STATUS_NAMES, DriveStatus
 from hil.cycle.fault_table import Fault
 from hil.cycle.goal import MotionWord
 from hil.cycle.record import MOTION_FIELDS
@@ -135,7 +135,7 @@ class TickSchema:
     @property
     def metadata(self) -> dict[str, str]:
         """For the channel: units, steps, and the bits of drive_status, each as JSON."""
-        bits = {(flag.name or "").lower(): int(flag) for flag in DriveStatus}
+        bits = dict(zip(STATUS_NAMES, map(int, DriveStatus), strict=True))
         return {"units": json.dumps(self.units), "steps": json.dumps(self.steps), "drive_status": json.dumps(bits)}
 
 

@@ -171,18 +171,18 @@ def _extreme(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
     return _tap_samples(stage, axis, lambda sample: replace(sample, position=_MOST_NEGATIVE))
 
 
-def _show(stage: EmulatedStage, axis: int, bit: DriveStatus) -> Undo:
+def _show(stage: EmulatedStage, axis: int, bits: int) -> Undo:
     drive = stage.drives[axis]
-    drive.extra_status |= int(bit)
+    drive.extra_status |= int(bits)
 
     def undo() -> None:
-        drive.extra_status &= ~int(bit)
+        drive.extra_status &= ~int(bits)
 
     return undo
 
 
-def _encoder_fault(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
-    return _show(stage, axis, DriveStatus.ENCODER_FAULT)
+def _status(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
+    return _show(stage, axis, KINDS[fault.kind].shows)
 
 
 def _limit_switch(stage: EmulatedStage, axis: int, fault: FaultConfig) -> Undo:
@@ -298,7 +298,6 @@ _BEGIN: dict[str, Callable[[EmulatedStage, int, FaultConfig], Undo | None]] = {
     "encoder_glitch": _glitch,
     "encoder_noise": _noise,
     "encoder_extreme": _extreme,
-    "encoder_fault": _encoder_fault,
     "limit_switch": _limit_switch,
     "drive_fault": _drive_fault,
     "drive_watchdog": _drive_watchdog,
@@ -321,3 +320,4 @@ _OF_SENSORS: dict[str, Callable[[float], Callable[[sensor.SensorNode], sensor.Ta
     "sensor_sequence": lambda value: sensor.renumbered(round(value)),
 }
 _BEGIN |= {kind: _change_plant for kind in KINDS if kind.startswith(PLANT_PREFIX)}
+_BEGIN |= {kind: _status for kind, meaning in KINDS.items() if meaning.shows}

@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from drivers.base.keys import Table
 from drivers.base.toml_file import TomlError, first_problems, read_toml, short, shown
+from drivers.protocols.base import DriveStatus
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
 
 WIRE_PREFIX = "wire_"
@@ -30,13 +31,17 @@ _TRIGGERS = ("at_s", "at_tick", "at_state", "at_phase")
 
 
 class Kind(NamedTuple):
-    """What a kind does; `value`'s unit ("": takes none), its default (None: must be given) and allowed range."""
+    """What a kind does; `value`'s unit ("": takes none), its default (None: must be given) and allowed range.
+
+    shows: DriveStatus bits that the drive tells as long as it lasts; such a kind needs nothing in injector.py.
+    """
 
     text: str
     unit: str = ""
     default: float | None = None
     low: float = 0.0
     high: float = 0.0
+    shows: int = 0
 
 
 KINDS: dict[str, Kind] = {
@@ -46,7 +51,7 @@ KINDS: dict[str, Kind] = {
     "encoder_glitch": Kind("single counts are off by value, with `probability` each", "m or rad", None, -1e3, 1e3),
     "encoder_noise": Kind("uniform noise within +-value on every count", "m or rad", None, 0.0, 1e3),
     "encoder_extreme": Kind("the most negative count there is: what a NaN becomes in an integer"),
-    "encoder_fault": Kind("the drive says that its encoder cannot be trusted"),
+    "encoder_fault": Kind("the drive says that its encoder cannot be trusted", shows=DriveStatus.ENCODER_FAULT),
     "limit_switch": Kind("a limit switch closes: value -1 the low one, 1 the high one", "side", 1.0, -1.0, 1.0),
     "drive_fault": Kind("the drive finds a fault and latches it; for the duration it comes back after every reset"),
     "drive_watchdog": Kind("the drive's watchdog trips"),

@@ -1,5 +1,6 @@
 """Reaction and states of every fault, written down a second time: a row changed by mistake turns a test red."""
 
+from drivers.protocols.base import DriveStatus
 from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.state_machine import State
 
@@ -58,9 +59,14 @@ EXPECTED: dict[Fault, tuple[Reaction, set[State]]] = {
     Fault.SENSOR_RANGE: (Reaction.STOP, MOVING),
     Fault.SENSOR_SEQUENCE: (Reaction.COUNT, MOVING),
 }
+BITS = {  # a drive's status that is a fault by itself
+    Fault.DRIVE_FAULT: DriveStatus.FAULT,
+    Fault.DRIVE_WATCHDOG: DriveStatus.WATCHDOG,
+    Fault.ENCODER_FAULT: DriveStatus.ENCODER_FAULT,
+}
 # A drive holds these, so they do not keep RESET from clearing them.
 DRIVES_OWN = {fault for fault in ROWS if fault.name.startswith("DRIVE_")} | {
+    *BITS,
     Fault.ENABLE_TIMEOUT,
-    Fault.ENCODER_FAULT,
     Fault.LIMIT_SWITCH,
 }

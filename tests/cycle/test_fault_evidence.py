@@ -12,9 +12,9 @@ from hil.cycle.fault_monitor import NO_ACK_TICKS
 from hil.cycle.fault_table import Fault
 from hil.cycle.record import MAX_EVIDENCE, NO_AXIS
 from hil.cycle.state_machine import State
+from tests.cycle.expected_faults import BITS
 from tests.cycle.test_fault_thresholds import (
     AXIS,
-    BITS,
     CASES,
     INNOVATION,
     LIMIT,

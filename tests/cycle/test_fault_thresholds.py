@@ -24,7 +24,7 @@ from hil.cycle.inbox import Inbox
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
 from hil.rig.schema import SafetyConfig
-from tests.cycle.expected_faults import DRIVES_OWN, EXPECTED
+from tests.cycle.expected_faults import BITS, DRIVES_OWN, EXPECTED
 
 Reference = vars(fault_monitor)["Reference"]  # in the compiled build, that of native floats
 PERIOD_NS = 1_000_000
@@ -32,11 +32,6 @@ SAFETY = SafetyConfig(
     silent_stop_ticks=3, silent_zero_ticks=10, bad_frame_limit=5, stuck_ticks=50, nis_ticks=20, flood_frames=12,
     transmit_refused_limit=4, overrun_streak=6, overrun_zero_s=0.02, disable_timeout_ticks=30,
 )  # fmt: skip
-BITS = {  # a drive's status that is a fault by itself
-    Fault.DRIVE_FAULT: DriveStatus.FAULT,
-    Fault.DRIVE_WATCHDOG: DriveStatus.WATCHDOG,
-    Fault.ENCODER_FAULT: DriveStatus.ENCODER_FAULT,
-}
 SWITCHES = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 LIMITS = [
     AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0, 5.0),

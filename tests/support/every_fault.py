@@ -41,6 +41,7 @@ from hil.studies.fault_campaign.sensors import beyond, falsified, skipping
 from hil.studies.fault_campaign.trial import Step, host_frames, once
 from hil.virtual.lockstep import LockstepRun, Observer
 from sim_plant.nodes.sensor import silent, stuck
+from tests.cycle.expected_faults import BITS
 from tests.support.paths import RIGS
 
 BEGIN = 700  # tick from which the cause is there: the approach to the figure, both axes move
@@ -111,7 +112,7 @@ _PUSHES = tuple(f"axes.{axis}.push={{force={force}, distance=4e-3}}" for axis, f
 _SENSOR = ('sensors.force={can_id=0x300, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}',)
 _wire: Callable[..., Step] = host_frames
 
-CAUSES = (
+_CAUSES = (
     Cause(Fault.ENCODER_GAP, axis_frames(FaultKind.DROP, count=1), Y),
     Cause(Fault.ENCODER_LOST, axis_frames(FaultKind.DROP), Y),
     Cause(Fault.ENCODER_DEAD, axis_frames(FaultKind.DROP), Y),
@@ -130,7 +131,6 @@ CAUSES = (
     Cause(Fault.DRIVE_WATCHDOG, once(trip), Y),
     Cause(Fault.DRIVE_DISABLED, once(drop_out), Y),
     Cause(Fault.ENABLE_TIMEOUT, once(_never_enabled), Y, ("safety.enable_timeout_ticks=40",), begin=0),
-    Cause(Fault.ENCODER_FAULT, status_bit(DriveStatus.ENCODER_FAULT), Y),
     Cause(Fault.BUS_PASSIVE, _wire(FaultKind.NO_ACK)),
     Cause(Fault.BUS_OFF, _wire(FaultKind.BUS_OFF)),
     Cause(Fault.NO_ACK, _wire(FaultKind.NO_ACK)),
@@ -160,3 +160,5 @@ CAUSES = (
     Cause(Fault.SENSOR_RANGE, falsified(beyond), "force", _SENSOR),
     Cause(Fault.SENSOR_SEQUENCE, falsified(skipping), "force", _SENSOR),
 )
+_OWN = {cause.fault for cause in _CAUSES}
+CAUSES = (*_CAUSES, *(Cause(fault, status_bit(bit), Y) for fault, bit in BITS.items() if fault not in _OWN))

@@ -29,12 +29,13 @@ from drivers.families.cia402.cia301 import DriveState
 from drivers.families.cia402.config import Cia402Config, cia402_keys
 from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.inputs import LENGTH as INPUTS_LENGTH
+from drivers.families.cia402.inputs import TELLS as INPUTS
 from drivers.families.cia402.inputs import TPDO2_ID, InputWatch
 from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
 from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.frame import ECHO, FD, Frame
-from drivers.protocols.base import INPUTS, OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
+from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
 from drivers.protocols.sampling_clock import SamplingClock
 from drivers.protocols.segments import of_axes

@@ -11,12 +11,10 @@ DIGITAL_INPUTS: Final = 0x60FD
 TPDO2_ID: Final = 0x280
 LENGTH: Final = 4  # bytes
 UNTOLD_TICKS: Final = 5  # after which inputs that were told are no longer believed
-_STATUS: Final = tuple(
-    (int(DriveStatus.LIMIT_LOW) if word & 1 else 0)
-    | (int(DriveStatus.LIMIT_HIGH) if word & 2 else 0)
-    | (int(DriveStatus.HOME) if word & 4 else 0)
-    for word in range(8)
-)
+_BITS: Final = (int(DriveStatus.LIMIT_LOW), int(DriveStatus.LIMIT_HIGH), int(DriveStatus.HOME))  # from bit 0 on
+TELLS: Final = sum(_BITS)
+_MASK: Final = (1 << len(_BITS)) - 1
+_STATUS: Final = tuple(sum(bit for place, bit in enumerate(_BITS) if word >> place & 1) for word in range(_MASK + 1))
 _FAULT: Final = int(DriveStatus.FAULT)
 
 
@@ -28,7 +26,7 @@ class InputWatch:
 
     def hear(self, data: bytes, tick: int) -> None:
         """A TPDO 2 of LENGTH bytes."""
-        self._status, self._tick = _STATUS[data[0] & 7], tick
+        self._status, self._tick = _STATUS[data[0] & _MASK], tick
 
     def status(self, tick: int) -> int:
         """DriveStatus bits: FAULT besides, where the drive has not told them for UNTOLD_TICKS."""

@@ -3,6 +3,7 @@
 from typing import Any, Literal
 
 from drivers.base.keys import REQUIRED, Table, key
+from drivers.protocols.base import InputName
 
 
 class SignalBinding(Table):
@@ -42,9 +43,7 @@ class InputBinding(SignalBinding):
     """A digital input of an axis: a switch that is wired to its drive, or to another node."""
 
     axis: int = key(REQUIRED, "whose switch, from 0, in the order of [axes]", "1", ge=0, le=63)
-    input: Literal["limit_low", "limit_high", "home"] = key(
-        REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch"
-    )
+    input: InputName = key(REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch")
     closed: list[int] = key([1], "raw values with which the switch is closed", "1", min_length=1)
 
 

@@ -36,7 +36,6 @@ from drivers.protocols.read_back import Question
 _NUMBERS = ("bus.dbc.position", "bus.dbc.torque", "bus.dbc.constant", "bus.dbc.read_back")
 _CHECKSUM = "bus.dbc.checksum"
 ENABLED, FAULT = int(DriveStatus.ENABLED), int(DriveStatus.FAULT)
-_INPUT_BITS = {"limit_low": DriveStatus.LIMIT_LOW, "limit_high": DriveStatus.LIMIT_HIGH, "home": DriveStatus.HOME}
 COUNTS = 2.0**53  # beyond which a count is none that a float can tell from the next
 _UNASKED = (
     "bus.dbc.read_back has no entry: whether the drives keep the mode and the limits that they were told is not asked"
@@ -127,7 +126,7 @@ class DbcLayout:
         self._reset = self._all("reset", binding.reset)
         self._error = self._all("error", binding.error)
         self._inputs = [
-            Input(item.axis, int(_INPUT_BITS[item.input]), bound, frozenset(item.closed))
+            Input(item.axis, int(DriveStatus[item.input.upper()]), bound, frozenset(item.closed))
             for item, bound in zip(binding.inputs, self._all("inputs", binding.inputs), strict=True)
         ]
         self._feedback = [bound.message for bound in self._position]

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from drivers.base.keys import REQUIRED, Table, key
+from drivers.protocols.base import InputName
 
 MoteusNumber = Annotated[int, Field(ge=1, le=127)]
 
@@ -13,9 +14,7 @@ class MoteusInput(Table):
     """A switch at a pin of a controller, which `auxN.pins` of the controller calls a digital input."""
 
     axis: int = key(REQUIRED, "whose switch, from 0, in the order of [axes]", "1", ge=0, le=63)
-    input: Literal["limit_low", "limit_high", "home"] = key(
-        REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch"
-    )
+    input: InputName = key(REQUIRED, "limit switch at the least or greatest position of the drive, or the home switch")
     aux: Literal[1, 2] = key(1, "connector that it is wired to", "1")
     pin: int = key(REQUIRED, "pin of that connector, from 1", "1", ge=1, le=5)
     closed: Literal[0, 1] = key(1, "level with which the switch is closed", "1")

@@ -9,7 +9,6 @@ from drivers.protocols.base import DriveStatus, LayoutError
 
 REPLY_BYTES: Final = 3  # of one register in an answer
 _OF_AUX: Final = {1: Register.AUX1_GPIO_STATUS, 2: Register.AUX2_GPIO_STATUS}
-_BITS: Final = {"limit_low": DriveStatus.LIMIT_LOW, "limit_high": DriveStatus.LIMIT_HIGH, "home": DriveStatus.HOME}
 
 
 class Pin(NamedTuple):
@@ -28,7 +27,7 @@ class Pins:
 
     def __init__(self, entries: Sequence[MoteusInput]) -> None:
         self._pins = [
-            Pin(int(_OF_AUX[entry.aux]), 1 << (entry.pin - 1), entry.closed, int(_BITS[entry.input]))
+            Pin(int(_OF_AUX[entry.aux]), 1 << (entry.pin - 1), entry.closed, int(DriveStatus[entry.input.upper()]))
             for entry in entries
         ]
         registers = sorted({pin.register for pin in self._pins})

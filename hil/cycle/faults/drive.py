@@ -3,6 +3,7 @@
 from typing import Final
 
 from drivers.protocols.answer_fields import Field
+from drivers.protocols.base import DriveStatus
 from hil.cycle.faults.row import MOVING, RESET, RESTING, WATCHING, Form, Reaction, Row, Trial
 
 _CABLE: Final = "check the drive's supply and its cable"
@@ -19,6 +20,7 @@ ROWS: Final = (
         drive_latched=True,
         told_by_drives=True,
         form=Form.STATE,
+        status=DriveStatus.FAULT,
         measured="its fault bit is set",
         cause="the drive found a fault",
         action=f"read the drive's own log, {RESET}",
@@ -42,6 +44,7 @@ ROWS: Final = (
         drive_latched=True,
         told_by_drives=True,
         form=Form.STATE,
+        status=DriveStatus.WATCHDOG,
         measured="its watchdog bit is set",
         cause="the drive heard no command for drives.watchdog_s",
         action=f"see the events before it, {RESET}",
@@ -90,6 +93,7 @@ ROWS: Final = (
         drive_latched=True,
         told_by_drives=True,
         form=Form.STATE,
+        status=DriveStatus.ENCODER_FAULT,
         measured="its encoder fault bit is set",
         cause="the drive cannot read its encoder",
         action=f"check the encoder's cable, {RESET}",

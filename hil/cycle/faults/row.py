@@ -2,7 +2,7 @@
 
 The table (fault_table.py), the numbers (number.py), the texts of events, docs/faults.md and the fault
 campaign are made from the rows. A new fault takes a row with the next number, a detector in
-hil/cycle/fault_monitor.py, and `make docs`.
+hil/cycle/fault_monitor.py (none where a status bit of a drive is the fault), and `make docs`.
 """
 
 from enum import Enum, IntEnum
@@ -65,9 +65,9 @@ class Row(NamedTuple):
     it. told_by_drives: it is seen in what a drive says of itself, as late as the drive says so. of_sensor:
     its evidence names a channel of [sensors] in the place of an axis. form, measured, unit:
     what its evidence is, and `words` what stands for {} in `measured`, by a
-    value of 0, 1, ...; "m" and "N" stand for rad and N m where the axis is rotary. cause: what usually brings it
-    about. action: what to do next. guards: the fields of an answer whose bound it watches. requirement: the one of
-    docs/safety-case.md that it serves.
+    value of 0, 1, ...; "m" and "N" stand for rad and N m where the axis is rotary. status: DriveStatus bits, any of
+    which is the fault by itself; 0: none is. cause: what usually brings it about. action: what to do next. guards: the
+    fields of an answer whose bound it watches. requirement: the one of docs/safety-case.md that it serves.
     """
 
     number: int
@@ -81,6 +81,7 @@ class Row(NamedTuple):
     action: str
     unit: str = ""
     form: Form = Form.THRESHOLD
+    status: int = 0
     drive_latched: bool = False
     told_by_drives: bool = False
     of_sensor: bool = False

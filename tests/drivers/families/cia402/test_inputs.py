@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from drivers.families.cia402.inputs import TPDO2_ID, UNTOLD_TICKS, InputWatch
-from drivers.protocols.base import INPUTS, DriveStatus, LayoutError
+from drivers.protocols.base import OF_DRIVES, DriveStatus, LayoutError
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.rig.layout import host_layout
@@ -66,7 +66,7 @@ def test_a_drive_that_ceases_to_tell_its_inputs_is_in_fault(tmp_path: Path) -> N
         (2, DriveStatus.LIMIT_HIGH),
         (4, DriveStatus.HOME),
         (0xFFFF0008, 0),  # interlock, and inputs of the maker's
-        (7, INPUTS),
+        (7, DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH | DriveStatus.HOME),
     ],
 )
 def test_the_bits_of_the_word(word: int, status: int) -> None:
@@ -89,6 +89,11 @@ def test_a_drive_that_cannot_tell_them_is_refused(fact: Fact | None, told: bool,
     with pytest.raises(LayoutError) as caught:
         host_layout(rig_of(tmp_path, fact, told=told), tmp_path)
     assert says in str(caught.value)
+
+
+def test_no_other_input_is_told(tmp_path: Path) -> None:
+    told = DriveStatus(host_layout(rig_of(tmp_path), tmp_path).tells & ~OF_DRIVES)
+    assert told == DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH | DriveStatus.HOME
 
 
 def test_their_frames_are_counted_in_the_bus_load(tmp_path: Path) -> None:

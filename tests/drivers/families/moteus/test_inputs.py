@@ -8,13 +8,14 @@ import pytest
 from drivers.families.moteus.config import MoteusInput
 from drivers.families.moteus.inputs import Pins
 from drivers.families.moteus.registers import REPLY, Register, Type, Value
-from drivers.protocols.base import INPUTS, DriveStatus, LayoutError
+from drivers.protocols.base import DriveStatus, LayoutError
 from hil.rig.layout import host_layout
 from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from tests.support.paths import RIGS
 from tests.support.switch_run import assert_switch_stops
 
+ALL_WIRED = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH | DriveStatus.HOME
 WIRED = [{"axis": 0, "input": "limit_low", "pin": 1}, {"axis": 0, "input": "limit_high", "pin": 2}]
 
 
@@ -41,7 +42,7 @@ def test_an_axis_that_runs_onto_a_switch_is_stopped(direction: int) -> None:
         (1, 1, DriveStatus.LIMIT_LOW),
         (0b10000, 1, DriveStatus.LIMIT_HIGH),
         (0, 0, DriveStatus.HOME),
-        (0b10001, 0b11110, INPUTS),
+        (0b10001, 0b11110, ALL_WIRED),
     ],
 )
 def test_a_pin_is_a_bit_of_its_connector(first: int, second: int, status: int) -> None:
@@ -57,7 +58,7 @@ def test_a_pin_is_a_bit_of_its_connector(first: int, second: int, status: int) -
     }
     assert pins.status(told) == status
     assert pins.status(dict(list(told.items())[:1])) == -1
-    assert (pins.tells, pins.answer_length, len(pins.query)) == (INPUTS, 6, 4)
+    assert (pins.tells, pins.answer_length, len(pins.query)) == (ALL_WIRED, 6, 4)
     said = {register: Value(REPLY, register, kind, raw) for register, kind, raw in pins.parts(status)}
     assert pins.status(said) == status
 
