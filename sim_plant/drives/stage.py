@@ -63,7 +63,7 @@ class StageFdDrives:
         said = (
             (sample.position & 0xFFFF_FFFF).to_bytes(4, "little")
             + (sample.stamp_ns & 0xFFFF_FFFF).to_bytes(4, "little")
-            + (sample.status & 0x3FF | (sample.sequence & 0xFFFF) << 16).to_bytes(4, "little")
+            + (sample.status & 0xFFFF | (sample.sequence & 0xFFFF) << 16).to_bytes(4, "little")
         )
         return Frame(can_id, said + crc32(said, can_id).to_bytes(4, "little"), FD | BRS)
 
