@@ -25,19 +25,17 @@ from hil.rig.tables import (
     AXIS_NAME,
     LEAST_RATE_HZ,
     MAX_AXES,
-    TWO_AXES,
     AxisConfig,
     EstimatorConfig,
-    InjectionConfig,
     LawConfig,
     LimitsConfig,
     ModelConfig,
     MotionConfig,
     SafetyConfig,
-    TaskConfig,
     TelemetryConfig,
     TimingConfig,
 )
+from hil.rig.task_tables import TWO_AXES, InjectionConfig, TaskConfig
 from sim_plant.config import PlantConfig
 
 __all__ = [
