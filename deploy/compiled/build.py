@@ -42,7 +42,7 @@ FOR_BOTH = """
 hil/control: number setpoints
 hil/control/estimator: motion_filter
 hil/control/laws: *
-sim_plant/physics: number axis disturbance dynamics encoder membrane structure
+sim_plant/physics: number axis disturbance dynamics encoder membrane structure terms
 """
 HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/"}  # of the sources, and the copies
 
@@ -82,11 +82,14 @@ IMPORTS = (
         r"\bhil\.control\.(number|setpoints|estimator\.motion_filter|laws)\b(?!\.(?:coupled|users)\b|\w)",
         r"hil.floats.\1",
     ),
-    (r"\bsim_plant\.physics\.(number|axis|disturbance|dynamics|encoder|membrane|structure)\b", r"sim_plant.floats.\1"),
+    (
+        r"\bsim_plant\.physics\.(number|axis|disturbance|dynamics|encoder|membrane|structure|terms)\b",
+        r"sim_plant.floats.\1",
+    ),
 )
 HIDDEN_IMPORT = re.compile(
     r"^from (?:hil(?:\.control(?:\.estimator|\.laws)?)?|sim_plant(?:\.physics)?) import "
-    r".*\b(?:control|motion_filter|number|setpoints|laws|coupled|physics|axis|dynamics|encoder|structure)\b",
+    r".*\b(?:control|motion_filter|number|setpoints|laws|coupled|physics|axis|dynamics|encoder|structure|terms)\b",
     re.MULTILINE,
 )
 

@@ -1,5 +1,5 @@
-/* One axis and one step of it: sim_plant/physics/dynamics.py and membrane.py, operation by operation. What they say of
- * the model and its units is not said again here. */
+/* One axis and one step of it: terms.py, dynamics.py and membrane.py of sim_plant/physics, operation by operation. What
+ * they say of the model and its units is not said again here. */
 #include "arithmetic.h"
 
 enum { LINES = 4, KEPT = 8 };
