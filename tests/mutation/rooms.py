@@ -37,6 +37,7 @@ ROOMS = {
         ("tests/drivers/base/test_plugin_folder.py", "tests/drivers/base/test_package_digest.py",
          "tests/drivers/base/test_call_limit.py", "tests/drivers/base/test_guard.py",
          "tests/drivers/base/test_named_file.py", "tests/control/test_user_laws.py", "tests/rig/test_user_tasks.py",
+         "tests/control/test_laws_gone_wrong.py",
          "tests/control/test_laws_per_element.py",
          "tests/virtual/test_installed_law.py", "tests/control/test_laws.py", "tests/virtual/test_user_layout.py"),
     ),
@@ -50,6 +51,7 @@ ROOMS = {
          "tests/control/test_repeat_memory.py", *_RUNS,
          "tests/control/test_handover.py", "tests/live/test_law_setting.py",
          "tests/control/test_laws.py", "tests/control/test_gain.py", _PAGES, "tests/control/test_user_laws.py",
+         "tests/control/test_laws_gone_wrong.py",
          "tests/virtual/test_learnt.py"),
     ),
     "trajectories": Room(
