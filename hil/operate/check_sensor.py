@@ -12,7 +12,8 @@ import math
 from typing import Final, NamedTuple
 
 from hil.control.motion.asked import surroundings
-from hil.control.motion.injection.settings import Settings, settings
+from hil.control.motion.injection.checked import settings
+from hil.control.motion.injection.settings import Settings
 from hil.control.motion.injection.z_laws import CONTACT_DRIFT
 from hil.cycle.limits import motion_limits
 from hil.rig.schema import RigConfig

@@ -15,7 +15,8 @@ from hil.cli.options import JsonTarget, Overrides, RigFile
 from hil.cli.output import writable, write_json
 from hil.cli.progress import Steps
 from hil.control.motion.contract import Request
-from hil.control.motion.injection.settings import Z_LAW_NAMES, Settings
+from hil.control.motion.injection.settings import Settings
+from hil.control.motion.injection.z_laws import Z_LAWS
 from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import refuse_unschedulable, rig_layout
 from hil.rig.file import load_rig
@@ -52,7 +53,7 @@ def inject(
     ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="of the emulated dish")] = 1,
     z_law: Annotated[
-        str, typer.Option("--z-law", metavar="NAME", help=f"how the tip goes in: {', '.join(Z_LAW_NAMES)}")
+        str, typer.Option("--z-law", metavar="NAME", help=f"how the tip goes in: {', '.join(Z_LAWS)}")
     ] = "",
     speed: Annotated[
         float, typer.Option(min=0.0, max=0.05, help="of search and press, m/s; 0: as the rig or the equipment has it")
@@ -164,8 +165,8 @@ def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
         raise typer.BadParameter("the rig that runs has its own", param_hint="--speed, --z-law")
     if mixed:
         raise typer.BadParameter("goes with cells, anomalies, seed, speed and --json alone", param_hint="--compare")
-    if z_law and z_law not in Z_LAW_NAMES:
-        raise typer.BadParameter(f"{z_law!r:.40}: one of {', '.join(Z_LAW_NAMES)}", param_hint="--z-law")
+    if z_law and z_law not in Z_LAWS:
+        raise typer.BadParameter(f"{z_law!r:.40}: one of {', '.join(Z_LAWS)}", param_hint="--z-law")
 
 
 def _planned(

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Column, Table
 
-from hil.control.motion.injection.settings import Z_LAW_NAMES
+from hil.control.motion.injection.z_laws import Z_LAWS
 from hil.studies.inject.batch import Batch
 from hil.studies.inject.judge import quantile, share_text, wilson
 
-COMPARED = tuple(name for name in Z_LAW_NAMES if name != "hold")  # which pierces nothing
+COMPARED = tuple(name for name in Z_LAWS if name != "hold")  # which pierces nothing
 
 
 class Compared(NamedTuple):

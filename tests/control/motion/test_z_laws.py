@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 
 from hil.control.motion.injection.cells import CellInjection
-from hil.control.motion.injection.settings import Z_LAW_NAMES
 from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
 from hil.control.motion.injection.z_laws import Z_LAWS
 from tests.support.bench_cell import AROUND, PARAMETERS, Bench, BenchCell
@@ -20,12 +19,14 @@ def injected(z_law: str, cell: BenchCell, **changes: Any) -> tuple[CellResult, B
     return bench.motion.results[0], bench
 
 
-def test_every_name_that_is_allowed_has_its_law() -> None:
-    assert tuple(Z_LAWS) == Z_LAW_NAMES
+def test_a_law_that_is_not_there_is_refused_with_those_that_are() -> None:
+    there = "press, ramp, impedance, visual, position, hold"
+    with pytest.raises(ValueError, match=rf"motion\.parameters\.z_law = 'presses'; allowed: {there}$"):
+        CellInjection(AROUND, **{**PARAMETERS, "z_law": "presses"})
 
 
 @pytest.mark.requirement(id="SR-8.3")
-@pytest.mark.parametrize("z_law", [name for name in Z_LAW_NAMES if name != "hold"])
+@pytest.mark.parametrize("z_law", [name for name in Z_LAWS if name != "hold"])
 @pytest.mark.parametrize(
     ("cell", "verdict"),
     [

@@ -6,8 +6,8 @@ from typing import Any
 from hil.control.motion.contract import Motion, Observation, References, Request, Retreat, Surroundings
 from hil.control.motion.glide import Glide
 from hil.control.motion.injection.cell_run import CellRun
+from hil.control.motion.injection.checked import settings
 from hil.control.motion.injection.senses import Senses
-from hil.control.motion.injection.settings import settings
 from hil.control.motion.injection.verdict import TOLD, CellResult, Phase, Verdict
 
 
