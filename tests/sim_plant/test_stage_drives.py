@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from drivers.config import BusConfig
 from drivers.frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.protocols import device_protocol, host_protocol
-from drivers.protocols.base import Command, LayoutError, Reject, Sample
+from drivers.protocols.base import EVERY_STATUS, Command, LayoutError, Reject, Sample
 from drivers.protocols.checksum import IdentifiedCrc8
 from sim_plant.drives.sides import drives_side
 
@@ -97,7 +97,7 @@ def test_any_whole_frame_of_stage_classic_is_obeyed_or_refused_alike(body: bytes
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @given(
-    axis=st.integers(0, 2), position=st.integers(-(2**40), 2**40), status=st.integers(0, 2**16 - 1),
+    axis=st.integers(0, 2), position=st.integers(-(2**40), 2**40), status=st.integers(0, EVERY_STATUS),
     sequence=st.integers(0, 2**20), stamp_ns=st.integers(0, 2**50),
 )  # fmt: skip
 def test_an_answer_is_the_same_bytes(
