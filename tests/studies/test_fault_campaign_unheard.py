@@ -40,6 +40,7 @@ def test_drives_that_hear_nothing_are_at_zero_by_their_own_watchdog() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.replaces_methods
 def test_drives_without_a_watchdog_fail_the_same_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ServoDrive, "trip", lambda self, now_ns: setattr(self, "deadline_ns", now_ns + 10**9))
     cell = cell_of_silence()
