@@ -10,6 +10,8 @@ from drivers.families.dbc.page import Bound, BoundMessage
 from drivers.frame import REMOTE, Frame
 from drivers.protocols.base import EVERY_STATUS, UNHEALTHY, Command, Reject, Sample
 
+NEAREST = 0.5 + 1e-9  # steps between zero and the number beside it
+
 
 class DbcDevice(DbcLayout):
     """DeviceProtocol of any DBC file: a command is whole once its last message came, after all the others.
@@ -95,6 +97,9 @@ class DbcDevice(DbcLayout):
         if len(counters) > 1:
             return Reject.STALE  # parts of two commands
         force = [max(-rated, min(rated, value)) for value, rated in zip(force, self._rated, strict=True)]
+        for axis, bound in enumerate(self._torque):
+            if not enable >> axis & 1 and abs(force[axis]) <= abs(bound.place.gain) * NEAREST:
+                force[axis] = 0.0  # of a drive that is off: an offset may leave no number for zero
         return Command(max(counters, default=0), force, enable, reset)
 
     def _enabled(self, raw: Sequence[int]) -> int:

@@ -113,6 +113,7 @@ class DbcLayout:
         self._check_identifiers(path.name)
         self._check_agreement(binding)
         self._check_resets()
+        self._check_zero()
 
     def _bind(self, binding: DbcBinding) -> None:
         """Every signal to its page."""
@@ -318,6 +319,18 @@ class DbcLayout:
         said = [*per_axis("enable", self._enable, self.n_axes), *per_axis("reset", self._reset, self.n_axes)]
         check_owners(said, self._torque, "torque")
         check_owners(per_axis("torque", self._torque, self.n_axes), self._position, "position")
+
+    def _check_zero(self) -> None:
+        """A drive that obeys any torque it hears has to be told of none."""
+        if self._enable or self._start:
+            return
+        for message, place in self._torque:
+            least = place.value(place.raw(0.0))
+            if abs(least) > 1e-6 * abs(place.gain):
+                raise LayoutError(
+                    f"bus.dbc.torque: {message.name} has no number for 0, the nearest is {least:.3g}, and nothing "
+                    "switches the drive off: bind enable, or start and stop"
+                )
 
     def _check_resets(self) -> None:
         """A reset that is asked for by nothing but the message has to be alone in it."""

@@ -15,6 +15,7 @@ from drivers.protocols.base import Command, Reject, Sample
 from drivers.protocols.dbc_codec import load_dbc
 from hil.cycle.state_machine import State
 from hil.rig.schema import RigConfig
+from hil.virtual.invariants import Invariants
 from hil.virtual.lockstep import LockstepRun
 
 MS = 1_000_000
@@ -27,6 +28,7 @@ MIT = """BO_ 1 Mit: 8 H
  SG_ Kd : 47|12@0+ (1,0) [0|4095] "" D
  SG_ TauRef : 51|12@0+ (0.00488400488400488,-10) [-10|10] "Nm" D
 """
+EXACT = MIT.replace("0.00488400488400488", "0.005")  # has a number for zero
 ORDER = """BO_ 1 Order: 8 H
  SG_ Code : 7|64@0+ (1,0) [0|0] "" D
 """
@@ -106,6 +108,14 @@ def test_a_reset_may_share_the_identifier_where_its_value_alone_is_sent(tmp_path
         ends(tmp_path, DAMIAO, reset=reset)  # in every tick, mostly as zeros
 
 
+def test_a_torque_without_a_number_for_zero_needs_a_switch(tmp_path: Path) -> None:
+    with pytest.raises(LayoutError, match=r"torque: Mit has no number for 0, the nearest is -?0\.00244, and nothing"):
+        ends(tmp_path, HEAD + MIT, start=[], stop=[])
+    host, device = ends(tmp_path, HEAD + EXACT, start=[], stop=[])
+    (idle,) = host.encode(Command(0, [0.0], 0, False))
+    assert device.decode_command(idle).enable == 0
+
+
 def test_the_bus_load_counts_every_frame_of_the_identifier(tmp_path: Path) -> None:
     host, _ = ends(tmp_path, DAMIAO)
     messages = host.messages(2 * MS)
@@ -125,10 +135,13 @@ def test_a_rig_with_such_drives_holds(tmp_path: Path) -> None:
     (tmp_path / "made.dbc").write_text(DAMIAO)
     rig = tomllib.loads(RIG)
     rig["bus"]["dbc"] = BOUND
-    run = LockstepRun(RigConfig.model_validate(rig), tmp_path)
+    config = RigConfig.model_validate(rig)
+    seen = Invariants(config, tmp_path)
+    run = LockstepRun(config, tmp_path, observer=seen.observe)
     for _ in range(600):
         run.tick()
     assert run.cycle.state is State.ACTIVE
+    assert seen.ticks == 600, "and no torque before it, though no number of the signal is zero"
     assert abs(run.true_position).max() < 1e-3
 
 
@@ -150,7 +163,7 @@ TWO: dict[str, Any] = {
     "start": [],
     "stop": [],
 }
-BOTH = DAMIAO + MIT.replace("BO_ 1 Mit", "BO_ 2 Mit2") + FEEDBACK
+BOTH = HEAD + EXACT + ORDER + EXACT.replace("BO_ 1 Mit", "BO_ 2 Mit2") + FEEDBACK
 
 
 def test_answers_of_one_identifier_are_told_apart_by_their_multiplexers(tmp_path: Path) -> None:
