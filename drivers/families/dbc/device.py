@@ -37,8 +37,8 @@ class DbcDevice(DbcLayout):
         self._started = 0 if self._start else self._all_axes
         self._received: dict[BoundMessage, Sequence[Any]] = {}
         self._latest: list[Sample | None] = [None] * n_axes
-        steps = [0.0 if bound.place.is_float else abs(bound.place.gain) for bound in self._torque]
-        self.force_resolution = max(0.5 * step / rated for step, rated in zip(steps, rated_force, strict=True))
+        self._steps = [0.0 if bound.place.is_float else abs(bound.place.gain) for bound in self._torque]
+        self.force_resolution = max(0.5 * step / rated for step, rated in zip(self._steps, rated_force, strict=True))
 
     def decode_command(self, frame: Frame) -> Command | Reject:
         """The command that this frame completes; SERVICE for a part of one, STALE where a part is missing."""
@@ -97,8 +97,8 @@ class DbcDevice(DbcLayout):
         if len(counters) > 1:
             return Reject.STALE  # parts of two commands
         force = [max(-rated, min(rated, value)) for value, rated in zip(force, self._rated, strict=True)]
-        for axis, bound in enumerate(self._torque):
-            if not enable >> axis & 1 and abs(force[axis]) <= abs(bound.place.gain) * NEAREST:
+        for axis, step in enumerate(self._steps):
+            if not enable >> axis & 1 and abs(force[axis]) <= step * NEAREST:
                 force[axis] = 0.0  # of a drive that is off: an offset may leave no number for zero
         return Command(max(counters, default=0), force, enable, reset)
 
