@@ -368,10 +368,12 @@ class GoalDesk:
 
     def _next_knot(self, course: Course, goal: Goal, axis: int, base: int) -> int:
         """From where on the axis goes to it: from the knot before, or from `base`."""
-        li, last = self._limits[axis].slowed(goal.speed), self._knots[axis]
+        li = self._limits[axis].slowed(goal.speed)
+        place, speed, _ = course.at(axis, base)
+        last = self._knots[axis] if self.word is MotionWord.STREAM else Knot(base, place, speed)
         place = max(li.low, min(li.high, goal.position[axis]))
         speed = max(-li.speed, min(li.speed, goal.velocity[axis]))
-        new = last.next(base + goal.due_ns, place, speed, streams=self.word is MotionWord.STREAM)
+        new = last.next(base + goal.due_ns, place, speed)
         self._knots[axis] = new
         return follow_on(course, axis, last, new, base, li)
 

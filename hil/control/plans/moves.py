@@ -213,10 +213,39 @@ def knot(
     """
     if not seconds > 0.0:
         return None
-    plan = AxisPlan(position, velocity, acceleration)
+    if velocity == 0.0 and acceleration == 0.0 and (to[0] - position) * to[1] > 0.0:
+        plan = AxisPlan(position, 0.0, 0.0)
+        found = _through(plan, to, _set_off(plan, to, seconds, limits), limits)
+        if found is not None:
+            return found
+    return _through(AxisPlan(position, velocity, acceleration), to, seconds, limits)
+
+
+def _through(plan: AxisPlan, to: tuple[float, float, float], seconds: float, limits: MotionLimits) -> AxisPlan | None:
+    """The plan goes on to a knot, and to rest behind it; None where that does not keep the limits."""
     plan.meet(seconds, to[0], to[1], to[2])
     if not plan.keeps(limits):
         return None
     add_ramp(plan, 0.0, limits)
     plan.settle(plan.position)
     return plan if plan.keeps(limits) else None
+
+
+def under_way(way: float, speed: float, seconds: float) -> float:
+    """How much of `seconds` a knot `way` m from rest, m/s there, takes: as much as a steady acceleration does, so that
+    nothing runs back first to have a longer way.
+    """
+    return min(seconds, 2.0 * way / speed) if way * speed > 0.0 else seconds
+
+
+def _set_off(plan: AxisPlan, to: tuple[float, float, float], seconds: float, limits: MotionLimits) -> float:
+    """Rests until it has to set off, then takes at once the acceleration that a cubic to the knot begins with. How
+    long is left, s.
+    """
+    way, speed = to[0] - plan.position, to[1]
+    takes = under_way(way, speed, seconds)
+    plan.wait(seconds - takes)
+    begins = (6.0 * way / takes - 2.0 * speed) / takes
+    rises = min(abs(begins) / limits.jerk, 0.1 * takes)
+    plan.push(limits.jerk if begins > 0.0 else -limits.jerk, rises)
+    return takes - rises

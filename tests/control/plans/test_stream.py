@@ -24,7 +24,7 @@ def swing(t: float) -> tuple[float, float, float]:
 def knots(count: int) -> list[Knot]:
     found = [Knot(0, *swing(0.0)[:2])]
     for k in range(1, count):
-        found.append(found[-1].next(k * H, *swing(k * 0.1)[:2], streams=True))
+        found.append(found[-1].next(k * H, *swing(k * 0.1)[:2]))
     return found
 
 
@@ -32,22 +32,48 @@ def test_a_knot_between_two_has_the_acceleration_of_the_path_and_the_newest_near
     _, one, two, three = knots(4)
     between, newest = one.bend(two, 2.0), one.rise
     true = swing(0.1)[2]
-    assert abs(between - true) < 0.1 * abs(true) < abs(newest - true)
+    assert abs(between - true) < 0.001 * abs(true) < 0.1 * abs(true) < abs(newest - true)
     assert two.bend(three, 1e-3) == -1e-3, "at most what the axis may have"
 
 
-def test_knots_at_odd_times_weigh_by_their_distances() -> None:
-    """A constant acceleration is found whatever the times."""
+@pytest.mark.parametrize("after", [20, 50, 130])
+def test_a_path_of_fifth_order_is_found_whatever_the_times(after: int) -> None:
+    def at(t: float) -> tuple[float, float]:
+        return t * (1.0 + t * (2.0 + t * (3.0 + t * (4.0 + 5.0 * t)))), 1.0 + t * (
+            4.0 + t * (9.0 + t * (16.0 + 25.0 * t))
+        )
+
+    first = Knot(-50 * MS, *at(-0.05))
+    here = first.next(0, *at(0.0))
+    assert here.bend(here.next(after * MS, *at(after * 1e-3)), 9.0) == pytest.approx(4.0, rel=1e-12)
+
+
+def test_places_that_do_not_belong_to_the_speeds_count_for_nothing() -> None:
+    """The mean of the speeds' rises then: a constant acceleration is found whatever the times."""
     first = Knot(0, 0.0, 0.0)
-    second = first.next(30 * MS, 0.0, 0.03, streams=True)
-    assert second.bend(second.next(130 * MS, 0.0, 0.13, streams=True), 9.0) == pytest.approx(1.0)
+    second = first.next(30 * MS, 0.0, 0.03)
+    assert second.bend(second.next(130 * MS, 0.0, 0.13), 9.0) == pytest.approx(1.0)
 
 
-def test_a_knot_behind_a_rest_or_out_of_order_follows_none() -> None:
+def test_a_knot_out_of_order_follows_none() -> None:
     last = knots(3)[-1]
-    assert not last.next(3 * H, 0.0, 0.0, streams=False).streams
-    assert not last.next(2 * H, 0.0, 0.0, streams=True).streams
-    assert not last.next(1 * H, 0.0, 0.0, streams=True).streams
+    assert last.next(3 * H, 0.0, 0.0).after == pytest.approx(0.1)
+    assert not last.next(2 * H, 0.0, 0.0).after
+    assert not last.next(1 * H, 0.0, 0.0).after
+
+
+def test_from_rest_an_axis_sets_off_as_late_as_a_steady_acceleration_allows() -> None:
+    made = knot(0.0, 0.0, 0.0, (1e-4, 2e-3, 0.02), 0.26, LIMITS)
+    assert made is not None
+    assert made.low == 0.0, "it never runs back first, to have a longer way"
+    assert made.at(0.159) == (0.0, 0.0, 0.0)
+    assert made.at(0.21)[2] == pytest.approx(0.02, rel=0.02)
+    assert made.at(0.26)[:2] == pytest.approx((1e-4, 2e-3), rel=1e-9)
+    assert Knot(0, 0.0, 0.0).next(260 * MS, 1e-4, 2e-3)[3:] == pytest.approx((0.02, 0.1, 0.01))
+    hasty = knot(0.0, 0.0, 0.0, (1e-4, 2e-3, 0.02), 0.08, LIMITS)
+    assert hasty is not None
+    assert hasty.at(0.08)[:2] == pytest.approx((1e-4, 2e-3), rel=1e-9)
+    assert knot(0.0, 0.0, 0.0, (-1e-4, 2e-3, 0.02), 0.26, LIMITS).low < -1e-4, "which has to run back"
 
 
 def test_a_stream_goes_through_each_of_its_knots_and_near_the_path_between_them() -> None:
@@ -64,7 +90,7 @@ def test_a_stream_goes_through_each_of_its_knots_and_near_the_path_between_them(
         # the way to the knot before is planned again, so that it ends in the acceleration that is known by now
         if last.due_ns > H:
             half = last.due_ns - H // 2
-            assert course.at(0, half)[0] == pytest.approx(swing(half * 1e-9)[0], abs=2e-6)
+            assert course.at(0, half)[0] == pytest.approx(swing(half * 1e-9)[0], abs=5e-8)
 
 
 def test_a_new_knot_begins_where_the_axis_is_once_too_many_are_ahead_or_the_last_is_behind() -> None:
