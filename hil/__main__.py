@@ -3,6 +3,8 @@
 import io
 import sys
 
+_WHO_READ_IS_GONE = 1  # exit status, as where a command has begun
+
 
 def main() -> None:
     """Entry point: imports nothing before a Ctrl-C is taken quietly, as half a second goes into imports.
@@ -46,9 +48,13 @@ def _explained(key: str) -> bool:
     from hil.rig.reference import UnknownKeyError
 
     try:
-        print(key_text(key))
+        text = key_text(key)
     except UnknownKeyError:
         return False
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # as `| head` leaves it
+        sys.exit(_WHO_READ_IS_GONE)
     return True
 
 

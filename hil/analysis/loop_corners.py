@@ -107,10 +107,10 @@ class CornerFinding:
         gain, phase = (4.5, 0.0) if self.at_rest else (6.0, 30.0) if self.nominal else (3.0, 15.0)
         if least or (self.gain_db >= gain and self.phase_deg >= phase):
             return ""
-        return (
-            f"{where}: {self.gain_db:.1f} dB and {self.phase_deg:.0f} deg at {self.frequency_hz:.0f} Hz, less than "
-            f"{gain:g} dB" + (f" and {phase:g} deg" if phase else "")
-        )
+        short = [f"a gain margin of {self.gain_db:.1f} dB (at least {gain:g})"] if self.gain_db < gain else []
+        if self.phase_deg < phase:
+            short.append(f"a phase margin of {self.phase_deg:.0f} deg (at least {phase:g})")
+        return f"{where}: {' and '.join(short)} at {self.frequency_hz:.0f} Hz"
 
     def as_json(self) -> dict[str, Any]:
         """Keys: as the fields; margins are null where nothing is met."""

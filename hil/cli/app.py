@@ -92,7 +92,8 @@ Begin with:
     hil new stage.toml    describe your own stage
     hil check stage.toml  check it before anything moves
 
-`hil COMMAND --help` explains one command. RIG is a rig file, or the name of one that came with hil (`hil rigs`)."""
+`hil COMMAND --help` explains one command. RIG is a rig file, or the name of one that came
+with hil or runs here (`hil rigs`)."""
 
 
 def run_directly(context: typer.Context) -> None:

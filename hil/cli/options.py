@@ -8,8 +8,11 @@ from typing import Annotated
 
 import typer
 
+from hil.cli.commands import load
 from hil.cli.output import writable
 from hil.rig.shipped import by_name, names
+
+_RUNNING = "hil.operate.running_rig:running_rig_file"  # a room above this one
 
 
 def shipped_rig(rig: Path | None) -> Path | None:
@@ -17,6 +20,16 @@ def shipped_rig(rig: Path | None) -> Path | None:
     is neither, with the nearest shipped name.
     """
     return rig if rig is None else _found("rigs", rig)
+
+
+def any_rig(context: typer.Context, rig: Path | None) -> Path | None:
+    """As shipped_rig; for a bare name that is neither, the running rig of that name, as a file that lasts as long as
+    the command.
+    """
+    if rig is not None and len(rig.parts) == 1 and not by_name("rigs", rig).exists():
+        running: Path | None = context.with_resource(load(_RUNNING)(str(rig)))
+        rig = running or rig
+    return shipped_rig(rig)
 
 
 def shipped_scenario(scenario: Path | None) -> Path | None:
@@ -48,6 +61,15 @@ RigFile = Annotated[
         callback=shipped_rig,
         show_default=False,
         help="rig file (TOML), or the name of a shipped one, such as microscope",
+    ),
+]
+ReadRig = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RIG",
+        callback=any_rig,
+        show_default=False,
+        help="rig file (TOML), the name of a shipped one, such as microscope, or of a running one",
     ),
 ]
 Scheduler = Annotated[

@@ -18,6 +18,7 @@ from hil.events.motion_causes import Cause, Motion, why_it_left
 from hil.rig.schema import MAX_AXES
 
 HELD: Final = 64  # ticks looked back on
+_LATE: Final = 1  # ticks for which answers of all axes may be late before the bus is in question
 _FIELDS: Final = (
     "index", "rejects", "age_ticks", "position", "setpoint_position", "setpoint_velocity", "following_error", "force",
 )  # fmt: skip
@@ -94,7 +95,11 @@ class History:
         bus = f"look at the bus' adapter, supply and termination, {RESET}"
         if skipped:
             return Cause(f"this computer was too busy: it skipped {skipped} ticks just before", f"hil doctor, {RESET}")
-        return Cause("no axis answers: the bus is cut, or this computer's adapter, not one cable", f"hil doctor; {bus}")
+        if ages.max() <= _LATE:
+            late = "no axis answered in time: this computer, its adapter or the bus was late; it is not one cable"
+            return Cause(late, "none, if it is rare; else hil doctor")
+        why = "no axis answers: the bus is cut, or this computer or its adapter was held up; it is not one cable"
+        return Cause(why, f"hil doctor; {bus}")
 
     def _rejections(self, ticks: int, missing: int, axis: int, *, everyone: bool) -> Cause | None:
         """Answers that came within the last ticks and were not taken."""

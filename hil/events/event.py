@@ -1,6 +1,7 @@
 """One event: what it says, and how it reads as a line and as a document."""
 
 import math
+import re
 from typing import Any, NamedTuple
 
 from hil.events.table import KINDS, Kind, Severity
@@ -47,6 +48,10 @@ class Event(NamedTuple):
         when = f"tick {self.tick} ({self.run_ns * 1e-9:.3f} s): " if self.tick >= 0 else ""
         cause = f"; cause: {self.cause}" if self.cause else ""
         return f"{when}{self.text}{cause}; next: {self.action or 'none'}"
+
+    def pasted(self, rig: str) -> "Event":
+        """With that rig's name for NAME in the commands of its next step, so that they can be pasted."""
+        return self._replace(action=re.sub(r"\b(hil [a-z]+) NAME\b", rf"\1 {rig}", self.action)) if rig else self
 
     @property
     def document(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class CycleEvents:
 
 def events_of(rig: RigConfig, baseline: dict[str, Any] | None = None) -> CycleEvents:
     """Those of a cycle of this rig. baseline: a valid one that its accuracy is held against."""
-    document = rig.model_dump(include={"axes", "sensors"})
+    document = rig.model_dump(include={"name", "axes", "sensors"})
     return CycleEvents(stream_of(document, rig.period_ns, baseline), rig.period_ns)
 
 

@@ -32,13 +32,7 @@ from hil.events.causes import History
 from hil.events.event import Event
 from hil.events.motion_causes import Cause
 from hil.events.storm import Tallies
-from hil.events.table import (
-    KINDS,
-    REFUSED_ACTION,
-    Kind,
-    Severity,
-    severity_of,
-)
+from hil.events.table import KINDS, REFUSED_ACTION, Kind, Severity, severity_of
 
 _STOP, _RIG_OK, _ESTOP = 1, 8, 32  # bits of a record's flags
 _COMPARED = ("state", "fault", "faults_active", "flags")
@@ -73,7 +67,7 @@ class EventStream:
 
     axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. sensors: name and unit of
     every sensor. models: of every axis, for its accuracy to be watched; none: it is not. known: what a baseline bounds,
-    by axis. latched: the event of the fault that is latched now.
+    by axis. rig: its name, for next steps; empty: they say NAME. latched: the event of the fault that is latched now.
     """
 
     def __init__(
@@ -83,7 +77,9 @@ class EventStream:
         sensors: Sequence[tuple[str, str]] = (),
         models: Sequence[AxisModel] = (),
         known: Sequence[Mapping[str, Mapping[str, float]]] = (),
+        rig: str = "",
     ) -> None:
+        self._rig = rig
         self._axes = list(axes)
         self._sensors = list(sensors)
         self._watch = AccuracyWatch(models, max(period_ns, 1), known) if models else None
@@ -114,7 +110,7 @@ class EventStream:
 
     def admit(self, events: Iterable[Event]) -> list[Event]:
         """Events from elsewhere that are to be bounded with these."""
-        return self._tallies.admit(events)
+        return self._tallies.admit(event.pasted(self._rig) for event in events)
 
     def tell(self, records: NDArray[np.void], lost: int = 0) -> list[Event]:
         """The events of these ticks. lost: ticks that are missing before the first of them."""
@@ -262,7 +258,7 @@ class EventStream:
         if now:
             alike = self._of_all_axes([found for found in evidence if found.fault == now])
             found = alike[0] if alike else _Evidence(now, NO_AXIS, _NAN, _NAN)
-            self.latched = self._following(self._fault(Kind.FAULT_LATCHED, record, found))
+            self.latched = self._following(self._fault(Kind.FAULT_LATCHED, record, found)).pasted(self._rig)
             yield self.latched
 
     def _command(self, record: np.void, command: "_Command") -> Event:
@@ -334,6 +330,8 @@ class EventStream:
         if kind is Kind.FAULT_CLEARED:
             return event._replace(unit=unit, cause="it is there again")
         why, action = (cause.text, cause.action) if cause else (text.cause, text.action)
+        if text.of_sensor and name:
+            action = action.replace("sensors.NAME", f"sensors.{name}")
         return event._replace(unit=unit, cause=why, action=action.replace("AXIS", name or "NAME"))
 
     def _cause(self, fault: Fault, axis: int) -> Cause | None:
@@ -396,4 +394,4 @@ def stream_of(rig: dict[str, Any], period_ns: int, baseline: dict[str, Any] | No
     axes = [(name, str(axis["kind"])) for name, axis in rig["axes"].items()]
     sensors = [(name, str(sensor["unit"])) for name, sensor in rig.get("sensors", {}).items()]
     known = [known_of(baseline["axes"].get(name, {})) for name, _ in axes] if baseline else []
-    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]), known)
+    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]), known, str(rig.get("name", "")))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from hil.cli.exit_status import EXIT_FAULT, EXIT_FILE, EXIT_UNAVAILABLE
-from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
+from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import drawable, write_json
 from hil.identify.estimate import Estimate
 from hil.identify.experiments import EXPERIMENTS
@@ -25,7 +25,7 @@ NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude")  # an axis may ha
 
 
 def identify(
-    rig: RigFile,
+    rig: ReadRig,
     *,
     axes: Annotated[str, typer.Option(help="axes to identify, comma-separated; default: all")] = "",
     only: Annotated[

@@ -88,7 +88,10 @@ def check_rig(
         raise RigError([f"{rig_file}: {error}"]) from None
     console.print(stability_table(stability))
     console.print(corner_table(corners))
-    for note in [*measured_notes(rig), *(f"less margin than is good: {note}" for note in corner_notes(corners))]:
+    for note in [
+        *measured_notes(rig),
+        *(f"less margin than is good: {note}; next: hil tune {rig_file}" for note in corner_notes(corners)),
+    ]:
         console.print(note, soft_wrap=True, markup=False)
     for finding in learning:
         console.print(finding.note(), soft_wrap=True, markup=False)

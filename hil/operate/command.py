@@ -71,12 +71,13 @@ def command(
         sys.exit(stop_rig(config.name))
     try:
         client = remote_client(connect, Credentials(credentials)) if connect and credentials else at_hand(config.name)
+        here = "" if connect else config.name
         with client:
             if document:
                 load = client.load_task if action is Action.LOAD_TASK else client.set_law
-                accepted = _say(client, action, load(document))
+                accepted = _say(load(document), client, action, here)
             else:
-                accepted = _hold(client, action, config) if hold else _ask(client, action)
+                accepted = _hold(client, action, config, here) if hold else _ask(client, action, here)
     except (NoGatewayError, CredentialsError) as error:
         print(f"hil command: {error}", file=sys.stderr)
         print(
@@ -119,21 +120,36 @@ def at_hand(rig: str) -> CommandClient:
     return nearest(rig, local_client, NoGatewayError)
 
 
-def _ask(client: CommandClient, action: Action) -> bool:
-    return _say(client, action, client.command(CommandKind[action.name]))
+def _ask(client: CommandClient, action: Action, here: str) -> bool:
+    return _say(client.command(CommandKind[action.name]), client, action, here)
 
 
-def _say(client: CommandClient, action: Action, verdict: Verdict) -> bool:
+def _say(verdict: Verdict, client: CommandClient, action: Action, here: str) -> bool:
     print(f"{action}: {'accepted' if verdict.accepted else verdict.reason}; state {verdict.state}", flush=True)
     if verdict.accepted and (silent := client.silent()):  # why it may not lead where it was meant to
         print(f"hil command: {silent}", file=sys.stderr)
+    if here and not verdict.accepted and (step := next_step(action, here, verdict)):
+        print(f"hil command: next: {step}", file=sys.stderr)
     return verdict.accepted
 
 
-def _hold(client: CommandClient, action: Action, rig: RigConfig) -> bool:
+def next_step(action: Action, rig: str, verdict: Verdict) -> str:
+    """What to do about a refusal, as commands that can be pasted; empty where the reason says all there is."""
+    again = f"hil command {rig} {action}"
+    if verdict.reason.startswith("stale"):
+        return f"this computer was held up; give it again: {again}; or stop at once: hil estop {rig}"
+    starts = action in (Action.ACTIVATE, Action.ACTIVATE_HOLD, Action.HOME)
+    if starts and verdict.state in ("FAULT", "ESTOP"):
+        return f"hil events {rig} says why it stopped; then hil command {rig} reset, then {again}"
+    if starts and verdict.state in ("ACTIVE", "HOMING"):
+        return f"hil command {rig} stop, then {again}"
+    return ""
+
+
+def _hold(client: CommandClient, action: Action, rig: RigConfig, here: str) -> bool:
     """A deadman's handle: the rig moves while this runs, and stops within safety.heartbeat_s when it does not."""
     interval = (rig.safety.heartbeat_s or 1.0) / 4
-    if not client.command(CommandKind.HEARTBEAT).accepted or not _ask(client, action):
+    if not client.command(CommandKind.HEARTBEAT).accepted or not _ask(client, action, here):
         return False
     released: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -141,4 +157,4 @@ def _hold(client: CommandClient, action: Action, rig: RigConfig) -> bool:
     while not released:
         client.command(CommandKind.HEARTBEAT)
         time.sleep(interval)
-    return _ask(client, Action.STOP)
+    return _ask(client, Action.STOP, here)

@@ -130,7 +130,7 @@ def demo(
         console.width = LOG_WIDTH
     scene = Scene(config, rig, chosen, private_runtime(), out or run_directory())
     scene.out.mkdir(parents=True, exist_ok=True)
-    console.print(f"demo of {config.name}: {config.description}", soft_wrap=True)
+    console.print(f"demo of {config.name}" + (f": {config.description}" if config.description else ""), soft_wrap=True)
     console.print(
         "the stage is emulated, the bus is local to this demo, and it runs even where no real time is granted",
         soft_wrap=True,

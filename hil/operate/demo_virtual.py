@@ -46,7 +46,8 @@ def run_virtual(
         check()
         passed = done * rig.period_ns * 1e-9
         pace = passed / max(time.monotonic() - began, 1e-9)
-        console.print(f"{seconds - passed:5.1f} s to go in virtual time, {pace:.1f} times as fast as real time")
+        speed = f", {pace:.1f} times as fast as real time" if passed >= 1.0 else ""
+        console.print(f"{seconds - passed:5.1f} s to go in virtual time{speed}")
 
     recorder = LockstepRecorder(target, rig, rig_file)
     try:

@@ -14,7 +14,7 @@ from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.protocols.common import MAX_AXES
 from hil.cli.exit_status import EXIT_FILE
-from hil.cli.options import JsonTarget, Overrides, shipped_rig
+from hil.cli.options import JsonTarget, Overrides, any_rig
 from hil.cli.output import write_json
 from hil.operate.bringup.command import JogAsked, bring_up
 
@@ -25,7 +25,9 @@ _HERE = "here: --rated-torque"
 def drives(
     rig: Annotated[
         Path | None,
-        typer.Argument(metavar="[RIG]", callback=shipped_rig, show_default=False, help="rig file, or a shipped rig"),
+        typer.Argument(
+            metavar="[RIG]", callback=any_rig, show_default=False, help="rig file, or a shipped or running rig"
+        ),
     ] = None,
     *,
     eds: Annotated[

@@ -27,7 +27,7 @@ def event_words(event: pb_events.Event, rig: str) -> dict[str, Any]:
         "unit": event.unit,
         "measured": event.measured,
         "cause": event.cause,
-        "action": re.sub(r"\b(hil [a-z]+) NAME\b", lambda found: f"{found[1]} {rig}", event.action),
+        "action": re.sub(r"\b(hil [a-z]+) NAME\b", rf"\1 {rig}", event.action),
         "button": safe_command(event.action),
         "times": event.times,
         "line": event.line,

@@ -80,6 +80,12 @@ def named_files(rig: RigConfig) -> dict[str, str]:
     return {key: name for key, name in named.items() if name}
 
 
+def code_of(document: dict[str, Any]) -> list[str]:
+    """The plug-ins whose code a rig's document holds or pins, as `law.name = './my_law.py:MyLaw'`."""
+    found = [(f"{'.'.join(path)}.{plugin.key}", table) for plugin, path, table in _tables(document)]
+    return [f"{key} = {shown(table[key.rpartition('.')[2]])}" for key, table in found if table.get("source")]
+
+
 def _tables(document: dict[str, Any]) -> list[tuple[Kind, list[str], dict[str, Any]]]:
     """The tables that name a plug-in, each with its kind and its path in the document."""
     found = [(plugin, [plugin.table], document.get(plugin.table)) for plugin in PLUGINS]

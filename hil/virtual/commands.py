@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.cli.exit_status import EXIT_FAULT
-from hil.cli.options import JsonTarget, Overrides, RigFile, shipped_scenario
+from hil.cli.options import JsonTarget, Overrides, ReadRig, RigFile, shipped_scenario
 from hil.cli.output import axis_table, drawable, print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -25,7 +25,7 @@ _TOO_SLOW = (
 
 
 def sim(
-    rig: RigFile,
+    rig: ReadRig,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
     overrides: Overrides = [],  # noqa: B006
     json_target: JsonTarget = "",
@@ -157,7 +157,6 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
     show_latched(report, console)
     if report.law_failure:
         console.print(report.law_failure, style="red", markup=False, soft_wrap=True)
-    console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
     if picture:
         import numpy as np
 
@@ -166,6 +165,7 @@ def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture
 
         tracking_picture(picture, config, traces, marks=marks_of(report.events, np.arange(report.ticks)))
         console.print(f"picture {picture}")
+    console.print(f"trace_sha256 {report.trace_sha256}", soft_wrap=True)
 
 
 def emulate(

@@ -42,7 +42,9 @@ def test_a_run_that_ends_in_a_fault_says_which_axis_when_and_by_how_much_and_rep
     replayed = replay_run(recording)
     assert replayed.latched is not None
     assert replayed.latched.line.startswith(told)
-    assert [event.line for event in replayed.events if event.kind is Kind.STATE][-1].endswith("command NAME reset")
+    assert [event.line for event in replayed.events if event.kind is Kind.STATE][-1].endswith(
+        "hil command microscope-ideal reset"
+    )
 
 
 def test_ticks_of_a_ring_that_states_no_period_are_told_too() -> None:

@@ -92,7 +92,7 @@ def test_without_a_sidecar_the_journal_has_the_fault_and_the_ring_has_it_for_hil
     text = ROWS[Fault[last["name"].upper()]]
     cause = last["cause"].partition("; after ")[0]
     assert cause == text.cause or cause.startswith(("no axis answers: the bus is cut", "this computer was too busy"))
-    assert last["action"].endswith("hil command NAME reset")
+    assert last["action"].endswith("hil command paper reset")
     assert "shutdown" in err.lower()  # the end itself is told, too
 
 

@@ -25,7 +25,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.sdo import Progress, Step, Transfer
 from drivers.frame import Frame
 from hil.cli.exit_status import EXIT_UNAVAILABLE
-from hil.cli.options import JsonTarget, Overrides, shipped_rig
+from hil.cli.options import JsonTarget, Overrides, any_rig
 from hil.cli.output import write_json
 from hil.live.stop_line import RigInUseError
 from hil.operate.bringup.drive_host import DriveHost
@@ -116,7 +116,9 @@ class Exchange:
 def bus(
     rig: Annotated[
         Path | None,
-        typer.Argument(metavar="[RIG]", callback=shipped_rig, show_default=False, help="rig file, or a shipped rig"),
+        typer.Argument(
+            metavar="[RIG]", callback=any_rig, show_default=False, help="rig file, or a shipped or running rig"
+        ),
     ] = None,
     *,
     seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="of measuring")] = 5.0,

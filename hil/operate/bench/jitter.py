@@ -18,7 +18,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import Overrides, ReadRig
 from hil.operate.bench.blocks import (
     Block,
     Case,
@@ -44,7 +44,7 @@ _HISTOGRAM_US = 20_000  # later ones are kept by cyclictest as overflows, and co
 
 
 def jitter(
-    rig: RigFile = Path("microscope-ideal"),
+    rig: ReadRig = Path("microscope-ideal"),
     overrides: Overrides = None,
     blocks: Annotated[int, typer.Option(min=1, help="of each; 20 make a good median")] = 20,
     ticks: Annotated[int, typer.Option(min=100, help="measured ticks per block")] = 3000,

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from drivers.base.plugins import file_of
-from hil.cli.options import JsonTarget, Overrides, RigFile
+from hil.cli.options import JsonTarget, Overrides, ReadRig
 from hil.cli.output import drawable, write_json
 from hil.operate.check import check_rig
 from hil.studies.acceptance.law import Demand, accept_law
@@ -19,7 +19,7 @@ _VERDICTS = {True: Text("passed", "green"), False: Text("FAILED", "bold red"), N
 
 
 def check(
-    rig_file: RigFile,
+    rig_file: ReadRig,
     *,
     overrides: Overrides = None,
     json_path: JsonTarget = "",

@@ -121,7 +121,7 @@ def _cost(law: _Candidate) -> Finding:
 def _bytes(law: _Candidate) -> Finding:
     hashes = []
     for seed in ("1", "2"):  # of Python's hashes: sets and dictionaries of words come in another order
-        words = ["sim", *law.words, "--seconds", f"{SAME_S:g}", "--json", "-"]
+        words = ["sim", *law.words, "--no-keep", "--seconds", f"{SAME_S:g}", "--json", "-"]
         done = _hil(words, {"PYTHONHASHSEED": seed})
         if done.returncode:
             return Finding("bytes", False, f"a process of its own failed: {_last_line(done.stderr)}")

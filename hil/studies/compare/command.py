@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import JsonTarget, Overrides, RigFile, Scheduler
+from hil.cli.options import JsonTarget, Overrides, ReadRig, Scheduler
 from hil.cli.output import drawable, print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.law_names import LAWS
@@ -30,7 +30,7 @@ def _numbers(text: str) -> list[float]:
 
 
 def compare(
-    rig_file: RigFile,
+    rig_file: ReadRig,
     *,
     laws: Annotated[str, typer.Option(help=f"comma-separated; X{LEARNING} is X inside iterative learning")] = "",
     corners: Annotated[bool, typer.Option("--corners", help="five corners of mass and friction")] = False,

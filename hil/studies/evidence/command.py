@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from hil.cli.options import JsonTarget, Overrides, RigFile, named_axes
+from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import write_json
 from hil.control.laws.base import Array
 from hil.rig.file import load_rig
@@ -19,7 +19,7 @@ from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REP
 
 
 def evidence(
-    rig_file: RigFile,
+    rig_file: ReadRig,
     *,
     stages: Annotated[int, typer.Option(min=2, max=10_000, help="stages drawn for each row")] = 20,
     seed: Annotated[int, typer.Option(help="of the stages")] = 1,

@@ -11,10 +11,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hil.cli.options import JsonTarget, Overrides, Scheduler
+from hil.cli.options import JsonTarget, Overrides, Scheduler, any_rig
 from hil.cli.output import print_plant_notes, write_json
 from hil.rig.file import load_rig
-from hil.rig.shipped import by_name, names
+from hil.rig.shipped import names
 from hil.studies.fault_campaign.campaign import campaign
 from hil.studies.fault_campaign.catalogue import TRIALS
 from hil.studies.fault_campaign.happenings import HAPPENINGS
@@ -32,8 +32,10 @@ def _trials(only: str) -> str:
 
 
 def faults(
+    context: typer.Context,
     rigs: Annotated[
-        list[Path] | None, typer.Argument(help="rig files, or names of shipped ones; all of those if none is named")
+        list[Path] | None,
+        typer.Argument(help="rig files, or names of shipped or running ones; all of those if none is named"),
     ] = None,
     *,
     overrides: Overrides = None,
@@ -58,7 +60,7 @@ def faults(
     """
     if injection and motion:
         raise typer.BadParameter("--injection and --motion are two campaigns; name one of them")
-    paths = [by_name("rigs", rig) for rig in rigs or map(Path, names("rigs"))]
+    paths = [path for rig in rigs or map(Path, names("rigs")) if (path := any_rig(context, rig))]
     console = Console(stderr=json_target == "-")
     if not console.is_terminal:
         console = Console(stderr=json_target == "-", width=PAPER)

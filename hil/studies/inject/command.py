@@ -11,7 +11,7 @@ from rich.console import Console
 
 from drivers.base.named_file import write_text
 from drivers.protocols.base import HostProtocol
-from hil.cli.options import JsonTarget, Overrides, RigFile
+from hil.cli.options import JsonTarget, Overrides, ReadRig
 from hil.cli.output import writable, write_json
 from hil.cli.progress import Steps
 from hil.control.motion.contract import Request
@@ -43,9 +43,11 @@ class Plan(NamedTuple):
 
 
 def inject(
-    rig_file: RigFile,
+    rig_file: ReadRig,
     *,
-    cells: Annotated[Path | None, typer.Option(help="CSV file with x and y of each cell, m")] = None,
+    cells: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="CSV file with x and y of each cell, m")
+    ] = None,
     grid_text: Annotated[str, typer.Option("--grid", metavar="RxC", help="rows and columns of cells")] = "4x5",
     pitch: Annotated[float, typer.Option(min=1e-5, max=0.1, help="between the cells of a grid, m")] = 1e-3,
     anomalies: Annotated[

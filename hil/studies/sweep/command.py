@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import JsonTarget, Overrides, RigFile, Scheduler
+from hil.cli.options import JsonTarget, Overrides, ReadRig, Scheduler
 from hil.cli.output import metres, print_plant_notes, write_json
 from hil.control.law_registry import file_name
 from hil.events.baseline import BEYOND
@@ -33,7 +33,7 @@ from hil.virtual.sim import usable
 
 
 def sweep(
-    rig_file: RigFile,
+    rig_file: ReadRig,
     *,
     plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
