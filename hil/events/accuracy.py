@@ -283,6 +283,8 @@ class _Judge:
             order = np.argsort(travel)
             along, periods = _line(np.interp(step, travel[order], error[order]))
             repeats = along >= LINE and span > _SHORTEST * periods * self._axis.resolution
+            # Ticks further apart than half a period measure nothing of it: noise drawn out there has a line, too.
+            repeats = repeats and float(np.diff(travel[order]).max()) * periods < 0.5 * span
             if repeats and along > share + _UNLIKE:
                 return _Look(
                     "periodic error", f", with a period of {span / periods:.3g} of travel",

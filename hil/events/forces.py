@@ -1,7 +1,8 @@
 """What a window's forces say of an axis: more friction, or a force that nobody asked for. From the records of ticks.
 
 In motion, the force along it, less what mass, gravity and viscous friction take, is the drag. More of it than before is
-friction, or a drive that gives less force than it is asked for. Less than none, or an axis that runs backwards while it
+friction, a drive that gives less force than it is asked for, or a push against the motion: one direction alone cannot
+tell them apart. Less than none, or an axis that runs backwards while it
 is told to go on, is neither: something pushes (bias).
 
 At rest the force that holds the axis hardly changes from window to window. A step of it is a bias, or, where the same
@@ -110,7 +111,8 @@ class ForceJudge:
             return _bias("force against the motion beyond what the model says", drag, most, -way)
         return Force(
             "friction up", "force along the motion beyond what the model says", drag, most,
-            "the guide is dirty or tight or something drags on the axis, or its drive gives less force than asked for",
+            "the guide is dirty or tight, or something drags on the axis, pushes or pulls it back, or its drive gives "
+            "less force than asked for",
             "move the axis by hand; clean and grease the guide, look at the cables",
             plain=drag > most + self._slack,
         )  # fmt: skip
