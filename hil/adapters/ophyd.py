@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Final, NamedTuple, TypeVar
 
 from hil.live.goal_link import Look
+from hil.rig.extras import install_command
 from hil.runs.mover import LOOK_S, Move, Mover
 
 try:
@@ -34,7 +35,7 @@ try:
         soft_signal_rw,
     )
 except ImportError as error:
-    raise ImportError("hil.adapters.ophyd needs ophyd-async: pip install 'hil[ophyd]'") from error
+    raise ImportError(f"hil.adapters.ophyd needs ophyd-async: {install_command('ophyd')}") from error
 
 POLL_S: Final = 0.05  # between the readings of who subscribes
 T = TypeVar("T")

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 from threading import Lock
 from typing import Final
 
+from hil.rig.extras import install_command
 from hil.runs.mover import Move, Mover
 
 try:
     from pymmcore_plus.core import FocusDirection
     from pymmcore_plus.experimental.unicore import StageDevice, UniMMCore, XYStageDevice
 except ImportError as error:
-    raise ImportError("hil.adapters.pymmcore needs pymmcore-plus: pip install 'hil[micro-manager]'") from error
+    raise ImportError(f"hil.adapters.pymmcore needs pymmcore-plus: {install_command('micro-manager')}") from error
 
 PER_M: Final = 1e6  # um
 

@@ -37,6 +37,11 @@ def shipped_scenario(scenario: Path | None) -> Path | None:
     return None if scenario is None else _found("scenarios", scenario)
 
 
+def with_law(overrides: Sequence[str] | None, law: str) -> list[str]:
+    """The overrides, and that of --law, if it names one."""
+    return [*(overrides or ()), *([f"law.name={law}"] if law else [])]
+
+
 def named_axes(text: str, axes: Sequence[str]) -> list[str]:
     """The axes that --axes names, comma-separated; all where it names none. Raises typer.BadParameter."""
     wanted = [name.strip() for name in text.split(",") if name.strip()] or list(axes)
@@ -77,6 +82,14 @@ Scheduler = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a key of the rig file: key.path=value")
+]
+LawOfRun = Annotated[
+    str,
+    typer.Option(
+        "--law",
+        metavar="NAME",
+        help="a name, ./file.py:Class or package.module:Class [the rig's own]",
+    ),
 ]
 JsonTarget = Annotated[
     str, typer.Option("--json", metavar="PATH", callback=writable, help="write the result as JSON; - for stdout")

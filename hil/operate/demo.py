@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from hil.cli.exit_status import EXIT_FAULT
-from hil.cli.options import Overrides, RigFile
+from hil.cli.options import LawOfRun, Overrides, RigFile, with_law
 from hil.cli.output import print_plant_notes, write_json
 from hil.operate.demo_live import (
     ALWAYS,
@@ -66,7 +66,7 @@ def _what_next(scene: Scene, console: Console) -> None:
         f"in {out}/: summary.json, tracking.png, run.mcap\n"
         "next, try:\n"
         f"  {hil} replay {out}/run.mcap  # every torque frame again, byte for byte\n"
-        f"  {hil} demo {rig} --set law.name={other}\n"
+        f"  {hil} demo {rig} --law {other}\n"
         f"  {hil} sim {rig} --seconds 20  # the same in exact virtual time\n"
         f"  {hil} doctor  # what this machine grants a real-time loop",
         soft_wrap=True,
@@ -102,6 +102,7 @@ def demo(
         bool,
         typer.Option("--hold", help="live, without a task: the stage holds where it stands, for hil move and hil jog"),
     ] = False,
+    law: LawOfRun = "",
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="directory for what the run leaves [runs/<time>]")] = None,
     live: Annotated[
@@ -122,7 +123,7 @@ def demo(
         raise typer.BadParameter("a stage in virtual time cannot be moved from outside", param_hint="--virtual")
     live = hold or live
     seconds = seconds or (LONGEST_S if hold else TASK_S)
-    chosen = (*(overrides or ()), *ALWAYS)
+    chosen = (*with_law(overrides, law), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()
     console = Console(highlight=False)

@@ -47,6 +47,7 @@ UNSAMPLED = ("OSCILLATION", "SPEED", "FOLLOWING_ERROR", "FILTER_DIVERGED")  # wh
 AFTER_NS = 1_000_000_000  # within this time
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 RECORDING = "run.mcap"
+_IN_MOTION = ("ACTIVE", "HOMING", "STOPPING")
 # The demo may meet neither a real bus nor a machine that grants no real time: it is for laptops.
 ALWAYS = ("bus.interface=local", "timing.allow_degraded=true", "telemetry.record=true")
 
@@ -143,6 +144,7 @@ class Demo:
         self._said_s = 0.0
         self.stalls = 0
         self._refusal = ""
+        self._stopped = False  # by an operator beside this demo
 
     def run(self, seconds: float) -> None:
         """Start, activate, watch for `seconds`, stop. What goes wrong is in `troubles` afterwards."""
@@ -239,15 +241,18 @@ class Demo:
         return f"state {status.state or 'unknown'}, {told or 'no fault'}{drives}{self._refusal}"
 
     def _operate(self) -> None:
-        """What an operator does: activate what is READY; reset what stopped because this machine held a process up."""
+        """What an operator does: activate what is READY, unless another operator stopped it; reset what stopped because
+        this machine held a process up.
+        """
         status = self.status
         if status.state in ("FAULT", "ESTOP"):
             if not self.stalled:
-                raise DemoError(f"the rig stopped: {self._where()}")
+                pressed = "hil estop or a page's E-STOP" if status.state == "ESTOP" else "a fault of the stage"
+                raise DemoError(f"{pressed} stopped the rig: {self._where()}")
             self._command(CommandKind.RESET)
         elif tripped(status):
             self._command(CommandKind.RESET)
-        elif status.state == "READY" and status.recording:
+        elif status.state == "READY" and status.recording and not self._stopped:
             self._command(CommandKind.ACTIVATE_HOLD if self._holds else CommandKind.ACTIVATE)
 
     def _note_stall(self, before: pb.Status) -> None:
@@ -261,6 +266,16 @@ class Demo:
             self.stalls += 1
             if self.stalls <= SHOWN_STALLS:
                 self.console.print(f"{told}; resetting", soft_wrap=True)
+
+    def _note_stop(self, before: pb.Status) -> None:
+        """A rig that was brought to rest by somebody's command stays so until somebody's command activates it."""
+        state, name = self.status.state, self.scene.rig.name
+        if state == "READY" and before.state in _IN_MOTION:
+            self._stopped = True
+            again = "activate-hold" if self._holds else "activate"
+            self.console.print(f"stopped by an operator; to go on: hil command {name} {again}", soft_wrap=True)
+        elif state == "ACTIVE":
+            self._stopped = False
 
     def _command(self, kind: CommandKind) -> None:
         try:
@@ -280,6 +295,7 @@ class Demo:
             return False
         before, self.status = self.status, status
         self._note_stall(before)
+        self._note_stop(before)
         self._operate()
         return True
 

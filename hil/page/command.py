@@ -16,6 +16,7 @@ import typer
 
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.page.access import Access, Role, spelt
+from hil.rig.extras import install_command
 
 if TYPE_CHECKING:
     from uvicorn import Config
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 PORT = 5006
 _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
-_NOT_INSTALLED = 'hil page: its server is not installed: pip install "hil[page]"'
+_NOT_INSTALLED = f"hil page: its server is not installed: {install_command('page')}"
 
 
 class Place(NamedTuple):

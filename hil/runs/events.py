@@ -14,6 +14,7 @@ from hil.events.event import Event
 from hil.events.sources import RingEvents
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import known_sidecars, runtime_paths
+from hil.runs.last import named_or_last
 from hil.runs.summary import load_run
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 from hil.telemetry.credentials import Credentials
@@ -25,7 +26,12 @@ POLL_S = 0.1
 
 
 def events(
-    what: Annotated[str, typer.Argument(metavar="NAME|RUN", help="name of a rig, a recording, or the folder of a run")],
+    what: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME|RUN", help="name of a rig, a recording, or the folder of a run [the last run of runs/]"
+        ),
+    ] = None,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="of a rig: go on until Ctrl-C")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line")] = False,
     connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
@@ -38,6 +44,7 @@ def events(
     that rig; 74: the recording cannot be read, or ticks are
     missing from it.
     """
+    what = what or str(named_or_last(None))
     path = Path(what)
     try:
         if path.exists() or path.suffix == ".mcap":

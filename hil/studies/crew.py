@@ -21,6 +21,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 from drivers.base.runtime import RuntimeDirectoryError, make_private
 from hil.cli.processes import worker_pool
 from hil.rig.control_path import control_path
+from hil.rig.extras import install_command
 from hil.rig.schema import RigError
 
 CONNECT_TIMEOUT_S = 10
@@ -56,7 +57,7 @@ def _cluster(address: str) -> Iterator[Crew]:
     try:
         from distributed import Client  # type: ignore[attr-defined,unused-ignore]
     except ImportError:
-        raise RigError(["--scheduler needs the extra: pip install 'hil[cluster]'"]) from None
+        raise RigError([f"--scheduler needs the extra: {install_command('cluster')}"]) from None
     connect: Any = Client
     try:
         client = connect(address, timeout=CONNECT_TIMEOUT_S)

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.cli.exit_status import EXIT_FAULT
-from hil.cli.options import JsonTarget, Overrides, ReadRig, RigFile, shipped_scenario
+from hil.cli.options import JsonTarget, LawOfRun, Overrides, ReadRig, RigFile, shipped_scenario, with_law
 from hil.cli.output import axis_table, drawable, print_plant_notes, write_json
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -27,6 +27,7 @@ _TOO_SLOW = (
 def sim(
     rig: ReadRig,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
+    law: LawOfRun = "",
     overrides: Overrides = [],  # noqa: B006
     json_target: JsonTarget = "",
     faults: Annotated[
@@ -62,7 +63,8 @@ def sim(
     from hil.virtual.scenario import load_scenario
     from hil.virtual.sim import simulate
 
-    config = load_rig(rig, overrides or ())
+    overrides = with_law(overrides, law)
+    config = load_rig(rig, overrides)
     layout = refuse_unschedulable(config, rig.parent)  # most such runs never become ACTIVE, and cannot say why
     start = per_axis(config.plant.initial_position, len(config.axes)).tolist()
     try:
@@ -105,7 +107,7 @@ def sim(
                 recorder.close()
     if folder is not None and out is None:
         prune(folder.parent, config.telemetry.record_quota, folder / "run.mcap")
-    report.overrides = list(overrides or ())
+    report.overrides = overrides
     _show(console, config, report, traces, picture)
     if folder is not None:
         console.print(f"kept in {folder}/", soft_wrap=True, markup=False, highlight=False)

@@ -270,6 +270,29 @@ def test_a_watchdog_that_tripped_before_anything_moved_is_reset_too(
     assert "this computer was too busy: a drive's watchdog tripped at tick 70" in said.export_text()
 
 
+def test_a_rig_that_an_operator_stopped_stays_so_until_an_operator_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    said = Console(record=True, width=120, file=io.StringIO())
+
+    def state(name: str) -> pb.Status:
+        return pb.Status(state=name, fault="NONE", recording=True)
+
+    stopped = [state(name) for name in ("READY", "ACTIVE", "STOPPING", "READY", "READY")]
+    homed = [state(name) for name in ("HOMING", "READY", "CONNECTED", "READY")]
+    conversation = Conversation(*stopped, *homed, state("ACTIVE"), state("CONNECTED"), state("READY"))
+    monkeypatch.setattr(demo_live, "local_client", lambda _: contextlib.nullcontext(conversation))
+    demo = Demo(Scene(load_rig(RIG), RIG, (), tmp_path, tmp_path), said, Signals(), insists=True, holds=True)
+    heard = []
+    while conversation.statuses:
+        demo._look(cast(RigClient, conversation))
+        heard.append(len(conversation.heard))
+    assert conversation.heard == [CommandKind.ACTIVATE_HOLD] * 2
+    assert heard == [1] * 11 + [2], "at first, and in the end, when the operator had let it go on"
+    assert "stopped by an operator; to go on: hil command microscope activate-hold" in said.export_text()
+
+
 def test_a_stop_that_this_computer_caused_ends_a_demo_that_need_not_be_live(tmp_path: Path) -> None:
     scene = Scene(load_rig(RIG), RIG, (), tmp_path, tmp_path)
     demo = Demo(

@@ -48,7 +48,7 @@ def test_without_its_server_it_says_what_to_install(
     with pytest.raises(Exit) as ended:
         command.page(None)
     assert ended.value.exit_code == 69
-    assert 'pip install "hil[page]"' in capsys.readouterr().err
+    assert "-m pip install 'hil[page]'" in capsys.readouterr().err
 
 
 def test_browsers_are_listed_and_revoked(

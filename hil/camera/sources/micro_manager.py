@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.camera.contract import CameraError, Image
+from hil.rig.extras import install_command
 
 _WAIT_S = 1.0
 _POLL_S = 0.002
@@ -24,7 +25,7 @@ class MicroManager:
                 from pymmcore_plus import CMMCorePlus
             except ImportError as error:
                 raise CameraError(
-                    "--source micro-manager needs pymmcore-plus: pip install 'hil[micro-manager]'"
+                    f"--source micro-manager needs pymmcore-plus: {install_command('micro-manager')}"
                 ) from error
             core = CMMCorePlus()
         self._core, self._name = core, f"--source micro-manager:{configuration}"

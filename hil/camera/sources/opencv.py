@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.camera.contract import CameraError, Image
 from hil.camera.sources.pace import Pace
+from hil.rig.extras import install_command
 
 
 class OpenCv:
@@ -15,7 +16,7 @@ class OpenCv:
         try:
             import cv2
         except ImportError as error:
-            raise CameraError("--source opencv needs OpenCV: pip install 'hil[opencv]'") from error
+            raise CameraError(f"--source opencv needs OpenCV: {install_command('opencv')}") from error
         self._cv2, self._which = cv2, which
         self.is_camera = which.isdecimal()
         self._capture = cv2.VideoCapture(int(which) if self.is_camera else which)
