@@ -99,18 +99,22 @@ class CornerFinding:
 
     def lacks(self, *, least: bool = False) -> str:
         """What is missing to the margins that are asked for (6 dB and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at
-        rest). Or, with `least`, to a loop that is stable; empty for nothing.
+        rest), with axis and corner. Or, with `least`, to a loop that is stable; empty for nothing.
         """
-        where = f"axis '{self.axis}', {self.corner}"
+        short = self.shortfall(least=least)
+        return f"axis '{self.axis}', {self.corner}: {short}" if short else ""
+
+    def shortfall(self, *, least: bool = False) -> str:
+        """The same without axis and corner."""
         if not self.stable:
-            return f"{where}: the loop is unstable; it rings at {self.frequency_hz:.0f} Hz"
+            return f"the loop is unstable; it rings at {self.frequency_hz:.0f} Hz"
         gain, phase = (4.5, 0.0) if self.at_rest else (6.0, 30.0) if self.nominal else (3.0, 15.0)
         if least or (self.gain_db >= gain and self.phase_deg >= phase):
             return ""
         short = [f"a gain margin of {self.gain_db:.1f} dB (at least {gain:g})"] if self.gain_db < gain else []
         if self.phase_deg < phase:
             short.append(f"a phase margin of {self.phase_deg:.0f} deg (at least {phase:g})")
-        return f"{where}: {' and '.join(short)} at {self.frequency_hz:.0f} Hz"
+        return f"{' and '.join(short)} at {self.frequency_hz:.0f} Hz"
 
     def as_json(self) -> dict[str, Any]:
         """Keys: as the fields; margins are null where nothing is met."""

@@ -42,7 +42,7 @@ def _computed(metadata: dict[str, Any]) -> dict[str, Any]:
     with rig_of_run(metadata) as (rig, _):
         found = check_corners(rig)
     rows = [finding for axis in rig.axes for finding in _nominal_and_least([one for one in found if one.axis == axis])]
-    return {"rows": [{**finding.as_json(), "lacks": finding.lacks()} for finding in rows], "problem": ""}
+    return {"rows": [{**finding.as_json(), "lacks": finding.shortfall()} for finding in rows], "problem": ""}
 
 
 def _nominal_and_least(findings: "list[CornerFinding]") -> "list[CornerFinding]":

@@ -27,7 +27,6 @@ _TOO_SLOW = (
 def sim(
     rig: ReadRig,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time to run")] = 20.0,
-    law: LawOfRun = "",
     overrides: Overrides = [],  # noqa: B006
     json_target: JsonTarget = "",
     faults: Annotated[
@@ -39,6 +38,7 @@ def sim(
         Path | None, typer.Option(callback=drawable, help="write a picture of the tracking, as .png, .svg, .pdf, ...")
     ] = None,
     *,
+    law: LawOfRun = "",
     keep: Annotated[
         bool | None,
         typer.Option(

@@ -295,6 +295,7 @@ def test_margins_are_those_of_the_loop_and_are_computed_once_a_run(told: Told, p
     wanted = [finding for finding in corners if finding.nominal]
     for row, finding in zip(nominal, wanted, strict=True):
         assert (row["gain_db"], row["phase_deg"]) == pytest.approx((finding.gain_db, finding.phase_deg))
+        assert row["lacks"] == finding.shortfall()
     for axis in ("x", "y"):
         least = min(finding.gain_db for finding in corners if finding.axis == axis)
         assert pytest.approx(least) in [row["gain_db"] for row in found["rows"] if row["axis"] == axis]

@@ -54,9 +54,9 @@ export class Rig {
     const { rows, problem, said } = await load(`/rigs/${encodeURIComponent(this.feed.rig)}/margins`, MARGINS_MS);
     const number = (value, unit) => (exists(value) ? `${value.toFixed(1)} ${unit}` : "-");
     const shown = (rows ?? []).map((row) => [row.axis, row.corner, row.stable ? number(row.gain_db, "dB") : "UNSTABLE",
-      row.stable ? number(row.phase_deg, "°") : "", number(row.frequency_hz, "Hz"), row.lacks ? "less than is good" : ""]);
+      row.stable ? number(row.phase_deg, "°") : "", number(row.frequency_hz, "Hz"), row.lacks]);
     this.margins.replaceChildren(el("h2", {}, "Margins"), ...(rows?.length
-      ? [table(["axis", "model", "gain", "phase", "at", ""], shown)] : [el("p", {}, problem || said || "none")]));
+      ? [table(["axis", "model", "gain", "phase", "at", "less than is good"], shown)] : [el("p", {}, problem || said || "none")]));
   }
 
   /** What hil doctor finds, but for real time, of which the control process said itself what it was granted. */
