@@ -1,6 +1,7 @@
 """The console script, and `python -m hil`, for machines where that is not on the path."""
 
 import io
+import os
 import sys
 
 _WHO_READ_IS_GONE = 1  # exit status, as where a command has begun
@@ -54,7 +55,10 @@ def _explained(key: str) -> bool:
     try:
         print(text, flush=True)
     except BrokenPipeError:  # as `| head` leaves it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # else what is left fails again at the end
         sys.exit(_WHO_READ_IS_GONE)
+    except OSError:
+        pass  # `leave` tells it
     return True
 
 

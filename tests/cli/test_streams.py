@@ -1,5 +1,6 @@
 """Standard streams that are closed or full: nothing else gets their numbers, and what is not written is told."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,17 @@ def shell(line: str) -> subprocess.CompletedProcess[str]:
 def test_a_full_output_is_told_in_one_line_and_by_the_status() -> None:
     done = shell(f"{EXPLAIN} > /dev/full")
     assert (done.returncode, done.stderr) == (EXIT_FILE, "hil: standard output: No space left on device\n")
+
+
+@pytest.mark.parametrize("key", ["plant", "plant.mass"])
+def test_who_reads_may_leave_early_as_head_does(key: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "explain", key], cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 def test_closed_streams_become_dev_null_before_a_file_gets_their_numbers(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_too_few_are_refused_with_what_to_do(tmp_path: Path, names: tuple[str, .
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("command", ["plot", "report", "export", "diff"])
+@pytest.mark.parametrize("command", ["plot", "report", "export", "diff", "events"])
 def test_a_command_without_a_run_says_what_is_missing_in_one_line(tmp_path: Path, command: str) -> None:
     words = [sys.executable, "-m", "hil", command]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
