@@ -23,6 +23,7 @@ from hil.operate.demo_live import (
     by_this_computer,
     private_runtime,
 )
+from hil.rig.brought import code_of
 from hil.rig.file import load_rig
 from hil.telemetry.blackbox import run_directory
 from hil.telemetry.recording import RecordingError
@@ -61,13 +62,17 @@ def this_command(program: str) -> str:
 def _what_next(scene: Scene, console: Console) -> None:
     rig, out = shlex.quote(str(scene.rig_file)), shlex.quote(str(scene.out))
     hil = "hil" if shutil.which("hil") else this_command(sys.argv[0])
+    chosen = [text for text in scene.overrides if text not in ALWAYS]
+    same = "".join(f" --set {shlex.quote(text)}" for text in chosen)
+    stage = "".join(f" --set {shlex.quote(text)}" for text in chosen if not text.startswith("law."))
+    runs_code = " --run-its-code" if code_of(scene.rig.model_dump(mode="json")) else ""
     other = "structured-kalman" if scene.rig.law.name == "pd-feedforward" else "pd-feedforward"
     console.print(
         f"in {out}/: summary.json, tracking.png, run.mcap\n"
         "next, try:\n"
-        f"  {hil} replay {out}/run.mcap  # every torque frame again, byte for byte\n"
-        f"  {hil} demo {rig} --law {other}\n"
-        f"  {hil} sim {rig} --seconds 20  # the same in exact virtual time\n"
+        f"  {hil} replay {out}/run.mcap{runs_code}  # every torque frame again, byte for byte\n"
+        f"  {hil} demo {rig} --law {other}{stage}\n"
+        f"  {hil} sim {rig} --seconds 20{same}  # the same in exact virtual time\n"
         f"  {hil} doctor  # what this machine grants a real-time loop",
         soft_wrap=True,
         highlight=False,

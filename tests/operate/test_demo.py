@@ -394,3 +394,16 @@ def test_in_virtual_time_the_demo_has_the_stage_and_law_of_the_rig_and_what_it_p
     replay = shlex.split(commands[0], comments=True)
     assert replay[-2:] == ["replay", f"{out}/run.mcap"]
     assert subprocess.run(replay, check=False, capture_output=True).returncode == 0
+
+
+def test_what_comes_next_keeps_what_was_chosen_for_the_run_and_says_whose_code_a_replay_runs(tmp_path: Path) -> None:
+    own = f"law.name={ROOT / 'examples' / 'laws' / 'lqr.py'}:Lqr"
+    chosen = ("plant.friction_scale=1.5", own)
+    said = Console(record=True, width=120, file=io.StringIO())
+    scene = Scene(load_rig(IDEAL, chosen), IDEAL, (*chosen, *demo_live.ALWAYS), tmp_path, tmp_path)
+    demo_module._what_next(scene, said)
+    lines = [shlex.split(line, comments=True) for line in said.export_text().partition("next, try:")[2].splitlines()]
+    after = {name: line[line.index(name) + 2 :] for line in lines for name in ("replay", "demo", "sim") if name in line}
+    assert after["replay"] == ["--run-its-code"]
+    assert after["demo"] == ["--law", "pd-feedforward", "--set", chosen[0]]
+    assert after["sim"] == ["--seconds", "20", "--set", chosen[0], "--set", own]
