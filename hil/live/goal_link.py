@@ -183,7 +183,10 @@ class PageLink(Closing):
 
     def _by_whom(self) -> str:
         now = self.holder()
-        return f": {now} has taken it" if now else f"; the rig is {self.look().state.name}"
+        if now:
+            return f": {now} has taken it"
+        which = f"a stop, a fault, or a second without word of this program; hil events {self._name} tells which"
+        return f"; the rig is {self.look().state.name}: {which}"
 
     def leave(self) -> None:
         """Give the lease back; the plan in hand goes on to its rest."""

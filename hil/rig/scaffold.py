@@ -77,7 +77,7 @@ def rig_text(sketch: Sketch) -> str:
     axes = [axis._replace(encoder=encoder) for axis, encoder in zip(sketch.axes, encoders, strict=True)]
     coarser = [math.sqrt(axis.encoder / asked.encoder) for axis, asked in zip(axes, sketch.axes, strict=True)]
     # Coarse counts make a filter slow, which costs phase, and so does mass: the more the force may change, the quicker
-    # it is. 5 N/sqrt(s) for each kg leaves more than 6 dB.
+    # it is. 5 N/sqrt(s) for each kg leaves more than 6 dB, with counts of 0.1 um or finer.
     changes = [max(4.0 * axis.friction, 1e-3 * axis.force, 5.0 * axis.mass) for axis in axes]
     noise = [_rounded(k * change) for k, change in zip(coarser, changes, strict=True)]
     parts = [
