@@ -3,9 +3,11 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
 
 from drivers.base.named_file import write_text
 
@@ -15,6 +17,11 @@ CACHE = "var/cache/hil"  # the units' CacheDirectory=: filter designs, computed 
 KEPT = "var/lib/hil"  # the units' StateDirectory=: recordings
 _UNIT_FOLDERS = ("etc/systemd/system", "run/systemd/system")
 _MASK = "/dev/null"
+_NO_FILE = "no file"
+_OURS: Final = re.compile(
+    r"etc/(systemd/(system|network)|sysusers\.d|tmpfiles\.d|udev/rules\.d)/([^/]+\.wants/)?(\d\d-)?hil[-.@]"
+)
+_LONGEST_SHOWN: Final = 200  # letters of an entry
 
 Files = dict[str, str]  # path relative to the root -> content
 Links = dict[str, str]  # path relative to the root -> what the symbolic link says
@@ -25,19 +32,36 @@ class InstallError(Exception):
 
 
 def read_manifest(root: Path) -> dict[str, str]:
-    """What was put where, by its path relative to the root. Raises InstallError for anything that leads out of it."""
+    """What was put where, by its path relative to the root. Raises InstallError for an entry that leads out of it, and
+    for one that no installation ever made.
+    """
     path = root / MANIFEST
     try:
-        entries = json.loads(path.read_text()) if path.exists() else {}
-    except (OSError, ValueError) as error:
+        entries = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    except (OSError, ValueError, RecursionError) as error:
         raise InstallError(f"{path}: {error}") from None
     if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
         raise InstallError(f"{path}: expected a JSON object of texts")
-    top = root.resolve()
     for entry in entries:
-        if ".." in Path(entry).parts or not (root / entry).parent.resolve().is_relative_to(top):
-            raise InstallError(f"{path}: the entry {entry!r} leads out of {root}; nothing was removed or written")
+        if wrong := _is_wrong(root, entry):
+            raise InstallError(f"{path}: the entry {_short(entry)} {wrong}; nothing was removed or written")
     return entries
+
+
+def _is_wrong(root: Path, entry: str) -> str:
+    """Why nothing may be removed at this entry; empty: it may."""
+    try:
+        if ".." in Path(entry).parts or not (root / entry).parent.resolve().is_relative_to(root.resolve()):
+            return f"leads out of {root}"
+        (root / entry).is_symlink()
+    except (OSError, RuntimeError, ValueError):  # a name or a loop of links that no file system has
+        return "names no file"
+    return "" if _OURS.match(entry) else "is no file of `hil install`"
+
+
+def _short(entry: str) -> str:
+    """For people: a name of any length and any letters."""
+    return repr(entry) if len(entry) <= _LONGEST_SHOWN else f"{entry[:_LONGEST_SHOWN]!r}..."
 
 
 def write_manifest(root: Path, manifest: dict[str, str]) -> None:
@@ -101,9 +125,9 @@ def _found(path: Path) -> str:
     """What is there, as the manifest would say it; empty: nothing."""
     if path.is_symlink():
         return f"-> {os.readlink(path)}"
-    if path.is_dir():
-        return "a directory"
-    return _digest(path.read_bytes()) if path.exists() else ""
+    if path.is_file():
+        return _digest(path.read_bytes())
+    return _NO_FILE if path.exists() else ""  # a directory, a pipe, a device: never ours
 
 
 def remove(root: Path, paths: list[str], manifest: dict[str, str]) -> list[str]:
@@ -112,7 +136,7 @@ def remove(root: Path, paths: list[str], manifest: dict[str, str]) -> list[str]:
     for relative in paths:
         path, expected = root / relative, manifest.pop(relative)
         found = _found(path)
-        if found and found != expected:
+        if found and (found != expected or found == _NO_FILE):
             left.append(relative)
         elif found:
             path.unlink()
