@@ -3,6 +3,10 @@
 Integrators put real poles near 1 into a loop, too slow for any answer that is short enough to compute. An axis that is
 held shows them at once. The force of an integrator with the wrong sign goes the wrong way, tick by tick. The loop then
 has a pole beyond 1, however small the gain is, as its characteristic polynomial is negative at z = 1.
+
+Some filters and laws swing up by themselves while the axis is held, although the loop is stable. Then the loop stays
+closed and a constant force pushes the axis. It goes to where the law's stiffness balances the push. An integrator of
+the wrong sign lets it creep on from there, away, by equal steps.
 Source: Astrom and Wittenmark, Computer-Controlled Systems (1997), section 3.3.
 """
 
@@ -10,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.analysis.pulse_loop import PULSE, SETTLE, PulseLoop
+from hil.analysis.pulse_loop import PULSE, SETTLE, PulseLoop, RigidPlant
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
 from hil.rig.schema import RigConfig
@@ -18,6 +22,11 @@ from hil.rig.schema import RigConfig
 HELD = 1200  # ticks
 STEADY = 0.1  # of the trend: what changes by more is a filter that settles, while an integrator goes on and on
 ROUNDING = 1e-9  # of the force that pushes back
+BLOCK = 150  # ticks in which an axis is pushed; the means of blocks are compared
+FEWEST, MOST_BLOCKS = 8, 40
+CREEPING = 4  # steps, from one mean to the next, that are alike
+ALIKE = 0.3  # of the largest of them
+LEAST, MOST = 1e-11, 1e-2  # a step of the distance gone: below it is rounding, above it the axis is still on its way
 
 
 class HeldPlant:
@@ -34,17 +43,66 @@ class HeldPlant:
         self.error, self.rate = error + self._offset, np.zeros_like(rate)
 
 
+class PushedPlant(RigidPlant):
+    """A rigid axis under a constant force beside the law's, N, (rows, n_axes)."""
+
+    def __init__(self, mass: Array, period: float, push: Array) -> None:
+        super().__init__(mass, period, push.shape)
+        self._push = push
+
+    def advance(self, force: Array) -> None:
+        """On by one period."""
+        super().advance(force + self._push)
+
+
 def pushes_away(rig: RigConfig) -> Any:
-    """Which axes' force turns against them, steadily, while they are held PULSE off their setpoint: bool, (n_axes,)."""
-    loop = PulseLoop(rig, rig_model(rig))
-    quiet, force = np.zeros(loop.shape), np.zeros((HELD, len(rig.axes)))
+    """Which axes the law lets go or turns against, steadily and however slowly: bool, (n_axes,)."""
+    away, restoring = _held(rig)
+    return away if np.all(away | restoring) else away | (_creeps(rig) & ~restoring)
+
+
+def _held(rig: RigConfig) -> tuple[Any, Any]:
+    """Which axes' force turns against them while they are held PULSE off their setpoint, and which turns back: bool,
+    (n_axes,) each.
+    """
+    loop, quiet = _settled(rig)
+    force = np.zeros((HELD, len(rig.axes)))
     with np.errstate(all="ignore"):
-        for _ in range(SETTLE):
-            loop.step(quiet)
         loop.change_plant(HeldPlant(loop.shape, loop.pulse()))
         for tick in range(HELD):
             loop.step(quiet)
             force[tick] = loop.beyond(loop.force)[0]
         before, after = force[HELD * 3 // 4] - force[HELD // 2], force[-1] - force[HELD * 3 // 4]
         shown = ROUNDING * np.abs(force[-1]) + 100.0 * np.finfo(float).eps * np.abs(loop.force).max() / PULSE
-        return (after > shown) & (np.abs(after - before) <= STEADY * after)
+        steady = np.abs(after - before) <= STEADY * np.abs(after)
+        return (after > shown) & steady, (after < -shown) & steady
+
+
+def _creeps(rig: RigConfig) -> Any:
+    """Which axes creep away under a constant push: bool, (n_axes,)."""
+    loop, quiet = _settled(rig)
+    period, mass, means = rig.period_ns * 1e-9, rig_model(rig).mass, []
+    creeps = np.zeros(len(rig.axes), dtype=bool)
+    with np.errstate(all="ignore"):
+        loop.change_plant(PushedPlant(mass, period, loop.pulse() * mass / period**2))
+        for _ in range(MOST_BLOCKS):
+            means.append(np.mean([loop.beyond(loop.step(quiet))[0] for _ in range(BLOCK)], axis=0))
+            if len(means) < FEWEST:
+                continue
+            steps = np.diff(means[-CREEPING - 1 :], axis=0) / np.abs(means[-1])
+            alike = np.ptp(steps, axis=0) <= ALIKE * np.abs(steps).max(axis=0)
+            creeps = alike & np.all((steps > LEAST) & (steps < MOST), axis=0)
+            rests = ~(np.abs(steps).max(axis=0) > LEAST)  # also where it is not finite
+            if np.all(rests | alike):
+                break
+    return creeps
+
+
+def _settled(rig: RigConfig) -> tuple[PulseLoop, Array]:
+    """The loop on its way, and a tick without a pulse."""
+    loop = PulseLoop(rig, rig_model(rig))
+    quiet = np.zeros(loop.shape)
+    with np.errstate(all="ignore"):
+        for _ in range(SETTLE):
+            loop.step(quiet)
+    return loop, quiet

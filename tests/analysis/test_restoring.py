@@ -15,16 +15,16 @@ WITH_LAWS = Path(__file__).parent.parent / "long_runs"
 LIMITS = {"position": [-0.3, 0.3], "speed": 1.0, "force": 1e3, "force_rate": 1e7, "following_error": 0.01}
 
 
-def loop(name: str, mass: float = 1.0, coulomb: float = 0.5, **gains: float) -> RigConfig:
+def loop(name: str, mass: float = 1.0, coulomb: float = 0.5, rate_hz: float = 100.0, **gains: float) -> RigConfig:
     axis = {
         "encoder_resolution": 1e-7,
         "rated_force": 1e3,
         "limits": LIMITS,
         "model": {"mass": mass, "coulomb": coulomb},
     }
-    law, drives = {"name": name, "gains": gains}, {"watchdog_s": 0.03}
+    law, drives = {"name": name, "gains": gains}, {"watchdog_s": 3.0 / rate_hz}
     return build_rig(
-        {"name": "one", "rate_hz": 100.0, "axes": {"x": axis}, "law": law, "drives": drives}, folder=WITH_LAWS
+        {"name": "one", "rate_hz": rate_hz, "axes": {"x": axis}, "law": law, "drives": drives}, folder=WITH_LAWS
     )
 
 
@@ -40,6 +40,29 @@ def test_an_integrator_of_the_wrong_sign_is_refused_however_small_it_is(ki: floa
     right = loop("pid", kp=20.0, kd=5.0, ki=ki)
     assert pushes_away(right).tolist() == [False]
     refuse_unstable(right)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("rate_hz", "mass", "kp", "kd", "ki"),
+    [
+        (100.0, 0.0273, 46.6, 3.075, 4e-4),  # filter and law swing up while the axis is held
+        (250.0, 0.1217, 1406.0, 23.25, 2.6e-4),
+        (500.0, 11.62, 9143.0, 336.3, 1.87e-6),  # a pole at 1 + 4e-13: the held force changes by less than it rounds
+    ],
+)
+def test_a_loop_that_creeps_away_under_a_push_is_found_where_a_held_axis_shows_nothing(
+    rate_hz: float, mass: float, kp: float, kd: float, ki: float
+) -> None:
+    gains = {"mass": mass, "coulomb": 0.0, "rate_hz": rate_hz, "kp": kp, "kd": kd}
+    assert pushes_away(loop("./wrong_sign.py:WrongSign", **gains, ki=ki)).tolist() == [True]
+    assert pushes_away(loop("pid", **gains, ki=ki)).tolist() == [False]
+    assert pushes_away(loop("pd-feedforward", **gains)).tolist() == [False]
+
+
+@pytest.mark.parametrize("kp", [0.0, 1e-6, 1e-3, 0.05])
+def test_an_axis_that_is_slow_to_go_where_it_is_pushed_does_not_creep(kp: float) -> None:
+    assert pushes_away(loop("pd-feedforward", kp=kp, kd=5.0)).tolist() == [False]
 
 
 @pytest.mark.long
