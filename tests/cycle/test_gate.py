@@ -235,3 +235,45 @@ def test_nothing_else_in_hil_builds_a_command_frame() -> None:
             if name == "Command" or (name == "encode" and on_protocol):
                 offenders.append(f"{path}:{node.lineno}")
     assert offenders == []
+
+
+# one axis and another ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("position", "expected"), [([0.0, HIGH], [1.0, 0.0]), ([HIGH, 0.0], [0.0, 1.0])])
+def test_an_axis_at_its_end_takes_no_force_from_another(position: list[float], expected: list[float]) -> None:
+    assert list(applied(make_gate(), [1.0, 1.0], position).force) == expected
+
+
+def test_a_bound_is_of_its_axis_alone_never_above_the_limit_and_taken_back_whole() -> None:
+    gate = make_gate()
+    gate.bound(0, 0.5)
+    for _ in range(3):
+        applied(gate, [9.0, 9.0], [0.0, 0.0])
+    assert gate.force == [0.5, LIMIT]
+    gate.bound(0, math.inf)
+    for _ in range(3):
+        applied(gate, [9.0, 9.0], [0.0, 0.0])
+    assert gate.force == [LIMIT, LIMIT]
+
+
+@pytest.mark.parametrize(("low", "high", "least", "most"), [(True, False, 0.0, 1.0), (False, True, -1.0, 0.0)])
+def test_a_closed_switch_takes_the_force_towards_it_and_gives_it_back(
+    low: bool, high: bool, least: float, most: float
+) -> None:
+    for request, expected in ((-1.0, least), (1.0, most)):
+        gate = make_gate()
+        gate.block(0, low=low, high=high)
+        assert list(applied(gate, [request, request], [0.0, 0.0]).force) == [expected, request]
+        gate.block(0, low=False, high=False)
+        assert list(applied(gate, [request, request], [0.0, 0.0]).force) == [request, request]
+        assert list(applied(gate, [0.0, 0.0], [LOW - 1.0, HIGH + 1.0]).force) == [0.0, 0.0]
+        assert applied(gate, [math.copysign(1.0, request)] * 2, [math.copysign(9.0, request)] * 2).force[0] == 0.0
+
+
+def test_a_switch_that_closes_or_opens_leaves_the_bound_of_a_way_back() -> None:
+    gate = make_gate()
+    gate.bound(0, 0.5)
+    for closed in (True, False):
+        gate.block(0, low=closed, high=False)
+        assert applied(gate, [1.0, 0.0], [0.0, 0.0]).force[0] == 0.5

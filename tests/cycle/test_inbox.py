@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.config import BusConfig
-from drivers.frame import ECHO, Frame
+from drivers.frame import ECHO, Frame, on_segment
 from drivers.protocols import device_protocol, host_protocol
-from drivers.protocols.base import Reject, Sample
+from drivers.protocols.base import Command, Reject, Sample
 from hil.cycle.inbox import Inbox
 from hil.rig.file import load_rig
 from hil.rig.layout import host_layout
 from tests.support.paths import RIGS
+from tests.support.two_segments import TWO_PAIRS
 
 BUS = BusConfig()
 HERE = Path()
@@ -129,6 +130,53 @@ def test_the_leaky_bucket_forgives_one_bad_frame_per_hundred_ticks() -> None:
     for _ in range(100):
         inbox.collect([], 0)
     assert inbox.bad_frames == 2
+
+
+def test_what_a_checksum_has_passed_is_never_forgiven_until_a_reset() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5)], 5)
+    inbox.collect([answer(0, 6), answer(0, 4)], 6)
+    for _ in range(200):
+        inbox.collect([], 6)
+    assert inbox.bad_frames == 1
+    inbox.forget()
+    inbox.collect([answer(0, 0)._replace(data=bytes(16))], 5)
+    for _ in range(100):
+        inbox.collect([], 5)
+    assert inbox.bad_frames == 0, "noise behind the reset is forgiven again"
+
+
+def test_a_repeated_answer_is_a_duplicate_whether_or_not_another_axis_has_answered() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(1, 5), answer(1, 5)], 5)
+    assert inbox.rejects[Reject.DUPLICATE] == 1
+
+
+def test_an_answer_has_the_time_at_which_it_came() -> None:
+    inbox = make_inbox()
+    inbox.collect([answer(0, 5)._replace(timestamp_ns=700), answer(1, 5)._replace(timestamp_ns=900)], 5)
+    assert inbox.received_ns == [700, 900]
+
+
+@pytest.mark.requirement(id="SR-3.2")
+def test_a_command_of_ours_from_another_node_is_told_in_its_tick_alone() -> None:
+    inbox = make_inbox()
+    (command,) = host_protocol(BUS, 2, [5.0, 5.0], HERE).encode(Command(5, [0.0, 0.0], 0, False))
+    inbox.collect([command], 5)
+    assert inbox.foreign_id == command.can_id
+    inbox.collect([], 6)
+    assert inbox.foreign_id == -1
+    inbox.collect([command._replace(flags=command.flags | ECHO)], 7)
+    assert inbox.foreign_id == -1, "our own, as the kernel shows it"
+
+
+@pytest.mark.requirement(id="SR-3.2")
+def test_an_identifier_is_ours_on_its_segment_alone() -> None:
+    rig = load_rig(RIGS / "microscope-ideal.toml", ("bus.protocol=cia402", *TWO_PAIRS))
+    inbox = Inbox(host_layout(rig, RIGS), leak_ticks=100)
+    for segment, can_id, foreign in ((0, 0x201, 0x201), (1, 0x201, -1), (0, 0x203, -1), (1, 0x203, 0x203)):
+        inbox.collect([on_segment(Frame(can_id, bytes(8)), segment)], sent_sequence=5)
+        assert inbox.foreign_id == foreign, (segment, hex(can_id))
 
 
 @pytest.mark.requirement(id="SR-3.2")

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
 from drivers.protocols.base import Sample
+from hil.control.error_map import ErrorMap
 from hil.cycle.axes import axis_inputs  # in the compiled build, those that a rig's cycle works with
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault
@@ -22,13 +23,15 @@ JUMP = [round(limit.jump_step / step) for limit, step in zip(LIMITS, RESOLUTION,
 
 
 class Bench:
-    """Sampling of two axes, shown one tick after the other. acts_ns: of drives that sample in their own time."""
+    """Sampling of two axes, shown one tick after the other. acts_ns: of drives that sample in their own time. wraps_ns:
+    of those with clocks of their own.
+    """
 
-    def __init__(self, *acts_ns: int) -> None:
+    def __init__(self, *acts_ns: int, wraps_ns: tuple[int, ...] = ()) -> None:
         self.inputs = [axis_inputs() for _ in range(AXES)]
         self.inbox = Inbox(host_protocol(BusConfig(), AXES, [5.0, 5.0], Path()), 100)
         self.monitor = FaultMonitor(SAFETY, LIMITS, PERIOD_NS, INNOVATION)
-        self.sampling = Sampling(self.inputs, self.inbox, RESOLUTION, PERIOD_NS, acts_ns)
+        self.sampling = Sampling(self.inputs, self.inbox, RESOLUTION, PERIOD_NS, acts_ns, wraps_ns, one_command=True)
 
     def tick(self, now_ns: int, *samples: tuple[int, int] | None, sent_ns: int = -1) -> None:
         """samples: stamp and counts of each axis, or None where no answer came."""
@@ -106,6 +109,17 @@ def test_a_step_that_cannot_be_true_is_left_out_and_measured_from_the_last_that_
     assert [x.position for x in bench.inputs] == [(2 * JUMP[0] - 2) * RESOLUTION[0], JUMP[1] * RESOLUTION[1]]
 
 
+def test_a_leap_to_and_fro_leaves_nothing_behind() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 0), (300_000, 0))
+    bench.sampling.tracked = True
+    bench.tick(2_000_000, (1_300_000, 9 * JUMP[0]), (1_300_000, 0))
+    assert bench.faults() == [Fault.ENCODER_GLITCH]
+    bench.tick(3_000_000, (2_300_000, 1), (2_300_000, 0))
+    assert bench.faults() == []
+    assert bench.inputs[0].position == RESOLUTION[0]
+
+
 def test_nobody_answered_where_all_that_came_was_left_out() -> None:
     bench = Bench()
     bench.tick(1_000_000, (300_000, 0), (300_000, 0))
@@ -181,3 +195,59 @@ def test_of_all_other_drives_the_latest_force_acts_in_no_part_of_the_interval() 
     bench = Bench()
     bench.tick(1_000_000, (900_000, 0), (900_000, 0))
     assert bench.sampling.shares == [0.0, 0.0]
+
+
+# drives with clocks of their own --------------------------------------------------------------------------------------
+
+CLOCKS = (1 << 32, 1 << 32)
+EARLY_NS, LATE_NS = 200_000, 250_000  # when axis 0 and axis 1 answer, from the tick's start
+OWN_NS = 3_000_000  # that their clocks are ahead by
+
+
+def own_clocks(first: int, last: int, bench: Bench, *, off_ns: int = 0, sampled_ns: int = 100_000) -> None:
+    """Ticks of drives that sample together; off_ns: what axis 0's stamp is wrong by."""
+    bench.inbox.received_ns = [0, 0]
+    for k in range(first, last):
+        sent = k * PERIOD_NS
+        bench.inbox.received_ns = [sent + EARLY_NS, sent + LATE_NS]
+        stamp = sent + sampled_ns + OWN_NS
+        bench.tick(sent + PERIOD_NS, (stamp + off_ns, k), (stamp, k), sent_ns=sent)
+
+
+@pytest.mark.requirement(id="SR-3.4")
+def test_a_sample_whose_stamp_cannot_be_true_is_missed_and_its_instant_is_a_period_later() -> None:
+    bench = Bench(wraps_ns=CLOCKS)
+    own_clocks(1, 400, bench)
+    bench.sampling.tracked = True
+    before = list(bench.sampling.instants)
+    own_clocks(400, 401, bench, off_ns=1_000_000)
+    assert bench.faults() == [Fault.STAMP]
+    assert [(x.fresh, x.answered) for x in bench.inputs] == [(0.0, 1.0), (1.0, 1.0)]
+    assert bench.sampling.instants == [instant + PERIOD_NS for instant in before]
+    assert bench.inputs[0].position == 399 * RESOLUTION[0]
+
+
+@pytest.mark.requirement(id="SR-3.4")
+def test_after_a_reset_the_drives_may_have_other_clocks() -> None:
+    bench = Bench(wraps_ns=CLOCKS)
+    own_clocks(1, 400, bench)
+    bench.sampling.restart()
+    own_clocks(400, 401, bench, off_ns=1_000_000)
+    assert bench.faults() == []
+    assert [x.fresh for x in bench.inputs] == [1.0, 1.0]
+
+
+def test_drives_that_sample_at_one_command_have_done_so_before_the_first_answer() -> None:
+    """So axis 1, which answers later, is held to axis 0's answer."""
+    bench = Bench(wraps_ns=CLOCKS)
+    own_clocks(1, 2, bench, sampled_ns=LATE_NS - 1_000)
+    sent = PERIOD_NS
+    assert [sent <= instant <= sent + EARLY_NS + 1_000 for instant in bench.sampling.instants] == [True, True]
+
+
+def test_the_error_map_is_of_positions_in_metres() -> None:
+    bench = Bench()
+    maps = [ErrorMap([0.0, 1e-3], [0.0, 1e-5]), None]
+    bench.sampling = Sampling(bench.inputs, bench.inbox, RESOLUTION, PERIOD_NS, maps=maps)
+    bench.tick(1_000_000, (300_000, 500), (300_000, 500))
+    assert [x.position for x in bench.inputs] == [pytest.approx(5.05e-4, rel=1e-12), 1e-3]
