@@ -31,6 +31,7 @@ from hil.events.baseline import known_of
 from hil.events.causes import History
 from hil.events.event import Event
 from hil.events.motion_causes import Cause
+from hil.events.refusals import Guards, HandledCommand, Refusals, guards_of
 from hil.events.storm import Tallies
 from hil.events.table import KINDS, REFUSED_ACTION, Kind, Severity, severity_of
 
@@ -67,7 +68,8 @@ class EventStream:
 
     axes: name and kind ("linear" or "rotary") of every axis. period_ns: of the control loop. sensors: name and unit of
     every sensor. models: of every axis, for its accuracy to be watched; none: it is not. known: what a baseline bounds,
-    by axis. rig: its name, for next steps; empty: they say NAME. latched: the event of the fault that is latched now.
+    by axis. rig: its name, for next steps; empty: they say NAME. guards: what the rig asks for before it becomes
+    ACTIVE. latched: the event of the fault that is latched now.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class EventStream:
         models: Sequence[AxisModel] = (),
         known: Sequence[Mapping[str, Mapping[str, float]]] = (),
         rig: str = "",
+        guards: Guards | None = None,
     ) -> None:
         self._rig = rig
         self._axes = list(axes)
@@ -86,6 +89,7 @@ class EventStream:
         self._period_ns = max(period_ns, 1)
         self._window_ticks = max(1, round(1e9 / self._period_ns))
         self._tallies = Tallies()
+        self._refusals = Refusals(guards or Guards())
         self._last = _Seen()
         self._pairs: set[tuple[int, int]] = set()  # fault and axis flagged in the last tick
         self._history = History(len(self._axes), self._period_ns * 1e-9, models)
@@ -177,10 +181,11 @@ class EventStream:
         yield from self._faults(record, evidence, active, last)
         if fault != last.fault:
             yield from self._latches(record, evidence, last.fault, fault)
-        commands = [_Command(*row) for row in record["commands"][: int(record["n_commands"])].tolist()]
+        commands = [HandledCommand(*row) for row in record["commands"][: int(record["n_commands"])].tolist()]
         for command in commands:
+            refused = self._refusals.cause(record, command, last.state)
             if command.kind != CommandKind.HEARTBEAT or not command.accepted:
-                yield self._command(record, command)
+                yield self._command(record, command, refused)
         if state != last.state:
             yield self._state(record, last, commands)
 
@@ -261,17 +266,15 @@ class EventStream:
             self.latched = self._following(self._fault(Kind.FAULT_LATCHED, record, found)).pasted(self._rig)
             yield self.latched
 
-    def _command(self, record: np.void, command: "_Command") -> Event:
+    def _command(self, record: np.void, command: HandledCommand, refused: str) -> Event:
         name = CommandKind(command.kind).name if command.kind in set(CommandKind) else f"number {command.kind}"
         event = self._event(Kind.COMMAND, f"{name} {'accepted' if command.accepted else 'refused'}", record)
         if command.accepted:
             return event._replace(cause="an operator's command")
-        late_ns = int(record["now_ns"]) - command.expires_ns
-        stale = f"it expired {late_ns * 1e-6:.1f} ms before" if late_ns > 0 else "replayed, or a guard refused it"
-        cause = f"{stale}; the state is {State(int(record['state'])).name}"
+        cause = f"{refused}; the state is {State(int(record['state'])).name}"
         return event._replace(severity=Severity.WARNING, cause=cause, action=REFUSED_ACTION)
 
-    def _state(self, record: np.void, last: _Seen, commands: "list[_Command]") -> Event:
+    def _state(self, record: np.void, last: _Seen, commands: list[HandledCommand]) -> Event:
         before, now = State(last.state), State(int(record["state"]))
         event = self._event(Kind.STATE, f"{before.name} -> {now.name}", record)
         led_out = "; the tip goes to its safe height first" if record["motion"] == MotionWord.WITHDRAW else ""
@@ -283,7 +286,7 @@ class EventStream:
             return event._replace(severity=Severity.WARNING, action=action)
         return event
 
-    def _state_cause(self, record: np.void, last: _Seen, commands: "list[_Command]") -> str:
+    def _state_cause(self, record: np.void, last: _Seen, commands: list[HandledCommand]) -> str:
         """Why the state changed, as far as the record says."""
         before, now, fault = State(last.state), State(int(record["state"])), int(record["fault"])
         if fault and fault != last.fault:
@@ -361,15 +364,6 @@ class _Evidence(NamedTuple):
     limit: float
 
 
-class _Command(NamedTuple):
-    """As hil.cycle.record.COMMAND has it."""
-
-    kind: int
-    accepted: int
-    sequence: int
-    expires_ns: int
-
-
 def _evidence(record: np.void) -> list[_Evidence]:
     kept = min(int(record["n_evidence"]), MAX_EVIDENCE)
     found = []
@@ -394,4 +388,5 @@ def stream_of(rig: dict[str, Any], period_ns: int, baseline: dict[str, Any] | No
     axes = [(name, str(axis["kind"])) for name, axis in rig["axes"].items()]
     sensors = [(name, str(sensor["unit"])) for name, sensor in rig.get("sensors", {}).items()]
     known = [known_of(baseline["axes"].get(name, {})) for name, _ in axes] if baseline else []
-    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]), known, str(rig.get("name", "")))
+    name = str(rig.get("name", ""))
+    return EventStream(axes, period_ns, sensors, axis_models(rig["axes"]), known, name, guards_of(rig))

@@ -167,7 +167,8 @@ def test_commands_say_whether_they_were_obeyed_and_if_not_why() -> None:
     assert [event.name for event in (stop, reset, heartbeat)] == ["STOP accepted", "RESET refused", "HEARTBEAT refused"]
     assert (stop.cause, stop.severity, stop.action) == ("an operator's command", Severity.INFO, "none")
     assert (reset.cause, reset.severity) == ("it expired 2.0 ms before; the state is ACTIVE", Severity.WARNING)
-    assert heartbeat.cause == "replayed, or a guard refused it; the state is ACTIVE"
+    replayed = "replayed: its number 0 is not above 0, that of an earlier command"
+    assert heartbeat.cause == f"{replayed}; the state is ACTIVE"
     assert heartbeat.action == reset.action == REFUSED_ACTION
 
 
