@@ -100,8 +100,8 @@ ROWS: Final = (
         cause="the encoder lost counts, its head is loose, or the drive was restarted",
         action=f"check the encoder's cable and head, home the axis, {RESET}",
         trials=(
-            Trial("encoder jump", "encoder_jump", within=4),
-            Trial("encoder noise", "encoder_noise", within=4),
+            Trial("encoder jump", "encoder_jump", within=2),
+            Trial("encoder noise", "encoder_noise", within=2),
         ),
         guards=(Field.POSITION,),
     ),

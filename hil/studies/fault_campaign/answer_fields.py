@@ -153,7 +153,7 @@ def _position(field: Field, pattern: Pattern, change: Callable[[Sample, int, int
         _name(field, pattern),
         samples_wrong(change, pattern),
         (*BY_MOTION, Fault.STANDSTILL) if drifts else (Fault.ENCODER_JUMP,),
-        within=4,
+        within=2 if not drifts else 4,
         certain=not drifts,
         demand=Reaction.STOP if drifts else Reaction.ZERO,
         few=True,
