@@ -22,7 +22,7 @@ from hil.rig.schema import RigConfig
 HELD = 1200  # ticks
 STEADY = 0.1  # of the trend: what changes by more is a filter that settles, while an integrator goes on and on
 ROUNDING = 1e-9  # of the force that pushes back
-BLOCK = 150  # ticks in which an axis is pushed; the means of blocks are compared
+BLOCK = 150  # ticks in which an axis is pushed; the averages of blocks are compared
 FEWEST, MOST_BLOCKS = 8, 40
 CREEPING = 4  # steps, from one mean to the next, that are alike
 ALIKE = 0.3  # of the largest of them
@@ -81,15 +81,15 @@ def _held(rig: RigConfig) -> tuple[Any, Any]:
 def _creeps(rig: RigConfig) -> Any:
     """Which axes creep away under a constant push: bool, (n_axes,)."""
     loop, quiet = _settled(rig)
-    period, mass, means = rig.period_ns * 1e-9, rig_model(rig).mass, []
+    period, mass, averages = rig.period_ns * 1e-9, rig_model(rig).mass, []
     creeps = np.zeros(len(rig.axes), dtype=bool)
     with np.errstate(all="ignore"):
         loop.change_plant(PushedPlant(mass, period, loop.pulse() * mass / period**2))
         for _ in range(MOST_BLOCKS):
-            means.append(np.mean([loop.beyond(loop.step(quiet))[0] for _ in range(BLOCK)], axis=0))
-            if len(means) < FEWEST:
+            averages.append(np.mean([loop.beyond(loop.step(quiet))[0] for _ in range(BLOCK)], axis=0))
+            if len(averages) < FEWEST:
                 continue
-            steps = np.diff(means[-CREEPING - 1 :], axis=0) / np.abs(means[-1])
+            steps = np.diff(averages[-CREEPING - 1 :], axis=0) / np.abs(averages[-1])
             alike = np.ptp(steps, axis=0) <= ALIKE * np.abs(steps).max(axis=0)
             creeps = alike & np.all((steps > LEAST) & (steps < MOST), axis=0)
             rests = ~(np.abs(steps).max(axis=0) > LEAST)  # also where it is not finite

@@ -67,3 +67,14 @@ def test_before_enough_answers_the_window_is_the_whole_one() -> None:
     assert clock.margin_ns == (SEND_NS + ANSWER_NS) * 3 // 4
     clock.restart()
     assert (clock.margin_ns, clock.outside_ns) == (0, 0)
+
+
+@pytest.mark.requirement(id="SR-3.4")
+def test_single_jumps_far_apart_are_each_refused() -> None:
+    """A new clock is two of them in a row, however many there were before."""
+    clock, wrap = DriveClock(WRAPS[0]), WRAPS[0]
+    play(clock, wrap, range(1, LEARNING + 100), 12_345)
+    for tick in range(LEARNING + 100, LEARNING + 200, 20):
+        (wrong,) = play(clock, wrap, range(tick, tick + 1), 12_345 + 1_000_000)
+        assert wrong[1] > 0
+        play(clock, wrap, range(tick + 1, tick + 20), 12_345)
