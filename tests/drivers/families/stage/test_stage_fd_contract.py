@@ -28,7 +28,7 @@ def test_a_message_has_the_bytes_that_the_contract_says(name: str, layout: Struc
         assert layout.unpack(b"\xa5" * layout.size) == codec.unpack(b"\xa5" * layout.size)
 
 
-def test_the_contract_has_room_for_every_status_bit_and_names_each() -> None:
+def test_the_contract_has_room_for_every_status_bit_and_says_what_each_is() -> None:
     status = [load_dbc(DBC).get_message_by_name(f"Feedback{axis}").get_signal_by_name("status") for axis in range(4)]
     assert {signal.maximum for signal in status} == {EVERY_STATUS}
     numbers = [int(number) for number in re.findall(r"\d+(?= [a-z])", str(status[0].comment))]
