@@ -77,6 +77,17 @@ def test_an_emergency_stop_is_obeyed_from_every_state(state: State) -> None:
 
 
 @pytest.mark.requirement(id="SR-5.1")
+@pytest.mark.parametrize("state", sorted(set(State) - {State.BOOT, State.SHUTDOWN}))
+def test_an_exit_and_a_stop_come_to_rest_first_where_there_is_torque_and_keep_a_fault(state: State) -> None:
+    moves = state in TORQUE_STATES
+    assert TABLE[state, Event.EXIT] is (State.STOPPING if moves else State.SHUTDOWN)
+    stopped = (State.READY, State.FAULT, State.SHUTDOWN)
+    ends = (Event.STOPPED, Event.STOPPED_IN_FAULT, Event.STOPPED_FOR_EXIT)
+    found = tuple(TABLE.get((state, event)) for event in ends)
+    assert found == (stopped if state is State.STOPPING else (None, None, None))
+
+
+@pytest.mark.requirement(id="SR-5.1")
 @given(st.lists(st.sampled_from(list(Event)), max_size=60))
 def test_no_sequence_of_events_reaches_active_from_a_fault_without_passing_connected_and_ready(
     events: list[Event],
