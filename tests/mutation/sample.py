@@ -3,6 +3,7 @@
     python -m tests.mutation [--seed S] [--skip K] [--count N] [--minutes M] [--room R ...] [--match TEXT]
                              [--workers W] [--json OUT] [--all]
     python -m tests.mutation --hollow     tests that cannot fail: hollow.py
+    python -m tests.mutation --careless   mistakes written down by hand, each with its test: careless.py
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
 same one. Exit status 1 where the kill rate is too low, 2 as soon as a killing test also fails on the honest code.
@@ -30,6 +31,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.mutation import careless
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import ForkServer
 from tests.mutation.hollow import FOLDERS, green_tests
@@ -163,10 +165,13 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--hollow", action="store_true", help="list tests that pass while the product does nothing")
+    parser.add_argument("--careless", action="store_true", help="mistakes written down by hand, each with its test")
     parser.add_argument("--all", action="store_true", help="every mutant of the rooms")
     arguments = parser.parse_args()
     if arguments.hollow:
         return _list_green(arguments.workers)
+    if arguments.careless:
+        return careless.main(arguments.match, arguments.workers)
     seed = arguments.seed or _commit()
     cases = all_cases(arguments.room or list(ROOMS), arguments.match)
     if not arguments.room and not arguments.match:

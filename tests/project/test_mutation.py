@@ -1,11 +1,13 @@
 """The mutation lane itself: its mutants are what they say, its tables name what exists, its rule is fair."""
 
+import ast
 import math
 import re
 from pathlib import Path
 
 import pytest
 
+from tests.mutation import careless
 from tests.mutation.explained import Explained
 from tests.mutation.fork_server import COPIED
 from tests.mutation.mutants import differs, mutants_of
@@ -145,3 +147,33 @@ def test_a_seed_chooses_the_same_mutants_again_and_another_seed_others() -> None
     cases = [Case("cycle", mutant, *mutant.lines(source)) for mutant in mutants_of(str(path), source)]
     first, again, other = (draw(list(cases), seed, 20) for seed in ("a", "a", "b"))
     assert first == again != other
+
+
+# mistakes written down by hand ----------------------------------------------------------------------------------------
+
+
+def test_every_mistake_stands_once_in_its_file_changes_what_it_does_and_names_a_test_that_is_there() -> None:
+    for mistake in careless.table():
+        source = (ROOT / mistake.file).read_text()
+        wrong = careless.mutated(mistake, source)
+        assert ast.dump(ast.parse(wrong)) != ast.dump(ast.parse(source)), mistake.name
+        assert mistake.kind in careless.KINDS, mistake.name
+        assert bool(mistake.killer) != bool(mistake.why), f"{mistake.name}: a test, or why none needs to notice"
+        if mistake.killer:
+            path, _, name = mistake.killer.partition("::")
+            assert f"def {name.partition('[')[0]}(" in (ROOT / path).read_text(), mistake.killer
+
+
+def test_the_mistakes_are_of_every_kind_and_of_every_part_that_stands_before_the_drives() -> None:
+    rows = careless.table()
+    assert len(rows) >= 70
+    assert len(set(rows)) == len(rows)
+    assert {mistake.kind for mistake in rows} == set(careless.KINDS)
+    files = {Path(mistake.file).stem for mistake in rows}
+    assert files >= {"gate", "state_machine", "supervisor", "fault_monitor", "inbox", "sampling", "stage_fd"}
+
+
+def test_a_mistake_whose_line_has_changed_is_told() -> None:
+    mistake = careless.Mistake("stale", "hil/cycle/gate.py", "self.force = nothing", "pass", "x")
+    with pytest.raises(ValueError, match=r"gate\.py: stale: self\.force = nothing: stands 0 times in the file"):
+        careless.mutated(mistake, "self.force = force\n")
