@@ -8,35 +8,32 @@ import pytest
 
 from drivers.bus.counters import BusState
 from hil.cycle.state_machine import State
-from hil.cycle.tick import CommandKind, OperatorCommand, Tick
+from hil.cycle.tick import CommandKind, OperatorCommand
 from hil.events.refusals import Guards, HandledCommand, Refusals, guards_of
 from hil.events.stream import stream_of
 from hil.rig.file import load_rig
 from hil.rig.provenance import describe_run
 from tests.support.paths import RIGS
 from tests.support.records import kept
-from tests.support.scripted_drives import Script, ScriptedDrives
+from tests.support.scripted_drives import Script, ScriptedDrives, Shown
 
 ACTIVATE, HOME, RESET, STOP = CommandKind.ACTIVATE, CommandKind.HOME, CommandKind.RESET, CommandKind.STOP
+WELL = Script()
 
 
 class Rig(ScriptedDrives):
-    """Scripted drives whose records are kept. granted: of the next ticks, as a Tick has it."""
+    """Scripted drives of the paper's rig, and what is told of the commands to them."""
 
     def __init__(self, *overrides: str) -> None:
         super().__init__(load_rig(RIGS / "paper.toml", ["safety.ready_ticks=5", "task.kind=hold", *overrides]))
         self.records: list[np.void] = []
-        self.granted: dict[str, bool] = {}
-        step = self.cycle.step
 
-        def keeping(tick: Tick, frames: Any) -> Any:
-            for name, value in self.granted.items():
-                setattr(tick, name, value)
-            result = step(tick, frames)
-            self.records.append(kept(result.record))
-            return result
-
-        self.cycle.step = keeping  # type: ignore[method-assign]
+    def tick(self, script: Script = WELL) -> Shown:
+        """One control period, whose record is kept."""
+        shown = super().tick(script)
+        assert self.record is not None
+        self.records.append(kept(self.record))
+        return shown
 
     def ready(self) -> "Rig":
         while self.tick().state is not State.READY:

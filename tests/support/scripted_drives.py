@@ -1,7 +1,9 @@
 """A control cycle whose drives a test plays frame by frame: no wire, no plant, nothing but what the script says."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from drivers.bus.counters import BusState, PortCounters
 from drivers.frame import Frame
@@ -52,7 +54,9 @@ class Shown(NamedTuple):
 
 
 class ScriptedDrives:
-    """Construct with a rig; `tick` plays one control period. sample_ns: from a command's tick to the drives' sample."""
+    """Construct with a rig; `tick` plays one control period. sample_ns: from a command's tick to the drives' sample.
+    granted: what the next ticks say otherwise, as a Tick has it (`estop` too). record: of the latest tick.
+    """
 
     def __init__(self, rig: RigConfig) -> None:
         rated = [axis.rated_force for axis in rig.axes.values()]
@@ -62,6 +66,8 @@ class ScriptedDrives:
         self._device = device_protocol(rig.bus, len(rated), rated, RIGS)
         self._port = PortCounters()
         self._index, self._sequence, self._refused = -1, 0, 0
+        self.granted: dict[str, Any] = {}
+        self.record: np.void | None = None
         self._command: Command | None = None
         self._sent_ns, self._enabled = 0, 0
 
@@ -72,8 +78,10 @@ class ScriptedDrives:
         now = self._index * self.rig.period_ns
         counted = {name: getattr(self._port, name) + more for name, more in script.counted.items()}
         self._port = self._port._replace(**counted, state=script.bus)
-        tick = Tick(self._index, now, now, self._port, tuple(self._mail(kind, now) for kind in script.commands))
+        commands = tuple(self._mail(kind, now) for kind in script.commands)
+        tick = Tick(self._index, now, now, self._port, commands, **self.granted)
         result = self.cycle.step(tick, received)
+        self.record = result.record
         self._command = None
         for frame in result.frames:
             command = self._device.decode_command(frame)
