@@ -23,6 +23,7 @@ from sim_plant.drives.lines import AllBut, Lines
 from sim_plant.drives.servo import NEVER_NS
 from sim_plant.drives.sides import drives_side
 from sim_plant.nodes.output import OutputNode
+from sim_plant.nodes.outputs import OutputNodes
 from sim_plant.nodes.sensor import SensorNode
 from sim_plant.physics.dish import Dish
 from sim_plant.physics.stage import Truth, per_axis_array
@@ -84,8 +85,7 @@ class EmulatedStage:
             per_axis_array("plant.initial_position", plant.initial_position, n_axes),
         )
         self.dish = Dish(plant.dish, axis_names) if plant.dish else None
-        self.outputs = list(outputs)
-        self._output_ids = {node.output_id: node for node in outputs}
+        self.outputs = OutputNodes(outputs)
         modulus = int(getattr(self._protocol, "sequence_modulus", 0))
         self.drives = installed_servos(plant, drives or DrivesConfig(), axis_names, rated_force, modulus)
         positions = [partial(self._position_at_drive, axis) for axis in range(n_axes)]
@@ -96,6 +96,7 @@ class EmulatedStage:
         self.sampled = self._stage.positions, self._stage.velocities
         self.sensors = list(sensors)
         self._lines.senders.update({can_id: sensor.name for sensor in sensors for can_id in sensor.can_ids})
+        self._lines.senders.update(self.outputs.senders)
         shared = frozenset(node.node_id for node in self._nodes if getattr(node, "answers_as_asked", False))
         self.acceptance = AllBut(self._lines.senders, shared)
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
@@ -222,8 +223,7 @@ class EmulatedStage:
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
-            for node in self.outputs:
-                node.expire(self.now_ns)
+            self.outputs.expire(self.now_ns)
             while self._agenda and self._agenda[0][0] <= self.now_ns:
                 heappop(self._agenda)[2]()
             self._update()
@@ -265,8 +265,11 @@ class EmulatedStage:
         for drive in drives:
             if drive.deadline_ns < deadline_ns:
                 deadline_ns = drive.deadline_ns
-        if self.outputs:
-            deadline_ns = min(deadline_ns, self._switched())
+        if self.outputs.nodes:
+            bits, off_ns = self.outputs.switched()
+            deadline_ns = min(deadline_ns, off_ns)
+            if self.dish is not None:
+                self.dish.outputs(bits, self.now_ns)
         self._deadline_ns = deadline_ns
         clamp = [
             jam + (hold if drive.status & _BRAKE else 0.0)
@@ -275,16 +278,6 @@ class EmulatedStage:
         if clamp != self._clamp:
             self._clamp = clamp
             self._stage.clamp(clamp)
-
-    def _switched(self) -> int:
-        """Carry the outputs over to the dish. Returns when the first of them goes off by itself."""
-        bits, deadline_ns = 0, NEVER_NS
-        for node in self.outputs:
-            bits |= node.bits
-            deadline_ns = min(deadline_ns, node.deadline_ns)
-        if self.dish is not None:
-            self.dish.outputs(bits, self.now_ns)
-        return deadline_ns
 
     # the bus ---------------------------------------------------------------------------------------------------------
 
@@ -295,17 +288,19 @@ class EmulatedStage:
         """
         if frame.can_id not in self.acceptance:
             return []  # a drive's own answer, heard by the others
-        if frame.can_id in self._output_ids and not segment_of(frame):
-            return self._to_output(self._output_ids[frame.can_id], frame)
+        if self.outputs.nodes and self.outputs.tells(frame):
+            return self._to_outputs(frame)
         answers = self._from_drives(frame)
+        if self.outputs.senders and not segment_of(frame):
+            answers = [*answers, *self._to_outputs(frame)]
         return [*answers, *self._sense(frame)] if self.sensors else answers
 
-    def _to_output(self, node: OutputNode, frame: Frame) -> list[Frame]:
+    def _to_outputs(self, frame: Frame) -> list[Frame]:
         due = self.advance(frame.timestamp_ns)
         self._run_physics()
-        node.hear(frame, self.now_ns)
+        answers = self.outputs.hear(frame, self.now_ns)
         self._update()
-        return due
+        return [*due, *answers]
 
     def _sense(self, frame: Frame) -> list[Frame]:
         """The readings of the sensors that sample at this frame, as far as they are due."""

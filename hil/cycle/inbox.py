@@ -5,6 +5,7 @@ from typing import Final
 
 from drivers.frame import ECHO, Frame, segment_of
 from drivers.protocols.base import HostProtocol, Reject, Sample, own_ids
+from hil.cycle.output_gate import OutputGate
 from hil.cycle.readings import Readings
 
 SUSPICIOUS = frozenset(
@@ -27,12 +28,20 @@ class Inbox:
 
     `fresh[i]`: this tick brought axis i's answer to the latest command. `age[i]`: ticks since it last did.
     `bad_frames`: leaky bucket of suspicious frames, one forgiven every `leak_ticks`. What a checksum has passed is no
-    line noise, and is never forgiven. readings: of the rig's sensors, whose frames no layout knows; None: it has none.
+    line noise, and is never forgiven. readings, outputs: of the rig's sensors and output nodes, whose frames no layout
+    knows; None: it has none.
     """
 
-    def __init__(self, protocol: HostProtocol, leak_ticks: int, readings: Readings | None = None) -> None:
+    def __init__(
+        self,
+        protocol: HostProtocol,
+        leak_ticks: int,
+        readings: Readings | None = None,
+        outputs: OutputGate | None = None,
+    ) -> None:
         n = protocol.n_axes
         self._readings = readings
+        self._outputs = outputs
         self._none_fresh = (False,) * n
         self._decode = protocol.decode
         self._own = own_ids(protocol)
@@ -96,6 +105,10 @@ class Inbox:
                 if refused is not None:
                     self._reject(refused)
                     self._excuse(refused, frame)
+            elif self._outputs is not None and self._outputs.knows(frame):
+                said = self._outputs.take(frame)
+                self._reject(said)
+                self._excuse(said, frame)
             else:
                 if not frame.flags & ECHO and frame.can_id in self._own[segment_of(frame)]:
                     self.foreign_id = frame.can_id

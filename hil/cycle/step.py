@@ -52,6 +52,7 @@ from hil.cycle.supervisor import Supervisor
 from hil.cycle.tick import CycleResult, Tick
 from hil.cycle.withdrawal import shared
 from hil.rig.layout import host_layout
+from hil.rig.outputs import writers_of
 from hil.rig.schema import RigConfig
 from hil.rig.sensors import readers_of
 
@@ -74,7 +75,9 @@ class ControlCycle:
         self.protocol: HostProtocol = layout or host_layout(rig, base_dir)
         readers = readers_of(rig, base_dir, self.protocol)
         self.readings = Readings(list(rig.sensors.values()), readers, rig.period_ns) if readers else None
-        self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings)
+        writers = writers_of(rig, base_dir, self.protocol)
+        self.outputs = OutputGate(list(rig.outputs.values()), writers, rig.period_ns) if writers else None
+        self.inbox = Inbox(self.protocol, rig.safety.bad_frame_leak_ticks, self.readings, self.outputs)
         self.axes = Axes(rig)
         if self.readings is not None:
             for inputs in self.axes.inputs:
@@ -89,7 +92,6 @@ class ControlCycle:
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
         self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
-        self.outputs = OutputGate(list(rig.outputs.values()), rig.period_ns) if rig.outputs else None
         self._return_force = return_forces(rig)
         self._soft = [False] * len(axes)  # axes that have no more than that: those on their way back
         self.records = RecordBuilder(len(axes))
@@ -114,7 +116,8 @@ class ControlCycle:
         """Why drives were refused or an axis is not as stated, for people."""
         push = self.supervisor.commissioning.problem
         sensors = [] if self.readings is None else self.readings.problems
-        return [*self.protocol.problems, *sensors, *([push] if push else [])]
+        outputs = [] if self.outputs is None else self.outputs.problems
+        return [*self.protocol.problems, *sensors, *outputs, *([push] if push else [])]
 
     @property
     def tip(self) -> str:
@@ -282,14 +285,17 @@ class ControlCycle:
             return [math.nan] * len(self.inputs)
 
     def _switch(self, outputs: OutputGate, out: list[Frame]) -> None:
-        """Behind the drives' frames that of the outputs, as the motion asks."""
+        """Behind the drives' frames those of the outputs, as the motion asks."""
         decided, supervisor = self.supervisor.goals.decided, self.supervisor
         if not out:
             outputs.cut()
             return
         asked = 0 if decided is None else decided.outputs
         permitted = supervisor.machine.state is State.ACTIVE and not self.monitor.active and not supervisor.fault
-        out.append(outputs.release(asked, permitted=permitted))
+        spare = out[-1].can_id == self.protocol.echo_id  # neither drives nor sensors need a service frame
+        out += outputs.release(asked, permitted=permitted)
+        if spare:
+            out += outputs.service()
 
     def _stay_silent(self) -> list[Frame]:
         """No force, and no frame."""

@@ -74,6 +74,7 @@ def named_files(rig: RigConfig) -> dict[str, str]:
     named = {plugin.path: file_of(getattr(getattr(rig, plugin.table), plugin.key, "")) for plugin in PLUGINS}
     for name, sensor in rig.sensors.items():
         named[f"sensors.{name}.kind"], named[f"sensors.{name}.file"] = file_of(sensor.kind), sensor.file
+    named |= {f"outputs.{name}.file": output.file for name, output in rig.outputs.items()}
     named["bus.protocol"] = rig.bus.file or named["bus.protocol"]
     named["task.file"] = rig.task.file
     named["law.learnt"] = rig.law.learnt

@@ -5,7 +5,7 @@ from pathlib import Path
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError, tells_of
 from hil.rig.count_size import size_problems
-from hil.rig.outputs import check_outputs
+from hil.rig.outputs import check_outputs, writers_of
 from hil.rig.schema import RigConfig
 from hil.rig.sensors import check_sensors, readers_of
 
@@ -17,6 +17,7 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
     rated = [axis.rated_force for axis in rig.axes.values()]
     layout = fitted(rig, host_protocol(rig.bus, len(rig.axes), rated, base_dir, rig.period_ns, rig.mountings))
     readers_of(rig, base_dir, layout)
+    writers_of(rig, base_dir, layout)
     return layout
 
 

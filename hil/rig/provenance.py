@@ -45,13 +45,14 @@ def describe_run(
 
 
 def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
-    """Texts of the files that [bus] and [sensors] name, by the name they use: the frame layout's, EDS and DBC files,
-    numbers of endpoints.
+    """Texts of the files that [bus], [sensors] and [outputs] name, by the name they use: the frame layout's, EDS and
+    DBC files, numbers of endpoints.
     """
     bought, signals = getattr(rig.bus, "cia402", None), getattr(rig.bus, "dbc", None)
     names = ([rig.bus.file] if rig.bus.file else []) + (bought.eds if bought else [])
     names += [signals.endpoints] if signals and signals.endpoints else []
     names += [sensor.file for sensor in rig.sensors.values() if sensor.file]
+    names += [output.file for output in rig.outputs.values() if output.file]
     return {name: (base_dir / name).read_text(encoding="utf-8", errors="surrogateescape") for name in names}
 
 
@@ -67,9 +68,9 @@ def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Ite
         try:
             places = _unpack(metadata.get("files", {}), base_dir)
             _point_to(document.get("bus", {}), places)
-            for sensor in document.get("sensors", {}).values():
-                if sensor.get("file"):
-                    sensor["file"] = places.get(sensor["file"], _ABSENT)
+            for node in (*document.get("sensors", {}).values(), *document.get("outputs", {}).values()):
+                if node.get("file"):
+                    node["file"] = places.get(node["file"], _ABSENT)
         except (AttributeError, KeyError, TypeError, ValueError, OSError):
             raise RigError(["the recording's description of the files its rig names is damaged"]) from None
         try:

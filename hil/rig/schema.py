@@ -16,7 +16,7 @@ from drivers.base.plugins import load
 from drivers.base.toml_file import short
 from drivers.config import BusConfig, DrivesConfig, WireConfig
 from drivers.families import Circumstances, family_of
-from drivers.outputs.config import MAX_OUTPUTS, OutputConfig
+from drivers.outputs.config import MAX_OUTPUTS, OutputConfig, clashes
 from drivers.protocols.mounting import Mounting
 from drivers.sensors.config import MAX_SENSORS, SensorConfig
 from hil.rig.camera import CameraConfig
@@ -131,7 +131,7 @@ class RigConfig(Table):
             *_task_problems(self),
             *_watchdog_problems(self),
             *_sensor_problems(self),
-            *_output_problems(self),
+            *clashes(self.outputs),
             *_motion_problems(self),
             *(self.camera.problems(self.axis_names, self.sensors) if self.camera else []),
             *_family_problems(self),
@@ -260,21 +260,6 @@ def _sensor_problems(rig: RigConfig) -> list[str]:
         if entry.sensor not in rig.sensors:
             there = ", ".join(rig.sensors) or "none"
             problems.append(f"{where}: sensor = '{entry.sensor}': no such sensor; those of [sensors] are: {there}")
-    return problems
-
-
-def _output_problems(rig: RigConfig) -> list[str]:
-    """Outputs of two frames, or two of one bit."""
-    problems = []
-    users: dict[int, str] = {}
-    ids = {output.can_id for output in rig.outputs.values()}
-    if len(ids) > 1:
-        names = ", ".join(f"{name}: {output.can_id:#x}" for name, output in rig.outputs.items())
-        problems.append(f"outputs: all are in one frame; can_id is now {names}")
-    for name, output in rig.outputs.items():
-        other = users.setdefault(output.bit, name)
-        if other != name:
-            problems.append(f"outputs.{name}.bit = {output.bit}: it is the bit of outputs.{other}, too")
     return problems
 
 

@@ -28,9 +28,13 @@ def readers_of(rig: RigConfig, base_dir: Path, layout: HostProtocol) -> list[Sen
     """Who reads the frames of the rig's sensors, in their order. Raises LayoutError naming the key."""
     if not rig.sensors:
         return []
+    return sensor_readers(rig.sensors, base_dir, counted=sync_counted(rig, layout))
+
+
+def sync_counted(rig: RigConfig, layout: HostProtocol) -> bool:
+    """Whether a SYNC is sent, and carries a counter."""
     heard = trigger(rig, layout)
-    counted = rig.bus.protocol == "cia402" and heard is not None and heard.length > 0
-    return sensor_readers(rig.sensors, base_dir, counted=counted)
+    return rig.bus.protocol == "cia402" and heard is not None and heard.length > 0
 
 
 def trigger_mask(layout: HostProtocol) -> int:

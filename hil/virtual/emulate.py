@@ -10,6 +10,7 @@ from hil.rig.sensors import trigger, trigger_mask
 from hil.virtual.scenario import load_scenario
 from sim_plant.emulator import EmulatedStage
 from sim_plant.nodes.output import OutputNode
+from sim_plant.nodes.outputs import output_nodes
 from sim_plant.nodes.sensor import SensorNode
 from sim_plant.nodes.sensors import sensor_nodes
 from sim_plant.scenario.language import Scenario
@@ -22,7 +23,7 @@ def emulated_stage(rig: RigConfig, base_dir: Path, start_ns: int) -> EmulatedSta
     try:
         return EmulatedStage(
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, start_ns, drives=rig.drives, mountings=rig.mountings,
-            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig),
+            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig, base_dir),
         )  # fmt: skip
     except (ValueError, OSError) as error:
         raise RigError([f"rig {rig.name}: {error}"]) from None
@@ -37,9 +38,9 @@ def emulated_sensors(rig: RigConfig, base_dir: Path) -> list[SensorNode]:
     return sensor_nodes(rig.sensors, rig.plant, None if heard is None else (mask, heard.can_id & mask), base_dir)
 
 
-def emulated_outputs(rig: RigConfig) -> list[OutputNode]:
-    """The node of the rig's [outputs], where it has any."""
-    return [OutputNode(can_id) for can_id in {output.can_id for output in rig.outputs.values()}]
+def emulated_outputs(rig: RigConfig, base_dir: Path) -> list[OutputNode]:
+    """The nodes of the rig's [outputs], where it has any. Raises ValueError, OSError for their files."""
+    return output_nodes(rig.outputs, base_dir)
 
 
 def without_camera(rig: RigConfig) -> RigConfig:

@@ -72,7 +72,7 @@ class LockstepRun:
         rated = [axis.rated_force for axis in rig.axes.values()]
         self.stage = EmulatedStage(
             rig.plant, rig.bus, rig.axis_names, rated, base_dir, drives=rig.drives, mountings=rig.mountings,
-            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig),
+            sensors=emulated_sensors(rig, base_dir), outputs=emulated_outputs(rig, base_dir),
         )  # fmt: skip
         self.received: list[Frame] = []  # by the host since the last tick
         self._discarded = 0  # of those, beyond the receive limit
@@ -114,7 +114,7 @@ class LockstepRun:
             for axis in axes:
                 name = rig.axis_names[axis]
                 self._axis_nodes[name] = wire.attach(name, None, fifo=False)
-            for name in rig.sensors if not number else ():
+            for name in (*rig.sensors, *self.stage.outputs.names) if not number else ():
                 self._axis_nodes[name] = wire.attach(name, None, fifo=False)
             wires.append(wire)
         self._first_wire = wires[0]

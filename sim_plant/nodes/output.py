@@ -15,8 +15,10 @@ class OutputNode:
     """One node. output_id: identifier of the host's frame.
 
     bits: what is on now; nothing at the start. deadline_ns: when it goes off by itself; NEVER_NS: nothing is on.
-    taken, ignored: frames that were valid, and that were not.
+    taken, ignored: frames that were valid, and that were not. can_ids: what it answers with.
     """
+
+    can_ids: tuple[int, ...] = ()
 
     def __init__(self, output_id: int) -> None:
         self.output_id = output_id
@@ -31,9 +33,17 @@ class OutputNode:
         if len(data) != _LENGTH or frame.flags & FD or data[0] ^ data[1] != 0xFF or data[2] == self._sequence:
             self.ignored += 1
             return
+        self._sequence = data[2]
+        self._take(data[0], now_ns)
+
+    def _take(self, bits: int, now_ns: int) -> None:
         self.taken += 1
-        self.bits, self._sequence = data[0], data[2]
-        self.deadline_ns = now_ns + SILENCE_NS if self.bits else NEVER_NS
+        self.bits = bits
+        self.deadline_ns = now_ns + SILENCE_NS if bits else NEVER_NS
+
+    def heed(self, frame: Frame, now_ns: int) -> list[Frame]:
+        """Another frame came; what a node with `can_ids` answers."""
+        return []
 
     def expire(self, now_ns: int) -> None:
         """Time has come to now_ns."""

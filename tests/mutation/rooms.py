@@ -64,7 +64,8 @@ ROOMS = {
     ),
     "plans": Room(("hil/control/plans",), ("tests/control/plans",)),
     "motions": Room(
-        ("hil/control/motion", "drivers/outputs"), ("tests/control/motion", "tests/cycle/test_decided_motion.py")
+        ("hil/control/motion", "drivers/outputs"),
+        ("tests/control/motion", "tests/cycle/test_decided_motion.py", "tests/virtual/test_output_kinds.py"),
     ),
     "sensors": Room(
         ("drivers/sensors",),
