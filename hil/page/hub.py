@@ -11,7 +11,7 @@ from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
 from hil.page.frames import Block, Pulse, envelope, pulse_message, ticks
 from hil.page.margins import margins
-from hil.page.rig_facts import clean
+from hil.page.rig_facts import cell_places, clean
 from hil.page.ring_feed import RingFeed
 from hil.page.sidecar_feed import SidecarFeed
 
@@ -35,6 +35,7 @@ class Viewer:
         self.name = name
         self.chosen: tuple[int, ...] = ()
         self.told = 0  # events
+        self.news = 0  # of cells
         self.described = -1  # run that it has the description of
         self.dropped = 0
         self._waiting: asyncio.Queue[bytes | str] = asyncio.Queue(waiting)
@@ -113,7 +114,7 @@ class Hub:
         status = self.sidecar.status
         fresh = status is not self._status
         self._status = status
-        told = self.sidecar.told if fresh else 0
+        told, news = (self.sidecar.told, self.sidecar.news) if fresh else (0, 0)
         text = json.dumps({"status": {**status, "operator": self.operator}}) if fresh else ""
         chosen: dict[tuple[int, ...], bytes] = {}
         for viewer in self.viewers:
@@ -126,6 +127,9 @@ class Hub:
             if told > viewer.told:
                 viewer.told, events = self.sidecar.events(viewer.told)
                 viewer.offer(json.dumps({"events": events}))
+            if news > viewer.news:
+                viewer.news, cells = self.sidecar.cells(self.ring.run_id, viewer.news)
+                viewer.offer(json.dumps({"cells": cells}))
 
     @staticmethod
     def _ticks(made: dict[tuple[int, ...], bytes], pulse: Pulse, block: Block, chosen: tuple[int, ...]) -> bytes:
@@ -143,6 +147,7 @@ class Hub:
             viewer.offer(json.dumps({"status": status}))
             viewer.told, events = self.sidecar.events(0)
             viewer.offer(json.dumps({"events": events}))
+            viewer.news = 0
 
     def description(self) -> dict[str, Any]:
         """The rig, its axes and signals; without signals where no control process has left a ring."""
@@ -159,6 +164,7 @@ class Hub:
             "states": {int(state): state.name for state in State},
             "faults": {int(fault): fault.name for fault in Fault},
             "motions": {int(word): word.name for word in MotionWord},
+            "cells": cell_places(metadata["rig"]) if metadata else [],
         }
         found: dict[str, Any] = clean(described)
         return found

@@ -46,6 +46,13 @@ def _axis(name: str, axis: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": name, "kind": axis["kind"], "mass": axis["model"]["mass"], **{key: limits[key] for key in wanted}}
 
 
+def cell_places(rig: Mapping[str, Any]) -> list[list[float]]:
+    """x and y of each cell of a rig that injects cells, m; of another: none."""
+    motion = rig.get("motion") or {}
+    cells = motion.get("parameters", {}).get("cells", []) if motion.get("name") == "cells" else []
+    return [[float(cell[0]), float(cell[1])] for cell in cells]
+
+
 def _load(metadata: dict[str, Any]) -> dict[str, Any]:
     with rig_of_run(metadata) as (rig, base_dir):
         found = analyse_rig(rig, rig_layout(rig, base_dir))

@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any, Final
 
 from hil.live.mapped_file import Closing
-from hil.page.words import event_words, status_words
+from hil.page.words import cell_words, event_words, status_words
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
@@ -14,6 +14,7 @@ from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
 POLL_S: Final = 0.05
 SILENT_S: Final = 2.0  # after which it is looked for elsewhere
 KEPT: Final = 500  # events
+MOST_CELLS: Final = 4000
 
 
 class SidecarFeed(Closing):
@@ -27,6 +28,8 @@ class SidecarFeed(Closing):
         self._heard_s: float | None = None
         self._events: deque[pb_events.Event] = deque(maxlen=KEPT)
         self._told = 0
+        self._cells: dict[tuple[int, int], tuple[int, pb.Cell]] = {}
+        self._news = 0
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=f"sidecar of {rig}", daemon=True)
         self._thread.start()
@@ -65,6 +68,29 @@ class SidecarFeed(Closing):
             fresh = self._told - told
             return self._told, list(self._events)[max(len(self._events) - fresh, 0) :] if fresh > 0 else []
 
+    @property
+    def news(self) -> int:
+        """How often a cell has come to something new so far."""
+        with self._lock:
+            return self._news
+
+    def cells(self, run: int, since: int = 0) -> tuple[int, list[dict[str, Any]]]:
+        """How often a cell has come to something new so far, and the newest word on each to which that happened after
+        the first `since` times. run: number of the ring.
+        """
+        with self._lock:
+            fresh = [cell for news, cell in self._cells.values() if news > since and cell.run == run]
+            return self._news, [cell_words(cell) for cell in fresh]
+
+    def _keep_cells(self, cells: list[pb.Cell]) -> None:
+        for cell in cells:
+            known = self._cells.get((cell.run, cell.number))
+            if known is None or known[1].index < cell.index:
+                self._news += 1
+                self._cells[cell.run, cell.number] = self._news, cell
+        while len(self._cells) > MOST_CELLS:
+            del self._cells[next(iter(self._cells))]
+
     def _listen(self) -> None:
         while not self._over.is_set():
             try:
@@ -77,13 +103,14 @@ class SidecarFeed(Closing):
         """Until the sidecar has been silent for long, or the page ends."""
         since = time.monotonic()
         while not self._over.wait(POLL_S):
-            status, events = client.status(), client.events()
+            status, events, cells = client.status(), client.events(), client.cells()
             now = time.monotonic()
             with self._lock:
                 if status is not None:
                     self._status, self._message, self._heard_s, since = status_words(status), status, now, now
                 self._events.extend(events)
                 self._told += len(events)
+                self._keep_cells(cells)
             if now - since > SILENT_S:
                 return
 

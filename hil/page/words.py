@@ -34,6 +34,19 @@ def event_words(event: pb_events.Event, rig: str) -> dict[str, Any]:
     }
 
 
+def cell_words(cell: pb.Cell) -> dict[str, Any]:
+    """One cell of a batch. phase: empty where it is over; verdict: empty where it is not. Lengths in m, forces in N."""
+    return {
+        "number": cell.number,
+        "phase": cell.phase.replace("_", " "),
+        "verdict": cell.verdict.replace("_", " "),
+        "seconds": _number(cell.ended - cell.began),
+        "force": _number(cell.pierced_force),
+        "peak": _number(cell.peak_force),
+        "depth": _number(cell.deposit),
+    }
+
+
 def safe_command(action: str) -> str:
     """The command among SAFE that a next step names, as `hil command RIG reset`; empty where it names none."""
     found = re.search(rf"hil command \S+ ({'|'.join(SAFE)})\b", action)

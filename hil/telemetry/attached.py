@@ -49,7 +49,7 @@ class Attached:
             config = build_rig(dict(rig), carried=True)
             self.motion = MotionWatch(config)
             if config.motion.name == "cells":
-                self.cells = CellWatch(config)
+                self.cells = CellWatch(config, run=reader.run_id)
         self.dropped = progress.published - progress.sent  # what a killed sidecar cannot be known to have sent, too
         self.caught_up = False  # the window is the present: the last round read the ring to its end
         self.over = False  # the control process is gone, and all it left is safe

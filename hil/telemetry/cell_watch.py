@@ -65,10 +65,13 @@ class Trace:
 
 class CellWatch:
     """Follows every tick of a run of such a rig. traces: force over depth by number of the cell, where they are kept.
-    number, phase: of the newest tick; the number counts from 1. total: cells of the list.
+    number, phase: of the newest tick; the number counts from 1. total: cells of the list. run: number of the control
+    process' ring. newest: what was told last of each cell, by its number.
     """
 
-    def __init__(self, rig: RigConfig, *, keep: bool = False) -> None:
+    def __init__(self, rig: RigConfig, *, keep: bool = False, run: int = 0) -> None:
+        self.run = run
+        self.newest: dict[int, pb.Cell] = {}
         known = rig.motion.parameters
         self._cells = known["cells"]
         self._axis = rig.axis_names.index(known.get("along", "z"))
@@ -176,13 +179,18 @@ class CellWatch:
             depths = (part["position"][:, self._axis] - self._cells[result.number][2]) * self._sign
             self.traces.setdefault(result.number, Trace()).add(depths.tolist(), forces.tolist())
 
-    def message(self, told: Told) -> pb.Cell:
-        """For the topic `cells`."""
+    def tell(self, told: Told) -> pb.Cell:
+        """For the topic `cells`; from then on among the `newest`."""
         found = told.result
-        return pb.Cell(
+        message = self.newest[found.number + 1] = pb.Cell(
             number=found.number + 1, of=self.total, phase=told.word, index=told.tick, tick_ns=told.now_ns,
             verdict=found.verdict.name.lower() if told.over else "", began=found.began_s, ended=found.ended_s,
             contact=found.contact, pierced=found.pierced, pierced_force=found.pierced_force,
             peak_force=found.peak_force, deposit=found.deposit,
-            pull=found.pull, pulse=found.pulse_s, bolus=found.bolus,
+            pull=found.pull, pulse=found.pulse_s, bolus=found.bolus, run=self.run,
         )  # fmt: skip
+        return message
+
+    def told(self) -> bytes:
+        """The newest word on each cell, for who asks."""
+        return pb.Cells(cells=self.newest.values()).SerializeToString()

@@ -18,6 +18,7 @@ from hil.rig.schema import MAX_AXES
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry import tick_codec
+from hil.telemetry.cell_feed import CellFeed
 from hil.telemetry.credentials import Credentials
 from hil.telemetry.event_feed import EventFeed
 from hil.telemetry.session import client_config
@@ -117,6 +118,7 @@ class RigClient(Closing):
         self._period_ns = 0
         self._ticks: Any = None
         self._events: EventFeed | None = None
+        self._cells: CellFeed | None = None
 
     def _connect(self) -> bool:
         """Open the session as soon as somebody listens; from then on Zenoh itself reconnects."""
@@ -158,6 +160,14 @@ class RigClient(Closing):
         if self._events is None:
             self._events = EventFeed(self._session, f"{self._key}/events")
         return [printable(event) for event in self._events.take()]
+
+    def cells(self) -> list[pb.Cell]:
+        """News of cells that are injected, those from before the first call with them; never waits."""
+        if not self._connect() or self._session is None:
+            return []
+        if self._cells is None:
+            self._cells = CellFeed(self._session, f"{self._key}/cells")
+        return [printable(cell) for cell in self._cells.take()]
 
     def wait_events(self, timeout_s: float) -> list[pb_events.Event]:
         """All events the sidecar still keeps. Raises NoSidecarError."""

@@ -16,6 +16,7 @@ _ANSWERED = {
     "rig": zenoh.Encoding.APPLICATION_JSON,
     "schema": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("google.protobuf.FileDescriptorSet"),
     "events": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("hil.telemetry.Events"),
+    "cells": zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("hil.telemetry.Cells"),
 }
 
 
@@ -67,8 +68,8 @@ class Publisher(Closing):
         return bool(self._publishers[topic].matching_status.matching)  # type: ignore[attr-defined]
 
     def answer_queries(self, answers: Mapping[str, Callable[[], bytes]]) -> None:
-        """Reply to everybody who asked for "rig", "schema" or "events". answers: called for each, as hardly anybody
-        asks.
+        """Reply to everybody who asked for "rig", "schema", "events" or "cells". answers: called for each, as hardly
+        anybody asks.
         """
         for name, waiting in self.queries.items():
             for _ in range(QUERIES_A_ROUND):

@@ -187,7 +187,7 @@ class Sidecar:
     def _tell_cells(self, cells: CellWatch, records: Records, recorder: RunRecorder | None) -> None:
         """Every phase that a cell came to, published and recorded."""
         for told in cells.add(records):
-            data = cells.message(told).SerializeToString()
+            data = cells.tell(told).SerializeToString()
             self._publisher.put("cells", data)
             if recorder:
                 recorder.write("cells", told.now_ns, data)
@@ -208,9 +208,9 @@ class Sidecar:
             self._gateway.take(request, mailbox, now_ns, state, last)
         self._gateway.advance(mailbox, now_ns, state)
         self._gateway.give_up(now_ns, state, everything=not alive)
-        self._publisher.answer_queries(
-            {"rig": self._description, "schema": self._schema, "events": self._events.history}
-        )
+        answers = {"rig": self._description, "schema": self._schema, "events": self._events.history}
+        cells = run.cells if run else None
+        self._publisher.answer_queries({**answers, "cells": cells.told if cells else bytes})
         self._events.turn(now_ns)
 
     def _note_lease(self, who: str, what: str) -> None:

@@ -268,7 +268,7 @@ class Motion(_message.Message):
     def __init__(self, index: _Optional[int] = ..., tick_ns: _Optional[int] = ..., state: _Optional[str] = ..., fault: _Optional[str] = ..., motion: _Optional[str] = ..., goal: _Optional[int] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., target: _Optional[_Iterable[float]] = ..., setpoint: _Optional[_Iterable[float]] = ..., setpoint_velocity: _Optional[_Iterable[float]] = ..., moving: _Optional[bool] = ..., in_position: _Optional[bool] = ..., limited: _Optional[int] = ..., lag: _Optional[float] = ..., lease: _Optional[str] = ..., stream_delay: _Optional[float] = ..., stream_late: _Optional[int] = ..., stream_disordered: _Optional[int] = ...) -> None: ...
 
 class Cell(_message.Message):
-    __slots__ = ("number", "of", "phase", "verdict", "index", "tick_ns", "began", "ended", "contact", "pierced", "pierced_force", "peak_force", "deposit", "pull", "pulse", "bolus")
+    __slots__ = ("number", "of", "phase", "verdict", "index", "tick_ns", "began", "ended", "contact", "pierced", "pierced_force", "peak_force", "deposit", "pull", "pulse", "bolus", "run")
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     OF_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
@@ -285,6 +285,7 @@ class Cell(_message.Message):
     PULL_FIELD_NUMBER: _ClassVar[int]
     PULSE_FIELD_NUMBER: _ClassVar[int]
     BOLUS_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
     number: int
     of: int
     phase: str
@@ -301,7 +302,14 @@ class Cell(_message.Message):
     pull: float
     pulse: float
     bolus: float
-    def __init__(self, number: _Optional[int] = ..., of: _Optional[int] = ..., phase: _Optional[str] = ..., verdict: _Optional[str] = ..., index: _Optional[int] = ..., tick_ns: _Optional[int] = ..., began: _Optional[float] = ..., ended: _Optional[float] = ..., contact: _Optional[float] = ..., pierced: _Optional[float] = ..., pierced_force: _Optional[float] = ..., peak_force: _Optional[float] = ..., deposit: _Optional[float] = ..., pull: _Optional[float] = ..., pulse: _Optional[float] = ..., bolus: _Optional[float] = ...) -> None: ...
+    run: int
+    def __init__(self, number: _Optional[int] = ..., of: _Optional[int] = ..., phase: _Optional[str] = ..., verdict: _Optional[str] = ..., index: _Optional[int] = ..., tick_ns: _Optional[int] = ..., began: _Optional[float] = ..., ended: _Optional[float] = ..., contact: _Optional[float] = ..., pierced: _Optional[float] = ..., pierced_force: _Optional[float] = ..., peak_force: _Optional[float] = ..., deposit: _Optional[float] = ..., pull: _Optional[float] = ..., pulse: _Optional[float] = ..., bolus: _Optional[float] = ..., run: _Optional[int] = ...) -> None: ...
+
+class Cells(_message.Message):
+    __slots__ = ("cells",)
+    CELLS_FIELD_NUMBER: _ClassVar[int]
+    cells: _containers.RepeatedCompositeFieldContainer[Cell]
+    def __init__(self, cells: _Optional[_Iterable[_Union[Cell, _Mapping]]] = ...) -> None: ...
 
 class Challenge(_message.Message):
     __slots__ = ("nonce", "now_ns")

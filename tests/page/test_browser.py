@@ -7,13 +7,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from hil.page.access import Role
+from hil.rig.bus_load import rig_layout
+from hil.rig.file import load_rig
+from hil.studies.inject.equipment import grid, middle, words
 from tests.support.browser import Browser, BrowserError
 from tests.support.chromium import Chromium, chromium
 from tests.support.firefox import firefox
@@ -109,12 +112,12 @@ class Place(NamedTuple):
 
 
 @contextlib.contextmanager
-def running(folder: Path, *arguments: str) -> Iterator[Place]:
-    """A rig that moves and its sidecar, in a runtime directory below that folder."""
+def running(folder: Path, *arguments: str, pace: Sequence[str] = PACE) -> Iterator[Place]:
+    """A rig that moves and its sidecar, in a runtime directory below that folder. pace: how it moves."""
     (folder / "run").mkdir(mode=0o700)
     environment = {**os.environ, "HIL_RUNTIME_DIR": str(folder / "run")}
     listen = [str(RIG), "--listen", "tcp/127.0.0.1:7561", "--or-free-port", "--out", str(folder / "runs" / "one")]
-    rig = [sys.executable, "-m", "tests.support.shown_rig", str(RIG), *PACE, *arguments]
+    rig = [sys.executable, "-m", "tests.support.shown_rig", str(RIG), *pace, *arguments]
     sidecar = [sys.executable, "-m", "hil", "sidecar", *listen]
     with contextlib.ExitStack() as stack:
         children = []
@@ -267,6 +270,31 @@ def test_triggers_and_spectra_count_right(tab: Browser) -> None:
     assert frequency == pytest.approx(62.5, abs=0.5)
     assert amplitude == pytest.approx(3.0, rel=0.01)
     assert places == [5, 3, 3, -1, 0]
+
+
+def test_a_rig_that_injects_shows_its_dish(
+    engine: str, pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = load_rig(RIG)
+    kinds = ("", "no_cell", "not_pierced", "clogged", "")
+    chosen = words(rig, grid(3, 4, 1e-3, middle(rig)), 3, 0.0, kinds, fd=rig_layout(rig, RIGS).fd)
+    with running(tmp_path, pace=chosen):
+        monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path / "run"))
+        with PageProcess(tmp_path / "state", "microscope-ideal") as page, ENGINES[engine](tmp_path / "profile") as tab:
+            pair(tab, page)
+            tab.wait("[...tabs.children].some((button) => button.textContent === 'Cells' && !button.hidden)")
+            tab.run("location.hash = 'Cells'")
+            tab.wait("document.querySelector('.legend')?.textContent.includes('clogged 1')", patience_s=120.0)
+            for size, (width, height) in SIZES.items():
+                for dark in (False, True):
+                    tab.size(width, height, dark=dark)
+                    tab.run("new Promise((done) => setTimeout(done, 500))")
+                    tab.picture(pictures / f"Cells-{size}-{'dark' if dark else 'light'}.png")
+                    assert tab.run("document.documentElement.scrollWidth <= innerWidth"), size
+                    least, text = tab.run(CONTRAST)
+                    assert least >= LEAST_CONTRAST, (size, dark, text)
+            assert " of 12 cells are over" in tab.run("document.querySelector('#main [role=status]').textContent")
+            assert tab.errors == []
 
 
 def test_a_browser_that_is_revoked_is_asked_for_a_code_again(tab: Browser, page: PageProcess) -> None:

@@ -70,7 +70,7 @@ def test_messages_go_phase_by_phase_and_end_with_the_verdict(
 ) -> None:
     rig, records, _ = ran
     told, watch = told_by(rig, records, 512, keep=True)
-    first = [watch.message(one) for one in told if one.result.number == 0]
+    first = [watch.tell(one) for one in told if one.result.number == 0]
     assert [message.phase for message in first] == [
         phase.name.lower() for phase in Phase if Phase.NONE < phase < Phase.PAUSED
     ] + [""]

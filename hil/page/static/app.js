@@ -1,6 +1,7 @@
 // The frame of all pages: which rig, which page, what is wrong, who may what, and the two stops.
 
 import { ask, command, emergencyStop, load } from "./actions.js";
+import { Cells } from "./cells.js";
 import { byId, el, say } from "./dom.js";
 import { Events, headline, measured } from "./events.js";
 import { Feed } from "./feed.js";
@@ -11,7 +12,7 @@ import { Runs } from "./runs.js";
 import { Scope } from "./scope.js";
 import { clock } from "./units.js";
 
-const PAGES = { Now, Scope, Events, Path, Runs, Rig };
+const PAGES = { Now, Scope, Events, Path, Cells, Runs, Rig };
 const LOOK_MS = 100;
 let me, feed, view, drawn = 0;
 
@@ -49,12 +50,14 @@ function follow(rig) {
   feed.addEventListener("unpaired", () => location.reload());
   feed.addEventListener("run", () => open(location.hash.slice(1)));
   feed.addEventListener("events", () => view?.told?.());
+  feed.addEventListener("cells", () => view?.injected?.());
   open(location.hash.slice(1));
 }
 
 function open(name) {
-  const page = PAGES[name] ? name : "Now";
+  const injects = Boolean(feed.run.cells?.length), page = PAGES[name] && (injects || name !== "Cells") ? name : "Now";
   for (const button of byId("tabs").children) {
+    if (button.textContent === "Cells") button.hidden = !injects;
     button.toggleAttribute("aria-current", false);
     if (button.textContent === page) button.setAttribute("aria-current", "page");
   }

@@ -11,9 +11,10 @@ export class Feed extends EventTarget {
   constructor(rig) {
     super();
     this.rig = rig;
-    this.run = { axes: [], signals: [], states: {}, faults: {}, motions: {} };
+    this.run = { axes: [], signals: [], states: {}, faults: {}, motions: {}, cells: [] };
     this.status = {};
     this.events = [];
+    this.cells = new Map();
     this.pulse = { state: -1, fault: 0, motion: 0, tickAge: NaN, fate: 0, wordAge: NaN };
     this.heard = 0;
     this.began = performance.now();
@@ -56,9 +57,14 @@ export class Feed extends EventTarget {
       }
       this.run = message.run;
       this.events = [];
+      this.cells = new Map();
       this.dispatchEvent(new Event("run"));
     }
     if (message.status) this.status = message.status;
+    if (message.cells) {
+      for (const cell of message.cells) this.cells.set(cell.number, cell);
+      this.dispatchEvent(new Event("cells"));
+    }
     if (message.events) {
       this.events = this.events.concat(message.events).slice(-500);
       this.dispatchEvent(new Event("events"));

@@ -17,7 +17,7 @@ COLOURS: Final = {
     Verdict.OK: "#1b7f3b", Verdict.NO_CELL: "#9aa0a6", Verdict.ROLLED: "#7b4fb5", Verdict.NOT_PIERCED: "#c77700",
     Verdict.DOUBLE: "#b00020", Verdict.SENSOR_DEAD: "#00696f", Verdict.CAMERA_FROZEN: "#3367d6",
     Verdict.CLOGGED: "#8d5524", Verdict.STUCK: "#d81b7a", Verdict.BROKEN: "#000000", Verdict.UNKNOWN: "#5f6b7a",
-    Verdict.SKIPPED: "#c9b037",
+    Verdict.SKIPPED: "#c9b037", Verdict.HELD: "#4f8f00", Verdict.BURST: "#7a0c0c",
 }  # fmt: skip
 _NOT_YET: Final = "#ffffff"
 _WIDTH: Final = 640.0
