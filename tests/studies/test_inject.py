@@ -11,7 +11,7 @@ import typer
 from hil.control.motion.injection.verdict import TOLD, Phase, Verdict
 from hil.cycle.state_machine import State
 from hil.rig.file import load_rig
-from hil.rig.schema import RigError
+from hil.rig.schema import RigConfig, RigError
 from hil.studies.inject.batch import Batch, inject
 from hil.studies.inject.equipment import grid, middle, read_positions, words
 from hil.studies.inject.judge import judged, quantile, wilson
@@ -144,6 +144,7 @@ def test_the_same_cells_are_compared_by_every_z_law(tmp_path: Path, capsys: pyte
         ({"z_law": "pres"}, "'pres': one of press, ramp"),
         ({"compare": True, "live": True}, "--json alone"),
         ({"attach": True, "speed": 1e-3}, "has its own"),
+        ({"turn": "theta"}, "needs --cells with a column of that axis"),
     ],
 )
 def test_what_does_not_go_together_is_refused(given: dict[str, Any], said: str) -> None:
@@ -151,6 +152,36 @@ def test_what_does_not_go_together_is_refused(given: dict[str, Any], said: str) 
 
     with pytest.raises(typer.BadParameter, match=said):
         command(RIG, **given)
+
+
+@pytest.mark.long
+def test_the_command_turns_the_holder_to_the_angles_of_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil.studies.inject import command
+
+    planned: list[RigConfig] = []
+
+    def kept_rig(rig: RigConfig, *more: Any, **named: Any) -> Batch:
+        planned.append(rig)
+        return inject(rig, *more, **named)
+
+    monkeypatch.setattr(command, "inject_batch", kept_rig)
+    x, y = middle(load_rig(RIG))
+    file = tmp_path / "cells.csv"
+    file.write_text(f"x,y,theta\n{x},{y},0.2\n{x + 1e-3},{y},-0.1\n")
+    target = tmp_path / "injected.csv"
+    command.inject(RIG, cells=file, turn="theta", csv_target=str(target))
+    (rig,) = planned
+    assert rig.motion.parameters["turn"] == "theta"
+    assert [row[3] for row in rig.motion.parameters["cells"]] == [0.2, -0.1]
+    assert target.read_text().count(",ok,") == 2
+    file.write_text(f"x,y\n{x},{y}\n")
+    with pytest.raises(RigError, match=r"cells.csv: no column 'theta'; expected theta in rad"):
+        command.inject(RIG, cells=file, turn="theta")
+    file.write_text(f"x,y,theta\n{x},{y},9\n")
+    with pytest.raises(RigError, match=r"row 1 takes theta to 9 rad; allowed: "):
+        command.inject(RIG, cells=file, turn="theta")
 
 
 @pytest.mark.long

@@ -23,7 +23,16 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.inject.batch import Batch, Follower, Injected
 from hil.studies.inject.batch import inject as inject_batch
-from hil.studies.inject.equipment import MOST_CELLS, Positions, grid, has_equipment, middle, read_positions, words
+from hil.studies.inject.equipment import (
+    MOST_CELLS,
+    Positions,
+    grid,
+    has_equipment,
+    middle,
+    read_angles,
+    read_positions,
+    words,
+)  # fmt: skip
 from hil.studies.inject.judge import Line, judged
 from hil.studies.inject.requests import WORDS, Declared, Script, declared
 from hil.studies.inject.sheet import Sheet, read_sheet
@@ -48,6 +57,10 @@ def inject(
     cells: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="CSV file with x and y of each cell, m")
     ] = None,
+    turn: Annotated[
+        str,
+        typer.Option(metavar="AXIS", help="rotary axis that turns the holder: --cells has its angle at each cell, rad"),
+    ] = "",
     grid_text: Annotated[str, typer.Option("--grid", metavar="RxC", help="rows and columns of cells")] = "4x5",
     pitch: Annotated[float, typer.Option(min=1e-5, max=0.1, help="between the cells of a grid, m")] = 1e-3,
     anomalies: Annotated[
@@ -98,6 +111,7 @@ def inject(
         _tell(rig_file, tell)
         return
     _check_together(live=live, attach=attach, judge=judge, resume=resume, csv_target=csv_target)
+    _check_turn(turn, cells, attach=attach)
     alone = not (live or attach or resume or judge or ask or csv_target or report_target or z_law)
     if specification and (not alone or compare):
         raise typer.BadParameter("goes with cells, seed and --json alone", param_hint="--specification")
@@ -116,12 +130,14 @@ def inject(
     if len(done) == len(places):
         console.print(f"All {len(done)} cells of {csv_target} are over.")
         return
+    angles = read_angles(cells, turn) if cells else []
     how = {**({"seek_speed": speed, "press_speed": speed} if speed else {}), **({"z_law": z_law} if z_law else {})}
+    how |= {"turn": turn} if turn else {}
 
     def planned(changes: dict[str, Any], kinds: Sequence[str] = (), more: Sequence[str] = ()) -> Plan:
         return _planned(
             rig, rig_file, tuple(overrides or ()), places, done, seed, anomalies=anomalies, how={**how, **changes},
-            kinds=kinds, more=more,
+            kinds=kinds, more=more, angles=angles,
         )  # fmt: skip
 
     if specification:
@@ -161,6 +177,12 @@ def _check_together(*, live: bool, attach: bool, judge: bool, resume: bool, csv_
         raise typer.BadParameter("that rig has its cells already", param_hint="--attach")
 
 
+def _check_turn(turn: str, cells: Path | None, *, attach: bool) -> None:
+    """The same, of the axis that turns the holder."""
+    if turn and (cells is None or attach):
+        raise typer.BadParameter("needs --cells with a column of that axis", param_hint="--turn")
+
+
 def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
     """The same, of how the tip goes in. mixed: --compare with what it has no use for."""
     if attach and (speed or z_law):
@@ -174,12 +196,13 @@ def _check_ways(z_law: str, speed: float, *, attach: bool, mixed: bool) -> None:
 def _planned(
     rig: RigConfig, rig_file: Path, overrides: tuple[str, ...], places: Positions, done: list[Injected], seed: int,
     *, anomalies: float, how: dict[str, Any], kinds: Sequence[str] = (), more: Sequence[str] = (),
+    angles: Sequence[float] = (),
 ) -> Plan:  # fmt: skip
     """The rig with these cells under its tip; its layout is built once. kinds: anomaly of each cell, where they are
     chosen. more: overrides behind all others.
     """
     layout = rig_layout(rig, rig_file.parent)
-    chosen = (*overrides, *words(rig, places, seed, anomalies, kinds, fd=layout.fd, how=how), *more)
+    chosen = (*overrides, *words(rig, places, seed, anomalies, kinds, fd=layout.fd, how=how, angles=angles), *more)
     if done:
         chosen = (*chosen, f"motion.parameters.first={len(done) + 1}")
     changed = load_rig(rig_file, chosen)

@@ -43,11 +43,25 @@ def grid(rows: int, columns: int, pitch: float, centre: tuple[float, float]) -> 
 
 def read_positions(path: Path) -> Positions:
     """The columns x and y (m) of a CSV file, one row a cell. Raises RigError naming file, row and column."""
+    rows = _columns(path, {"x": "m", "y": "m"})
+    if not rows:
+        raise RigError([f"{path}: no cell; expected a row of x and y, m, for each"])
+    return [(row[0], row[1]) for row in rows]
+
+
+def read_angles(path: Path, axis: str) -> list[float]:
+    """The column of that rotary axis, rad, one row a cell; none without an axis. Raises RigError as read_positions."""
+    return [] if not axis else [row[0] for row in _columns(path, {axis: "rad"})]
+
+
+def _columns(path: Path, wanted: Mapping[str, str]) -> list[list[float]]:
+    """wanted: the columns' units, by name."""
+    units = ", ".join(f"{name} in {unit}" for name, unit in wanted.items())
 
     def chosen(header: Sequence[str]) -> list[str]:
-        if missing := [name for name in ("x", "y") if name not in header]:
-            raise TaskFileError(f"{path}: no column {missing[0]!r}; expected x and y, m")
-        return ["x", "y"]
+        if missing := [name for name in wanted if name not in header]:
+            raise TaskFileError(f"{path}: no column {missing[0]!r}; expected {units}")
+        return list(wanted)
 
     try:
         _, rows = csv_columns(path, file_bytes(path), chosen, MOST_CELLS)
@@ -55,10 +69,9 @@ def read_positions(path: Path) -> Positions:
         raise RigError([str(error)]) from None
     for number, row in enumerate(rows, 1):
         if not all(isfinite(value) for value in row):
-            raise RigError([f"{path}: row {number}: x = {row[0]}, y = {row[1]}; expected finite numbers, m"])
-    if not rows:
-        raise RigError([f"{path}: no cell; expected a row of x and y, m, for each"])
-    return [(x, y) for x, y in rows]
+            shown = ", ".join(f"{name} = {value}" for name, value in zip(wanted, row, strict=True))
+            raise RigError([f"{path}: row {number}: {shown}; expected finite numbers: {units}"])
+    return [list(row) for row in rows]
 
 
 def middle(rig: RigConfig) -> tuple[float, float]:
@@ -77,16 +90,19 @@ def has_equipment(rig: RigConfig) -> bool:
 
 def words(
     rig: RigConfig, places: Positions, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool,
-    how: Mapping[str, Any] | None = None,
+    how: Mapping[str, Any] | None = None, angles: Sequence[float] = (),
 ) -> list[str]:  # fmt: skip
     """The overrides that put these cells under the rig's tip. share: of cells that are not as they should be;
     anomalies: of the first ones, by word. fd: the rig's bus has CAN FD frames. how: more of [motion.parameters].
+    angles: of the holder at each cell, rad, where `how` has the axis that turns it.
     """
     li = motion_limits(rig)[rig.axis_names.index("z")]
     own = rig.motion.parameters
     top = own["cells"][0][2] if has_equipment(rig) else round(li.low + TOP_SHARE * (li.high - li.low), 6)
     flat = [list(place) for place in places]
     cells = [[*place, top] for place in flat]
+    if angles:
+        cells = [[*cell, angle] for cell, angle in zip(cells, angles, strict=True)]
     dish: dict[str, Any] = {"positions": flat, "top": top, "seed": seed, "anomaly_share": share}
     if anomalies:
         dish["anomalies"] = list(anomalies)
