@@ -8,6 +8,7 @@ import pytest
 
 from hil.control.motion.contract import Request
 from hil.control.motion.injection.cells import CellInjection
+from hil.control.motion.injection.detectors import Puncture, Slip
 from hil.control.motion.injection.verdict import TOLD, Phase, Verdict
 from tests.support.bench_cell import AROUND, PARAMETERS, Bench, BenchCell
 
@@ -230,3 +231,25 @@ def test_a_pause_lasts_over_a_stop_of_the_rig() -> None:
     bench.step(Request.RESUME)
     bench.run()
     assert [r.verdict for r in bench.motion.results] == [Verdict.OK]
+
+
+# Force behind a puncture at 4 mm/s, uN, tick by tick: the far membrane gives way, in the second one after some ms.
+FAR_AT_ONCE = (416, 249, 123, 150, 262, 322, 220, 114, 27, 21)
+NO_FAR = (374, 151, 110, 90, 84, 92, 79, 85, 88, 81)
+
+
+def drops_again(forces: tuple[int, ...], puncture: Puncture, slip: Slip) -> int:
+    """Sample at which a second drop is seen; -1: at none."""
+    for place, force in enumerate(forces):
+        if slip.take(force * 1e-6):
+            puncture.restart()
+        elif slip.over and puncture.take(force * 1e-6):
+            return place
+    return -1
+
+
+def test_a_force_that_rises_behind_a_puncture_is_another_membranes() -> None:
+    noise = 7.0 * 5e-6
+    assert drops_again(FAR_AT_ONCE, Puncture(10, 0.3, noise), Slip(6, noise)) == 6
+    assert drops_again(NO_FAR, Puncture(10, 0.3, noise), Slip(6, noise)) == -1
+    assert drops_again(FAR_AT_ONCE, Puncture(10, 0.3, noise), Slip(9, 1.0)) == -1, "so it was"

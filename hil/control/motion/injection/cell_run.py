@@ -19,13 +19,13 @@ from math import sqrt
 
 from hil.control.motion.contract import Observation
 from hil.control.motion.glide import Glide
-from hil.control.motion.injection.detectors import Slope
+from hil.control.motion.injection.detectors import Slip, Slope
 from hil.control.motion.injection.senses import Senses
 from hil.control.motion.injection.settings import Settings
 from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
-from hil.control.motion.injection.z_laws import Hold, z_law
+from hil.control.motion.injection.z_laws import DROP_NOISE, Hold, z_law
 
-SLIP_TICKS = 6  # until the force of a pierced membrane is gone
+SLIP_TICKS = 6  # until the force of a pierced membrane is gone, unless another one carries the tip before
 SLOPE_TICKS = 12
 LOOK_AHEAD_TICKS = 4  # from a sample to the place where the tip can be made to stop: two of delay, two of braking
 AFTER_PULSE_S = 0.1  # that a frame is exposed after the pulse's beginning which shows the bolus
@@ -50,6 +50,7 @@ class CellRun:
         self._top = settings.cells[number][2]
         self._law = z_law(settings, senses, glide, axis, period)
         self._slope = Slope(SLOPE_TICKS)
+        self._slip = Slip(SLIP_TICKS, DROP_NOISE * senses.noise)
         self._since = self._decided = 0
         self._zeros: list[float] = []
         self.phase = Phase.NONE
@@ -195,9 +196,9 @@ class CellRun:
         """The tip runs on while it stops: far enough, at times, for the other side of the cell."""
         if not self._law.stops:
             self._law.step(seen)
-        if seen.tick - self._since == SLIP_TICKS:
+        if self._slip.take(self._senses.force):
             self._law.forget()
-        if seen.tick - self._since > SLIP_TICKS and self._pierces_again(seen):
+        elif self._slip.over and self._pierces_again(seen):
             return
         at_rest = self._rests(seen) if self._law.stops else self._law.rests(seen)
         if self._elapsed(seen) < self._s.freeze_s or not at_rest:

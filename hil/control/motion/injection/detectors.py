@@ -1,6 +1,7 @@
 """Contact and puncture on a force signal, one sample a tick."""
 
 from collections import deque
+from math import inf
 
 
 class Contact:
@@ -48,6 +49,25 @@ class Puncture:
         self.peak = max(self._recent)
         drop = self.peak - sample
         return drop > self._share * self.peak and drop > self._least
+
+
+class Slip:
+    """The force of a pierced membrane while it goes. over: it is gone, or another membrane carries the tip.
+
+    most: samples until it is gone. least: rise from the lowest sample that noise does not make.
+    """
+
+    def __init__(self, most: int, least: float) -> None:
+        self._most, self._least = most, least
+        self._lowest, self._taken = inf, 0
+        self.over = False
+
+    def take(self, sample: float) -> bool:
+        """A sample; whether it is over by this one."""
+        self._lowest, self._taken = min(self._lowest, sample), self._taken + 1
+        ends = not self.over and (self._taken >= self._most or sample - self._lowest > self._least)
+        self.over = self.over or ends
+        return ends
 
 
 class Slope:
