@@ -42,7 +42,8 @@ class RingFeed(Closing):
         if batch is None or self._reader is None:
             return None
         instants = batch.records["index"] * (self._reader.period_ns * 1e-9)
-        return Block(instants, rows(batch.records, len(self.metadata["rig"]["axes"])), batch.lost)
+        rig = self.metadata["rig"]
+        return Block(instants, rows(batch.records, len(rig["axes"]), len(rig.get("sensors", {}))), batch.lost)
 
     def read(self) -> Batch | None:
         """The records since the last turn, as they are in the ring; None where there are none."""

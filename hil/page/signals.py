@@ -21,12 +21,14 @@ _QUANTITIES: Final = (
     ("innovation", "innovation", "m", "rad"),
 )
 _PER_TICK: Final = ("index", "scheduled_ns", "now_ns", "state", "fault", "motion", "task_ns", "cpu_ns", "run_delay_ns")
-FIELDS: Final = (*_PER_TICK, *(field for _, field, _, _ in _QUANTITIES))
+FIELDS: Final = (*_PER_TICK, *(field for _, field, _, _ in _QUANTITIES), "readings")
 OF_THE_LOOP: Final = ("lateness", "CPU time", "run delay")  # s, of every tick
 
 
 class Signal(NamedTuple):
-    """quantity: what it is. axis: whose; empty: the loop's. unit: SI. low, high: its limits, None where it has none."""
+    """quantity: what it is. axis: whose, or of which sensor; empty: the loop's. unit: SI. low, high: its limits, None
+    where it has none.
+    """
 
     quantity: str
     axis: str
@@ -42,6 +44,8 @@ def signals_of(rig: Mapping[str, Any]) -> list[Signal]:
         for axis, table in rig["axes"].items():
             low, high = _limits(name, table["limits"])
             found.append(Signal(name, axis, linear if table["kind"] == "linear" else rotary, low, high))
+    for name, sensor in rig.get("sensors", {}).items():
+        found.append(Signal("reading", name, str(sensor["unit"]), None, None))
     return [*found, *(Signal(name, "", "s", None, None) for name in OF_THE_LOOP)]
 
 
@@ -53,9 +57,9 @@ def _limits(quantity: str, limits: Mapping[str, Any]) -> tuple[float | None, flo
     return (None, None) if bound is None else (-float(limits[bound]), float(limits[bound]))
 
 
-def rows(records: NDArray[np.void], n_axes: int) -> NDArray[np.float64]:
+def rows(records: NDArray[np.void], n_axes: int, n_sensors: int = 0) -> NDArray[np.float64]:
     """(signals, ticks), in the order of `signals_of`. records: with FIELDS. NaN for setpoint and error where nothing is
-    followed.
+    followed, and for a reading before the first.
     """
     nobody = ~followed(records)
     per_axis = []
@@ -67,4 +71,4 @@ def rows(records: NDArray[np.void], n_axes: int) -> NDArray[np.float64]:
         records["cpu_ns"].sum(axis=1, dtype=np.int64),
         records["run_delay_ns"].astype(np.int64),
     ]
-    return np.vstack([*per_axis, np.array(loop) * 1e-9])
+    return np.vstack([*per_axis, records["readings"][:, :n_sensors].T, np.array(loop) * 1e-9])

@@ -9,6 +9,7 @@ from hil.page.frames import HEADER, Block, Fate, Message, Pulse, envelope, pulse
 from hil.page.server import STATIC
 from hil.page.signals import OF_THE_LOOP, rows, signals_of
 from tests.page.conftest import RIG
+from tests.support.cells import equipped
 
 DESCRIBED = RIG.model_dump(mode="json")
 PULSE = Pulse(int(State.ACTIVE), 0, 1, 0.002, Fate.ALIVE, 0.1)
@@ -39,6 +40,19 @@ def test_rows_are_in_the_order_of_the_signals() -> None:
     assert named["force", "x"] == [0.0, 0.0, 0.0]
     assert named["lateness", ""] == pytest.approx([5e-7, 0.0, 3e-6])
     assert named["CPU time", ""] == pytest.approx([1e-6] * 3)
+
+
+def test_the_readings_of_sensors_are_signals_behind_those_of_the_axes() -> None:
+    rig = equipped(1).model_dump(mode="json")
+    records = np.zeros(2, RECORD)
+    records["readings"][:, 0], records["readings"][:, 2] = [np.nan, 4e-4], [1.0, 2.0]
+    signals = signals_of(rig)
+    values = dict(zip(signals, rows(records, len(rig["axes"]), len(rig["sensors"])), strict=True))
+    named = {(signal.axis, signal.unit): row.tolist() for signal, row in values.items() if signal.quantity == "reading"}
+    assert list(named) == [("force", "N"), ("shift", "m"), ("tip", "m"), ("bolus", "1")]
+    assert np.isnan(named["force", "N"][0])
+    assert (named["force", "N"][1], named["tip", "m"]) == (4e-4, [1.0, 2.0])
+    assert [signal.quantity for signal in signals[-3:]] == list(OF_THE_LOOP)
 
 
 @pytest.mark.parametrize("state", [State.READY, State.FAULT, State.STOPPING, State.ESTOP])
