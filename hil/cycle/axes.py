@@ -15,7 +15,7 @@ import numpy as np
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter, VelocityBlend
 from hil.control.laws import AxisLawMaker, make_axis_laws
-from hil.control.laws.base import AxisLaws, axis_inputs, axis_model
+from hil.control.laws.base import AxisLaws, Law, axis_inputs, axis_model
 from hil.control.laws.handover import Handover
 from hil.control.nominal_model import rig_model
 from hil.control.setpoints import Setpoints, nominal_net_force
@@ -39,11 +39,13 @@ class Axes:
         repeat = task_repeat(rig.task, rig.axis_names, rig.period_ns, rig.counts) if learning else None
         self._period_s, self._limit = rig.period_ns * 1e-9, np.array([axis.limits.force for axis in axes])
         self.law: AxisLaws = make_axis_laws(rig.law, model, self._period_s, self._limit, repeat)
+        self._trusted = True  # no fault since the last rest: what was learnt is worth keeping
         self._estimated: Any = None
         if rig.estimator.is_users:
             from hil.control.estimator.users import EstimatedAxes  # few rigs have one
 
             self._estimated = self.law = EstimatedAxes(self.law, rig, model)
+        self._keeping: Sequence[Law] = getattr(self.law, "laws", ()) if rig.law.keeps else ()
         self._asked: LoadedLaw | None = None
         self._maker: AxisLawMaker | None = None
         self.inputs = [axis_inputs() for _ in range(n)]
@@ -75,13 +77,31 @@ class Axes:
         return True
 
     def rest(self) -> None:
-        """At rest where the axes are: filters, setpoints and law know nothing of earlier runs."""
+        """At rest where the axes are: filters, setpoints and law know nothing of earlier runs, but for what a law
+        keeps.
+        """
+        self.keep()
+        self._trusted = True
         for x, motion in zip(self.inputs, self.filters, strict=True):
             motion.reseed(x.position)
             motion.tell(x)
         self.net_last = self.net_before = self.zero
         self.setpoints.hold(self.measured)
         self.law.reset(self.measured, [model.gravity for model in self.models])
+
+    def distrust(self) -> None:
+        """A fault latches: what the law has learnt since the last rest is not kept."""
+        self._trusted = False
+
+    def keep(self) -> None:
+        """What the law has learnt since the last rest begins the next run, where this rig keeps it."""
+        if self._trusted:
+            for law in self._keeping:
+                law.keep()
+
+    def kept(self) -> list[list[float]]:
+        """By axis, what the next run begins with; empty lists: nothing."""
+        return [[float(value) for value in law.kept()] for law in self._keeping]
 
     def hold(self) -> None:
         """No task runs any more. Else its setpoints would go on, and the filters expect the friction of that motion."""

@@ -167,6 +167,7 @@ class Supervisor:
         """React to a fault, and remember the first one."""
         if self.fault is Fault.NONE:
             self.fault = fault
+        self._axes.distrust()
         self.silent = self.silent or reaction is Reaction.SILENT
         self._handle(Event.FAULT_ZERO if reaction >= Reaction.ZERO else Event.FAULT_STOP, tick)
 

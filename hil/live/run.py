@@ -25,6 +25,7 @@ from hil.cli.exit_status import EXIT_CONFIG, EXIT_REALTIME, EXIT_SOFTWARE, EXIT_
 from hil.events.notes import NoteWriter
 from hil.live.goal_page import GoalPage
 from hil.live.journal import Journal
+from hil.live.kept_learnt import keep, with_kept
 from hil.live.loop import ControlLoop, Parts, TimedCycle
 from hil.live.mailbox import Mailbox
 from hil.live.realtime import claim
@@ -55,7 +56,7 @@ def main(words: Sequence[str]) -> NoReturn:
     asked = _parser().parse_args(words)
     show_former_keys()
     clock = time.thread_time_ns if asked.cpu_clock else time.monotonic_ns
-    sys.exit(run_rig(by_name("rigs", asked.rig), asked.overrides, asked.ticks, clock))
+    sys.exit(run_rig(by_name("rigs", asked.rig), asked.overrides, asked.ticks, clock, fresh=asked.fresh))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="KEY=VALUE", dest="overrides", action="append", default=[], help="overrides the rig file"
     )
     parser.add_argument("--ticks", metavar="N", type=_count, help="stop after so many ticks (at least 1)")
+    parser.add_argument(
+        "--fresh", action="store_true", help="begin without what the law has learnt in earlier runs of this rig"
+    )
     parser.add_argument("--cpu-clock", action="store_true", help=argparse.SUPPRESS)  # stages in CPU time; benchmarks
     return parser
 
@@ -79,11 +83,16 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def run_rig(path: Path, overrides: list[str], ticks: int | None, stage_clock: Callable[[], int]) -> int:
-    """Validate, set up, loop; returns the exit status."""
+def run_rig(
+    path: Path, overrides: list[str], ticks: int | None, stage_clock: Callable[[], int], *, fresh: bool = False
+) -> int:
+    """Validate, set up, loop, keep what was learnt; returns the exit status."""
     try:
         watched = WatchedFile(path)  # before the file is read: a change in between is a change
         config, layout = validated(path, overrides)
+        config, learnt = with_kept(config, fresh=fresh)
+        if learnt:
+            print(f"hil run: {learnt}", flush=True)
         with control_loop(config, path.parent, watched, stage_clock, layout) as loop:
             return _run_to_end(loop, ticks)
     except RigError as error:
@@ -202,6 +211,7 @@ def _run_to_end(loop: ControlLoop, ticks: int | None) -> int:
     loop.parts.ring.close()
     loop.parts.timing.show()
     _say_farewell(loop)
+    _keep_learnt(loop)
     loop.parts.journal.end()
     if loop.overstayed:
         print("hil run: the cycle did not come to a stop in time; sending was ended without it", file=sys.stderr)
@@ -217,6 +227,16 @@ def _say_farewell(loop: ControlLoop) -> None:
         print(_summary(loop), flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else what is left fails again at exit
+
+
+def _keep_learnt(loop: ControlLoop) -> None:
+    axes, rig = loop.parts.cycle.axes, loop.parts.cycle.rig
+    axes.keep()
+    try:
+        keep(rig, axes.kept())
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            print(f"hil run: what was learnt is not kept: {error}", file=sys.stderr, flush=True)
 
 
 def _summary(loop: ControlLoop) -> str:

@@ -20,6 +20,8 @@ from hil.rig.schema import LawConfig, RigConfig, RigError, TaskConfig
 DEEPEST_OVERRIDE = 8  # keys in one another
 # Of a table with a `name`: what belongs to the class it names. An override of the name comes first and drops them.
 _BELONG = {"law": ("learnt", "gains"), "estimator": ("parameters",)}
+# Of [axes.NAME]: what an axis is, and where its position begins.
+_STAGE = {"kind", "encoder_resolution", "direction", "gear", "offset", "home", "error_map", "model"}
 _LONGEST = 400  # characters of one problem's text
 
 
@@ -77,12 +79,10 @@ def _exchange_encoder(document: dict[str, Any], resolution: Any) -> None:
 
 
 def _check_learnt(rig: RigConfig) -> None:
-    """What was learnt on another rig, task, law or gains would be played as a disturbance of its own."""
+    """What was learnt on another stage, law or gains would be played as a disturbance of its own."""
     law = rig.law
     if not law.learnt:
         return
-    if not law.iterative_learning:
-        raise RigError([f"law.learnt = {shown(law.learnt)}: only with law.iterative_learning = true"])
     own = learning_hash(rig)
     if law.learnt_on != own:
         raise RigError(
@@ -211,10 +211,39 @@ def rig_hash(rig: RigConfig) -> str:
     return document_hash(rig.model_dump(mode="json"))
 
 
-def learning_hash(rig: RigConfig) -> str:
-    """The same of the rig as if it had learnt nothing yet."""
+def without_learnt(rig: RigConfig) -> RigConfig:
+    """The rig as if it had learnt nothing yet."""
     law = rig.law.model_copy(update={"learnt": "", "learnt_on": "", "learnt_state": []})
-    return rig_hash(rig.model_copy(update={"law": law}))
+    return rig.model_copy(update={"law": law})
+
+
+def learning_hash(rig: RigConfig) -> str:
+    """SHA-256 of all that what a law learns depends on; with law.iterative_learning of the whole rig and its task."""
+    return rig_hash(without_learnt(rig)) if rig.law.iterative_learning else document_hash(learning_hashes(rig))
+
+
+def learning_hashes(rig: RigConfig) -> dict[str, str]:
+    """The same by axis: its stage and force, the law with its gains, the rate."""
+    whole = rig_hash(without_learnt(rig)) if rig.law.iterative_learning else ""
+    names = rig.axis_names
+
+    def own(value: Any, at: int) -> Any:
+        return value[at] if isinstance(value, list) and len(value) == len(names) else value
+
+    gains = rig.law.effective_gains()
+    return {
+        name: document_hash(
+            {
+                "axis": axis.model_dump(mode="json", include=_STAGE),
+                "force": axis.limits.force,
+                "law": rig.law.name,
+                "gains": {key: own(value, at) for key, value in gains.items()},
+                "rate": rig.rate_hz,
+                "rig": whole,
+            }
+        )
+        for at, (name, axis) in enumerate(rig.axes.items())
+    }
 
 
 def document_hash(rig: dict[str, Any]) -> str:

@@ -1,6 +1,6 @@
-"""Files of what a law has learnt over the repeats of a task: JSON with the hash of the rig that it was learnt on.
+"""Files of what a law has learnt: JSON with hashes of what it was learnt on, of the rig's and of each axis'.
 
-`hil learnt RUN` writes one from a recording; `law.learnt` names it.
+`hil learnt RUN` writes one from a recording, and `hil run` at its end; `law.learnt` names it.
 """
 
 import json
@@ -17,13 +17,36 @@ class LearntFileError(ValueError):
     """A file that holds nothing learnt; the text says what is wrong with it."""
 
 
-def write_learnt_file(path: Path, rig_name: str, learnt_on: str, state: dict[str, list[float]]) -> None:
-    """state: by axis, as its law gives it. Raises OSError."""
-    write_text(path, json.dumps({"rig": rig_name, "rig_hash": learnt_on, "state": state}) + "\n")
+def learnt_text(rig_name: str, learnt_on: str, axes: dict[str, str], state: dict[str, list[float]]) -> str:
+    """The content of a file. axes: by axis, the hash of what it was learnt on. state: likewise, as its law gives it."""
+    return json.dumps({"rig": rig_name, "rig_hash": learnt_on, "axes": axes, "state": state}) + "\n"
+
+
+def write_learnt_file(
+    path: Path, rig_name: str, learnt_on: str, axes: dict[str, str], state: dict[str, list[float]]
+) -> None:
+    """See learnt_text. Raises OSError."""
+    write_text(path, learnt_text(rig_name, learnt_on, axes, state))
 
 
 def read_learnt_file(path: Path, axes: list[str]) -> tuple[str, list[list[float]]]:
     """The rig's hash, and the state of each of these axes. Raises LearntFileError."""
+    document = _document(path)
+    found = [_state(path, document, axis) for axis in axes]
+    if len({len(values) for values in found}) > 1:
+        raise LearntFileError(f"{path}: state: axes of different lengths")
+    return str(document.get("rig_hash")), found
+
+
+def read_states(path: Path, hashes: dict[str, str]) -> dict[str, list[float]]:
+    """State of those of these axes that the file has with this hash. Raises LearntFileError."""
+    document = _document(path)
+    on = document.get("axes")
+    known = on if isinstance(on, dict) else {}
+    return {axis: _state(path, document, axis) for axis, own in hashes.items() if known.get(axis) == own}
+
+
+def _document(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST + 1)
@@ -34,15 +57,14 @@ def read_learnt_file(path: Path, axes: list[str]) -> tuple[str, list[list[float]
         document = None
     if not isinstance(document, dict) or not isinstance(document.get("state"), dict):
         raise LearntFileError(f"{path}: no file of `hil learnt`: JSON with rig_hash and state, at most {LARGEST} bytes")
-    found = []
-    for axis in axes:
-        values = document["state"].get(axis)
-        if not isinstance(values, list) or not all(_is_finite(value) for value in values):
-            raise LearntFileError(f"{path}: state.{axis}: expected a list of finite numbers")
-        found.append([float(value) for value in values])
-    if len({len(values) for values in found}) > 1:
-        raise LearntFileError(f"{path}: state: axes of different lengths")
-    return str(document.get("rig_hash")), found
+    return document
+
+
+def _state(path: Path, document: dict[str, Any], axis: str) -> list[float]:
+    values = document["state"].get(axis)
+    if not isinstance(values, list) or not all(_is_finite(value) for value in values):
+        raise LearntFileError(f"{path}: state.{axis}: expected a list of finite numbers")
+    return [float(value) for value in values]
 
 
 def _is_finite(value: Any) -> bool:

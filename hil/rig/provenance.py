@@ -15,8 +15,8 @@ import numpy as np
 
 from drivers.config import LAYOUT_KIND
 from hil.rig.control_path import control_path
-from hil.rig.file import build_rig, rig_hash
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.file import build_rig, document_hash, rig_hash, without_learnt
+from hil.rig.schema import LawConfig, RigConfig, RigError
 
 _ABSENT = "a file that is not in the recording"
 
@@ -28,8 +28,12 @@ def describe_run(
 
     realtime: the verdict on what the kernel granted, for people. wall_offset_ns: wall clock minus monotonic clock at
     the start; recordings add it to their times so that other tools show a date. baseline: what its accuracy is held
-    against (hil.rig.baseline_file), where there is one.
+    against (hil.rig.baseline_file), where there is one. What earlier live runs have learnt of the rig is no part of the
+    rig, or each run would be one of another rig: it stands beside it, as `learnt`.
     """
+    state = rig.law.learnt_state if rig.law.keeps else []
+    if state:
+        rig = without_learnt(rig)
     return {
         "rig": rig.model_dump(mode="json"),
         "rig_hash": rig_hash(rig),
@@ -41,7 +45,9 @@ def describe_run(
         "numpy": np.__version__,
         "control_path": control_path(),
         "platform": platform.platform(),
-    } | ({"baseline": baseline} if baseline else {})
+        **({"learnt": {"hash": document_hash({"state": state}), "state": state}} if state else {}),
+        **({"baseline": baseline} if baseline else {}),
+    }
 
 
 def referenced_files(rig: RigConfig, base_dir: Path) -> dict[str, str]:
@@ -77,9 +83,22 @@ def rig_of_run(metadata: dict[str, Any], overrides: tuple[str, ...] = ()) -> Ite
             rig = build_rig(document, overrides, carried=True)
         except RigError as error:
             raise RigError([*error.problems, *filter(None, [other_version(metadata)])]) from None
+        if metadata.get("learnt") and rig.law.name == metadata["rig"]["law"]["name"]:
+            rig = _with_learnt(rig, metadata["learnt"])
         yield rig, base_dir
     finally:
         shutil.rmtree(base_dir, ignore_errors=True)  # a process that is confined by now cannot; its parent does
+
+
+def _with_learnt(rig: RigConfig, learnt: Any) -> RigConfig:
+    """The rig that begins with what its recording says that it had learnt. Raises RigError."""
+    try:
+        if document_hash({"state": learnt["state"]}) != learnt["hash"] or len(learnt["state"]) != len(rig.axes):
+            raise ValueError
+        known = {**rig.law.model_dump(mode="json"), "learnt": "", "learnt_state": learnt["state"]}
+        return rig.model_copy(update={"law": LawConfig.model_validate(known)})
+    except (TypeError, KeyError, ValueError):
+        raise RigError(["the recording's account of what its law had learnt before is damaged"]) from None
 
 
 def other_version(metadata: dict[str, Any]) -> str:

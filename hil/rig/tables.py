@@ -174,11 +174,16 @@ class LawConfig(Table):
     learnt: str = key(
         "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
     )
-    learnt_on: str = key("", "hash of the rig that learnt it; filled in when the rig is loaded")
+    learnt_on: str = key("", "hash of what it was learnt on; filled in when the rig is loaded")
     learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded", "1")
     source: str = key(
         "", "of a law of your own: its file's text, or its package's digest; filled in when the rig is loaded"
     )
+
+    @property
+    def keeps(self) -> bool:
+        """Whether a live run keeps what this law learns (hil/live/kept_learnt.py): it has a state, of no named file."""
+        return bool(self.learnt_state) and not self.learnt
 
     def effective_gains(self) -> dict[str, Any]:
         """Tuned gains of the named law, overridden by `gains`."""

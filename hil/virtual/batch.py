@@ -96,6 +96,11 @@ class BatchRun:
         self._force_last, self._measured, self._applied = zero, zero, zero
         self.force, self.error = zero, np.zeros(shape)
 
+    @property
+    def law(self) -> Law:
+        """The rig's law, of all plants."""
+        return self._law
+
     def tick(self) -> None:
         """One control period of every plant."""
         now, n = self.index * self._period_ns, len(self.rig.axes)

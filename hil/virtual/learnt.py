@@ -13,7 +13,7 @@ import typer
 
 from drivers.base import plugins
 from hil.rig.carried_code import carried_code, trusted
-from hil.rig.file import learning_hash
+from hil.rig.file import learning_hash, learning_hashes
 from hil.rig.learnt_file import write_learnt_file
 from hil.rig.provenance import rig_of_run
 from hil.rig.schema import RigConfig
@@ -24,7 +24,7 @@ from hil.virtual.sandbox import ConfinedError, confined
 def learnt_of_run(
     recording: Recording, permitted: Collection[str] = (), prepare: Callable[[], None] = lambda: None
 ) -> tuple[RigConfig, dict[str, list[float]]]:
-    """The rig of a recording, and by axis what its law had learnt; no axis where it learns no repeats by itself.
+    """The rig of a recording, and by axis what its law had learnt; no axis where it keeps nothing.
     permitted, prepare: as of replay_run. Raises RecordingError, RigError.
     """
     from hil.virtual.replay import Loads, new_cycle, steps
@@ -66,16 +66,13 @@ def learnt(
     recording: Annotated[Path, typer.Argument(help="run.mcap of a live or lockstep run", show_default=False)],
     output: Annotated[Path | None, typer.Option("--out", "-o", help="default: learnt.json beside it")] = None,
 ) -> None:
-    """Write what the law of a run has learnt over its repeats, for `law.learnt` of the same rig."""
+    """Write what the law of a run has learnt, for `law.learnt` of the same rig."""
     target = output or recording.with_name("learnt.json")
     try:
         rig, state = _of_trusted(recording)
         if not state:
-            raise RecordingError(
-                f"{recording}: its law ({rig.law.name}, law.iterative_learning = "
-                f"{str(rig.law.iterative_learning).lower()}) keeps nothing that it learns"
-            )
-        write_learnt_file(target, rig.name, learning_hash(rig), state)
+            raise RecordingError(f"{recording}: its law ({rig.law.name}) keeps nothing that it learns")
+        write_learnt_file(target, rig.name, learning_hash(rig), learning_hashes(rig), state)
     except (RecordingError, OSError) as error:
         print(f"hil learnt: {error}", file=sys.stderr)
         raise typer.Exit(1) from None

@@ -39,8 +39,8 @@ ROOMS = (
 PACKAGES = ("hil", "sim_plant", "drivers")  # likewise from the top down
 FILES = {
     "live": (
-        "teller run loop journal task_loading stop_line timing_record realtime task_file watched_file systemd "
-        "miss_ledger pacing goal_link ring mailbox goal_page mapped_file runtime_paths stop_page file_lock"
+        "teller run loop journal task_loading kept_learnt stop_line timing_record realtime task_file watched_file "
+        "systemd miss_ledger pacing goal_link ring mailbox goal_page mapped_file runtime_paths stop_page file_lock"
     ),
     "events": (
         "sources marks notes stream refusals accuracy baseline forces windows followed causes motion_causes axis_model "

@@ -65,8 +65,10 @@ def make_law(
     """
     gains = _known_gains(law, model.mass.shape[-1])
     made = _construct(law, law_on_arrays(law), gains, model, period, force_limit, repeat)
-    if law.learnt_state:
-        made.begin_learnt([np.array(values) for values in zip(*law.learnt_state, strict=True)])
+    if any(law.learnt_state):
+        fresh = np.array(made.learnt_state()).T.tolist()  # of an axis of which nothing is kept
+        states = [state or own for state, own in zip(law.learnt_state, fresh, strict=True)]
+        made.begin_learnt([np.array(values) for values in zip(*states, strict=True)])
     return made
 
 
@@ -118,7 +120,7 @@ class AxisLawMaker:
             gains["designed"] = list(self._designed[axis])
         model, limit = axis_model(self._model, axis), float(self._limit[axis])
         made = _construct(law, self._make, gains, model, period, limit, self._repeat)
-        if law.learnt_state:
+        if law.learnt_state and law.learnt_state[axis]:
             made.begin_learnt(list(law.learnt_state[axis]))
         if made.coupled:
             self._coupled = Coupled(law, self._model, period, self._limit, self._repeat)

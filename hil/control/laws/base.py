@@ -152,7 +152,14 @@ class Law(ABC):
         raise ValueError("law.iterative_learning: this law has no learning of its own")
 
     def learnt_state(self) -> list[Number]:
-        """Of a law that learns repeats by itself: all that `begin_learnt` needs to go on from there."""
+        """Of a law that keeps what it learns: all that `begin_learnt` needs to go on from there."""
+        return []
+
+    def keep(self) -> None:  # noqa: B027
+        """Of the same, on floats: the next reset begins with what was learnt since the last, if the axis has moved."""
+
+    def kept(self) -> list[Number]:
+        """State that the next reset begins with; empty: none."""
         return []
 
     def begin_learnt(self, state: list[Number]) -> None:

@@ -32,6 +32,7 @@ from typing import Any, ClassVar
 
 from hil.control.gain import TINIEST, Gain, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
+from hil.control.laws.breakaway import anywhere
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
 from hil.control.laws.motion_observer import ORDER, Channel, Gains, MotionModel, MotionObserver
 from hil.control.laws.position_table import NODES, PositionTable
@@ -137,19 +138,29 @@ class PreslidingKalman(Law):
         self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit)
 
     def learnt_state(self) -> list[Number]:
-        """See Law: weights, both tables, and the force of every tick of the repeat."""
-        if self._memory is None:
-            return []
-        return self._weights.values() + self._forward.values() + self._backward.values() + self._memory.best()
+        """See Law: weights, both tables, and the force of every tick of the repeat, where it learns one."""
+        learnt = self._weights.values() + self._forward.values() + self._backward.values()
+        return learnt if self._memory is None else learnt + self._memory.best()
 
     def begin_learnt(self, state: list[Number]) -> None:
         """See Law."""
-        if self._memory is None:
-            raise ValueError("law.learnt: only with law.iterative_learning = true")
-        if len(state) < KEPT:
-            raise ValueError(f"law.learnt: it has {len(state)} values; a state of this law has at least {KEPT}")
-        self._memory.begin_with(state[KEPT:])
+        if len(state) < KEPT or (self._memory is None and len(state) > KEPT):
+            more = "at least " if self._memory is not None else ""
+            raise ValueError(f"law.learnt: it has {len(state)} values; a state of this law has {more}{KEPT}")
+        if self._memory is not None:
+            self._memory.begin_with(state[KEPT:])
         self._kept = state[:KEPT]
+
+    def keep(self) -> None:
+        """See Law."""
+        if anywhere(self._moved > MOVED_PERIODS):
+            self._kept = self._weights.values() + self._forward.values() + self._backward.values()
+            if self._memory is not None:
+                self._memory.keep()
+
+    def kept(self) -> list[Number]:
+        """See Law."""
+        return self._kept if self._memory is None or not self._kept else self._kept + self._memory.start()
 
     def designed(self) -> list[Number]:
         """See Law: the observer's transition over a period, and its gains in motion and at rest."""

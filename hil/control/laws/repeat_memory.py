@@ -62,6 +62,14 @@ class RepeatMemory:
         self._start = [bounded(value, self._limit) for value in force]
         self.forget()
 
+    def keep(self) -> None:
+        """`forget` returns to the best force from now on."""
+        self._start = self.best()
+
+    def start(self) -> list[Number]:
+        """What `forget` returns to, N, by tick."""
+        return self._start or [zeros_like(self._limit)] * self._count
+
     def best(self) -> list[Number]:
         """The force that left least, N, by tick; none where no more is learnt."""
         given_up = self._harm >= MOST_HARM

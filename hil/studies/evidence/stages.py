@@ -158,7 +158,7 @@ def only(rig: RigConfig, names: Sequence[str]) -> RigConfig:
             return {key: picked(item) for key, item in value.items()}
         return [value[i] for i in kept] if isinstance(value, list) and len(value) == n else value
 
-    law = rig.law.model_copy(update={"gains": picked(rig.law.gains), "tuned": picked(rig.law.tuned)})
+    law = rig.law.model_copy(update={key: picked(getattr(rig.law, key)) for key in ("gains", "tuned", "learnt_state")})
     estimator = rig.estimator.model_copy(update={key: picked(value) for key, value in rig.estimator})
     plant = rig.plant.model_copy(
         update={key: picked(getattr(rig.plant, key)) for key in ("encoder_resolution", "initial_position")}
