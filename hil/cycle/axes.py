@@ -77,7 +77,7 @@ class Axes:
         return True
 
     def rest(self) -> None:
-        """At rest where the axes are: filters, setpoints and law know nothing of earlier runs, except what a law keeps."""
+        """At rest where the axes are: filters and setpoints know nothing of earlier runs, the law what it keeps."""
         self.keep()
         self._trusted = True
         for x, motion in zip(self.inputs, self.filters, strict=True):

@@ -28,8 +28,8 @@ def kept_path(rig: RigConfig) -> Path:
 def with_kept(rig: RigConfig, *, fresh: bool) -> tuple[RigConfig, str]:
     """The rig that begins with what is kept of it and keeps what it learns, and a line that says so.
 
-    It stays as it was, without a line, where its law keeps nothing or the rig file says what to begin with. fresh: begin
-    with nothing.
+    It stays as it was, without a line, where its law keeps nothing or the rig file says what to begin with.
+    fresh: begin with nothing.
     """
     law = rig.law
     if law.learnt or not is_built_in(law) or not law_class(law).learns_repeats:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.cycle.state_machine import State
@@ -14,6 +15,7 @@ from hil.rig.file import load_rig, rig_hash
 from hil.rig.provenance import describe_run, rig_of_run
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry.recorder import LockstepRecorder
+from hil.virtual.batch import rig_law
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from tests.support.paths import RIGS
@@ -97,6 +99,15 @@ def test_a_recording_has_all_of_it_beside_a_rig_that_is_the_same_as_without() ->
     metadata["learnt"]["state"][0][3] = 0.75
     with pytest.raises(RigError, match="what its law had learnt before is damaged"), rig_of_run(metadata):
         pass
+
+
+def test_an_axis_of_which_nothing_is_kept_begins_in_a_batch_as_ever() -> None:
+    mixed = rig().model_copy(update={"law": rig().law.model_copy(update={"learnt_state": [STATE[0], []]})})
+    law, fresh = rig_law(mixed), rig_law(rig())
+    law.reset(np.zeros(2), np.zeros(2))
+    kept = np.array(law.learnt_state())
+    assert kept[:7, 0].tolist() == STATE[0][:7]
+    assert kept[:, 1].tolist() == np.array(fresh.learnt_state())[:, 1].tolist()
 
 
 def test_only_a_run_that_moved_and_ended_without_a_fault_is_kept() -> None:

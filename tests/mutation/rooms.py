@@ -52,7 +52,7 @@ ROOMS = {
          "tests/control/test_handover.py", "tests/live/test_law_setting.py",
          "tests/control/test_laws.py", "tests/control/test_gain.py", _PAGES, "tests/control/test_user_laws.py",
          "tests/control/test_laws_gone_wrong.py",
-         "tests/virtual/test_learnt.py"),
+         "tests/virtual/test_learnt.py", "tests/live/test_kept_learnt.py"),
     ),
     "trajectories": Room(
         ("hil/control/trajectories", "hil/control/setpoints.py"),
