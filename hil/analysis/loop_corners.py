@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
-from hil.analysis.pulse_loop import CRUISE, PulseLoop, responses
+from hil.analysis.pulse_loop import CRUISE, Pulsed, loop_of, try_together
 from hil.analysis.stability import REALISED, LoopMargins, check_stability, is_stable, margins, realise_poles
 from hil.control.laws.base import Array
-from hil.control.nominal_model import rig_model
 from hil.rig.measured_table import Tolerances
 from hil.rig.schema import RigConfig
 from hil.rig.tables import AxisConfig, ModelConfig
@@ -161,14 +160,45 @@ def _around(off: float) -> tuple[float, float, float]:
     return 1.0, 1.0 - off, 1.0 + off
 
 
+class CornerTrial(Pulsed):
+    """Every corner that an axis' model speaks of, the nominal one first, as copies of the rig's loop. ticks: of the
+    answers, at least REALISED.
+    """
+
+    def __init__(self, rig: RigConfig, ticks: int = ANSWER) -> None:
+        self._rig = rig
+        self._corners = corners = [*_distinct(rig, sliding_corners()), *_distinct(rig, stuck_corners())]
+        speed = np.array([CRUISE if corner.stuck is None else 0.0 for corner in corners])
+        super().__init__(self._flexible, len(corners), ticks, speed=speed)
+
+    def _flexible(self, rows: int) -> FlexiblePlant:
+        axes = self._rig.axes.values()
+        of_corners = [
+            [_dynamics(corner, axis) or AxisDynamics(axis.model.mass) for axis in axes] for corner in self._corners
+        ]
+        each = rows // self.copies
+        return FlexiblePlant([row for row in of_corners for _ in range(each)], self._rig.period_ns * 1e-9)
+
+    def findings(self) -> list[CornerFinding]:
+        """What became of every axis in every corner; after the trial."""
+        rig, answer, motion = self._rig, self.answer, self.motion
+        return [
+            _finding(name, corner.within(axis.tolerances), axis.model, answer[:, at, i], motion[:, at, i], rig.rate_hz)
+            for at, corner in enumerate(self._corners)
+            for i, (name, axis) in enumerate(rig.axes.items())
+            if _dynamics(corner, axis) is not None
+        ]
+
+
 def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:
     """Every axis in every corner that its model speaks of, the nominal one first. ticks: of the answers, at least
     REALISED.
 
     Raises ValueError where the law cannot be made from its gains.
     """
-    corners = [*_distinct(rig, sliding_corners()), *_distinct(rig, stuck_corners())]
-    return _findings(rig, corners, ticks)
+    trial = CornerTrial(rig, ticks)
+    try_together(loop_of(rig, [trial]), [trial])
+    return trial.findings()
 
 
 def corner_problems(found: Sequence[CornerFinding]) -> list[str]:
@@ -180,7 +210,8 @@ def loop_problems(rig: RigConfig) -> list[str]:
     """Why nobody should close this rig's loop, a line each: it is unstable on the model, or off it. Raises ValueError
     as check_stability and check_corners.
     """
-    return check_stability(rig).problems() or corner_problems(check_corners(rig))
+    corners = CornerTrial(rig)
+    return check_stability(rig, beside=[corners]).problems() or corner_problems(corners.findings())
 
 
 def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
@@ -197,24 +228,6 @@ def _distinct(rig: RigConfig, corners: list[Corner]) -> list[Corner]:
 def _dynamics(corner: Corner, axis: AxisConfig) -> AxisDynamics | None:
     """The axis there, within its own tolerances."""
     return corner.within(axis.tolerances).dynamics(axis.model)
-
-
-def _findings(rig: RigConfig, corners: list[Corner], ticks: int) -> list[CornerFinding]:
-    speed = np.array([CRUISE if corner.stuck is None else 0.0 for corner in corners])
-    loop = PulseLoop(rig, rig_model(rig), len(corners), speed)
-    copies = loop.shape[0] // len(corners)
-    rows = [
-        [_dynamics(corner, axis) or AxisDynamics(axis.model.mass) for axis in rig.axes.values()]
-        for corner in corners
-        for _ in range(copies)
-    ]
-    answer, motion = responses(loop, FlexiblePlant(rows, rig.period_ns * 1e-9), ticks)
-    return [
-        _finding(name, corner.within(axis.tolerances), axis.model, answer[:, at, i], motion[:, at, i], rig.rate_hz)
-        for at, corner in enumerate(corners)
-        for i, (name, axis) in enumerate(rig.axes.items())
-        if _dynamics(corner, axis) is not None
-    ]
 
 
 def _finding(

@@ -4,6 +4,7 @@ The law's code is not transcribed into equations: a unit pulse is added to one a
 filter, law, zero-order hold, plant) answers. All plants run at once, as rows of one batch.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -70,18 +71,18 @@ class PulseLoop:
 
     def __init__(self, rig: RigConfig, model: Model, copies: int = 1, speed: float | Array = CRUISE) -> None:
         n = model.mass.size
-        self._period = rig.period_ns * 1e-9
+        self.copies, self.period = copies, rig.period_ns * 1e-9
         gains, _ = design_gains(rig)
         self._filter = MotionFilter(list(gains), model.mass)
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
         plain = rig.law.model_copy(update={"iterative_learning": False})
-        self._law = behind_estimator(make_law(plain, model, self._period, limit), rig, model, range(n))
+        self._law = behind_estimator(make_law(plain, model, self.period, limit), rig, model, range(n))
         self._pulsed = np.arange(n) if self._law.coupled else np.zeros(n, dtype=int)  # the row, for each axis
         self._folded = (copies, int(self._pulsed.max()) + 2, n)
         self.shape = shape = (copies * self._folded[1], n)
         self._inputs: LawInputs = blank_inputs(shape)
         self._inputs.fresh = np.ones(n)
-        self._inputs.sample_interval = self._inputs.ahead = np.full(n, self._period)
+        self._inputs.sample_interval = self._inputs.ahead = np.full(n, self.period)
         of_rows = np.repeat(np.broadcast_to(speed, copies), self._folded[1])
         self._speed = np.broadcast_to(of_rows[:, None], shape)
         self._inputs.mean_velocity = self._speed
@@ -92,7 +93,7 @@ class PulseLoop:
             + model.quadratic * (self._speed * self._speed)
             + model.gravity
         )  # N, friction along the reference
-        self.plant: Plant = RigidPlant(model.mass, self._period, shape)
+        self.plant: Plant = RigidPlant(model.mass, self.period, shape)
         self._net = [np.zeros(shape) for _ in range(2)]  # force less what the reference needs: last, before
         self._index = 0
         self._filter.reseed(np.zeros(shape))
@@ -109,14 +110,6 @@ class PulseLoop:
         folded[:, self._pulsed, np.arange(self._folded[2])] = PULSE
         return folded.reshape(self.shape)
 
-    def kick(self, pulse: Array) -> Array:
-        """A speed (m/s) in place of the pulse that the last copy would get, (rows, n_axes); takes it out of `pulse`."""
-        last = slice((self._folded[0] - 1) * self._folded[1], None)
-        kick = np.zeros(self.shape)
-        kick[last] = pulse[last] / self._period
-        pulse[last] = 0.0
-        return kick
-
     def beyond(self, errors: Array) -> Array:
         """Of every axis where it is pulsed, beyond the copy left alone, in pulses, (copies, n_axes)."""
         folded = errors.reshape(self._folded)
@@ -128,16 +121,21 @@ class PulseLoop:
         left: Array = errors.reshape(self._folded)[:, -1]
         return left
 
+    def rows(self, values: Array, copies: slice) -> Array:
+        """Of these copies, all rows alike, (copies, rows of each, n_axes)."""
+        own: Array = values.reshape(self._folded)[copies]
+        return own
+
     def _reference(self) -> None:
         inputs, k = self._inputs, self._index
         for reference, instant in ((inputs.sample, k - 1), (inputs.start, k), (inputs.end, k + 1)):
-            reference.position = self._speed * self._period * instant
+            reference.position = self._speed * self.period * instant
             reference.velocity = self._speed.copy()
             reference.acceleration = np.zeros(self._needed.shape)
         if self._law.preview:
             still = np.zeros(self._needed.shape)
             inputs.preview = [
-                Reference(self._speed * self._period * (k + ahead), self._speed.copy(), still.copy())
+                Reference(self._speed * self.period * (k + ahead), self._speed.copy(), still.copy())
                 for ahead in range(self._law.preview + 1)
             ]
 
@@ -168,37 +166,164 @@ class PulseLoop:
 
     def motion(self) -> Array:
         """True error after the latest tick, moved on by one period at its rate (m)."""
-        return self.plant.error + self.plant.rate * self._period
+        return self.plant.error + self.plant.rate * self.period
 
 
-def responses(loop: PulseLoop, plant: Plant, ticks: int, *, kicked: bool = False) -> tuple[Array, Array]:
-    """After a unit pulse on an axis' own measurement: its measured error, and its motion, each (ticks, copies, n_axes).
+class Trial(Protocol):
+    """What some copies of a loop, next to each other, are tried for once it has settled.
 
-    The motion is the true error moved on by one period at its rate. A force that alternates from tick to tick shows in
-    the speed alone, as every sample falls on a node of the position. plant: from the pulse on; before, the loop settles
-    on the rigid nominal one from a start that no rig has, at full speed. Both less those of a loop without the pulse:
-    an integrator or an observer that has not settled yet still moves. Zero from where nothing is left of it. Infinite
-    where the loop circles by itself. kicked: the last copy gets a unit kick in place of the pulse: one pulse a period
-    faster, of a force of an instant.
+    speed: of their reference, m/s, (copies,), for who makes the loop.
     """
-    pulse, quiet = loop.pulse(), np.zeros(loop.shape)
-    kick = loop.kick(pulse) if kicked else quiet
+
+    copies: int
+    speed: Array
+
+    def begin(self, pulse: Array, period: float) -> tuple[Plant, Array]:
+        """Their plant from then on, and what is added to their first measurement, m. pulse: PULSE on every axis where
+        it is pulsed, (rows, n_axes); period: s.
+        """
+
+    def note(self, tick: int, loop: PulseLoop, errors: Array, own: slice) -> bool:
+        """A tick, from 0 on, with its measured errors, (rows, n_axes) of the loop; own: the trial's copies. Whether it
+        has seen enough.
+        """
+
+
+class _Plants:
+    """The plants of a loop's trials, as one."""
+
+    def __init__(self, plants: Sequence[Plant], edges: Sequence[int]) -> None:
+        self._plants, self._edges = list(plants), list(edges)
+
+    @property
+    def error(self) -> Array:
+        """See Plant."""
+        return np.concatenate([plant.error for plant in self._plants])
+
+    @property
+    def rate(self) -> Array:
+        """See Plant."""
+        return np.concatenate([plant.rate for plant in self._plants])
+
+    def advance(self, force: Array) -> None:
+        """See Plant."""
+        for plant, part in zip(self._plants, np.split(force, self._edges), strict=True):
+            plant.advance(part)
+
+    def place(self, error: Array, rate: Array) -> None:
+        """See Plant."""
+        parts = zip(self._plants, np.split(error, self._edges), np.split(rate, self._edges), strict=True)
+        for plant, error_part, rate_part in parts:
+            plant.place(error_part, rate_part)
+
+
+def loop_of(rig: RigConfig, trials: Sequence[Trial]) -> PulseLoop:
+    """A loop with the copies of these trials, in their order."""
+    speed = np.concatenate([trial.speed for trial in trials])
+    return PulseLoop(rig, rig_model(rig), speed.size, speed)
+
+
+def try_together(loop: PulseLoop, trials: Sequence[Trial]) -> None:
+    """Settle the loop, then try its copies, which are the trials' in their order: the law's lines cost as much for ten
+    rows as for a hundred. Before, it settles on the rigid nominal plant from a start that no rig has, at full speed.
+    """
+    per_copy, period = loop.shape[0] // sum(trial.copies for trial in trials), loop.period
+    edges = np.cumsum([trial.copies for trial in trials])[:-1]
+    owned = [slice(*ends) for ends in zip([0, *edges], [*edges, None], strict=True)]
+    pulses = np.split(loop.pulse(), edges * per_copy)
+    begun = [trial.begin(part, period) for trial, part in zip(trials, pulses, strict=True)]
+    plant: Plant = begun[0][0] if len(begun) == 1 else _Plants([own for own, _ in begun], (edges * per_copy).tolist())
+    quiet, pulse = np.zeros(loop.shape), np.concatenate([added for _, added in begun])
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
         loop.change_plant(plant)
-        plant.place(plant.error, plant.rate + kick)
-        answer, motion, alone = np.zeros((3, ticks, *loop.alone(quiet).shape))
-        for k in range(ticks):
-            errors = loop.step(pulse if k == 0 else quiet)
-            answer[k], alone[k] = loop.beyond(errors), loop.alone(errors)
-            motion[k] = loop.beyond(loop.motion())
-            if k % LOOKED == LOOKED - 1 and _faded(*(part[k + 1 - LOOKED : k + 1] for part in (answer, motion, alone))):
-                alone[k + 1 :] = alone[k]
-                break
-        unseen = _circles(alone) & (np.abs(motion).max(axis=0) < GROWN)
-    answer[:, unseen] = motion[:, unseen] = np.inf
-    return answer, motion
+        tick, left = 0, list(zip(trials, owned, strict=True))
+        while left:
+            errors = loop.step(pulse if tick == 0 else quiet)
+            left = [(trial, own) for trial, own in left if not trial.note(tick, loop, errors, own)]
+            tick += 1
+
+
+class Pulsed:
+    """A unit pulse on an axis' own measurement. `answer`: its measured error, `motion`: its true error moved on by one
+    period at its rate, each (ticks, copies, n_axes).
+
+    A force that alternates from tick to tick shows in the speed alone, as every sample falls on a node of the position.
+    plant: from the pulse on, for so many rows. Both less those of a loop without the pulse: an integrator or an
+    observer that has not settled yet still moves. Zero from where nothing is left of it. Infinite where the loop
+    circles by itself. kicked: the last copy gets a unit kick in place of the pulse: one pulse a period faster, of a
+    force of an instant.
+    """
+
+    def __init__(
+        self,
+        plant: Callable[[int], Plant],
+        copies: int,
+        ticks: int,
+        *,
+        speed: float | Array = CRUISE,
+        kicked: bool = False,
+    ) -> None:
+        self.copies, self._plant, self._ticks, self._kicked = copies, plant, ticks, kicked
+        self.speed: Array = np.broadcast_to(speed, copies)
+        self._alone = self.answer = self.motion = np.zeros(0)
+
+    def begin(self, pulse: Array, period: float) -> tuple[Plant, Array]:
+        """See Trial."""
+        self.answer, self.motion, self._alone = np.zeros((3, self._ticks, self.copies, pulse.shape[1]))
+        plant = self._plant(len(pulse))
+        if not self._kicked:
+            return plant, pulse
+        kick, pulse, last = np.zeros(pulse.shape), pulse.copy(), -(len(pulse) // self.copies)
+        kick[last:], pulse[last:] = pulse[last:] / period, 0.0
+        return _Kicked(plant, kick), pulse
+
+    def note(self, tick: int, loop: PulseLoop, errors: Array, own: slice) -> bool:
+        """See Trial."""
+        answer, motion, alone = self.answer, self.motion, self._alone
+        answer[tick], alone[tick] = loop.beyond(errors)[own], loop.alone(errors)[own]
+        motion[tick] = loop.beyond(loop.motion())[own]
+        over, latest = tick + 1 == self._ticks, slice(tick + 1 - LOOKED, tick + 1)
+        if tick % LOOKED == LOOKED - 1 and _faded(answer[latest], motion[latest], alone[latest]):
+            alone[tick + 1 :] = alone[tick]
+            over = True
+        if over:
+            unseen = _circles(alone) & (np.abs(motion).max(axis=0) < GROWN)
+            answer[:, unseen] = motion[:, unseen] = np.inf
+        return over
+
+
+class _Kicked:
+    """A plant that begins faster than it is asked to."""
+
+    def __init__(self, plant: Plant, kick: Array) -> None:
+        self._plant, self._kick = plant, kick
+
+    @property
+    def error(self) -> Array:
+        """See Plant."""
+        return self._plant.error
+
+    @property
+    def rate(self) -> Array:
+        """See Plant."""
+        return self._plant.rate
+
+    def advance(self, force: Array) -> None:
+        """See Plant."""
+        self._plant.advance(force)
+
+    def place(self, error: Array, rate: Array) -> None:
+        """See Plant."""
+        self._plant.place(error, rate + self._kick)
+
+
+def responses(loop: PulseLoop, plant: Plant, ticks: int) -> tuple[Array, Array]:
+    """Answer and motion of Pulsed, where all of a loop's copies get that."""
+    pulsed = Pulsed(lambda _: plant, loop.copies, ticks)
+    try_together(loop, [pulsed])
+    return pulsed.answer, pulsed.motion
 
 
 def pulse_response(rig: RigConfig, ticks: int, plant_gain: float | Array = 1.0) -> tuple[Array, Array]:
@@ -212,12 +337,18 @@ def pulse_response(rig: RigConfig, ticks: int, plant_gain: float | Array = 1.0) 
     return answer[:, 0], motion[:, 0]
 
 
-def pulse_and_kick(rig: RigConfig, ticks: int) -> tuple[Array, Array, Array]:
-    """As `pulse_response` on the nominal plant, and the motion after a kick, each (ticks, n_axes)."""
+def pulse_and_kick(rig: RigConfig, ticks: int, beside: Sequence[Trial] = ()) -> tuple[Array, Array, Array]:
+    """As `pulse_response` on the nominal plant, and the motion after a kick, each (ticks, n_axes). beside: other trials
+    of the rig's loop, which cost next to nothing here.
+    """
     model = rig_model(rig)
-    loop = PulseLoop(rig, model, copies=2)
-    answer, motion = responses(loop, RigidPlant(model.mass, rig.period_ns * 1e-9, loop.shape), ticks, kicked=True)
-    return answer[:, 0], motion[:, 0], motion[:, 1]
+
+    def rigid(rows: int) -> Plant:
+        return RigidPlant(model.mass, rig.period_ns * 1e-9, (rows, model.mass.size))
+
+    pulsed = Pulsed(rigid, 2, ticks, kicked=True)
+    try_together(loop_of(rig, [pulsed, *beside]), [pulsed, *beside])
+    return pulsed.answer[:, 0], pulsed.motion[:, 0], pulsed.motion[:, 1]
 
 
 def _faded(answer: Array, motion: Array, alone: Array) -> bool:

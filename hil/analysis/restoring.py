@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from hil.analysis.pulse_loop import PULSE, SETTLE, PulseLoop, RigidPlant
+from hil.analysis.pulse_loop import (
+    CRUISE,
+    PULSE,
+    SETTLE,
+    Plant,
+    PulseLoop,
+    RigidPlant,
+    loop_of,
+    try_together,
+)
 from hil.control.laws.base import Array
 from hil.control.nominal_model import rig_model
 from hil.rig.schema import RigConfig
@@ -55,36 +64,61 @@ class PushedPlant(RigidPlant):
         super().advance(force + self._push)
 
 
-def pushes_away(rig: RigConfig) -> Any:
-    """Which axes the law lets go or turns against, steadily and however slowly: bool, (n_axes,)."""
-    away, restoring = _held(rig)
-    return away if np.all(away | restoring) else away | (_creeps(rig) & ~restoring)
-
-
-def _held(rig: RigConfig) -> tuple[Any, Any]:
-    """Which axes' force turns against them while they are held PULSE off their setpoint, and which turns back: bool,
-    (n_axes,) each.
+class Held:
+    """A trial (hil.analysis.pulse_loop.Trial): every axis is held PULSE off its setpoint. `away`: whose force turns
+    against them, steadily; `back`: whose force turns back, steadily; bool, (n_axes,) each.
     """
-    loop, quiet = _settled(rig)
-    force = np.zeros((HELD, len(rig.axes)))
-    with np.errstate(all="ignore"):
-        loop.change_plant(HeldPlant(loop.shape, loop.pulse()))
-        for tick in range(HELD):
-            loop.step(quiet)
-            force[tick] = loop.beyond(loop.force)[0]
+
+    copies = 1
+
+    def __init__(self) -> None:
+        self.speed: Array = np.full(1, CRUISE)
+        self.away: Any = None
+        self.back: Any = None
+
+    def begin(self, pulse: Array, period: float) -> tuple[Plant, Array]:
+        """See Trial."""
+        self._force = np.zeros((HELD, pulse.shape[1]))
+        return HeldPlant(pulse.shape, pulse), np.zeros(pulse.shape)
+
+    def note(self, tick: int, loop: PulseLoop, errors: Array, own: slice) -> bool:
+        """See Trial."""
+        force = self._force
+        force[tick] = loop.beyond(loop.force)[own][0]
+        if tick + 1 < HELD:
+            return False
         before, after = force[HELD * 3 // 4] - force[HELD // 2], force[-1] - force[HELD * 3 // 4]
-        shown = ROUNDING * np.abs(force[-1]) + 100.0 * np.finfo(float).eps * np.abs(loop.force).max() / PULSE
+        greatest = np.abs(loop.rows(loop.force, own)).max()
+        shown = ROUNDING * np.abs(force[-1]) + 100.0 * np.finfo(float).eps * greatest / PULSE
         steady = np.abs(after - before) <= STEADY * np.abs(after)
-        return (after > shown) & steady, (after < -shown) & steady
+        self.away, self.back = (after > shown) & steady, (after < -shown) & steady
+        return True
+
+    def verdict(self, rig: RigConfig) -> Any:
+        """Which axes the law lets go or turns against, steadily and however slowly, after the trial: bool, (n_axes,).
+        Axes of which holding shows nothing are pushed.
+        """
+        if np.all(self.away | self.back):
+            return self.away
+        return self.away | (_creeps(rig) & ~self.back)
+
+
+def pushes_away(rig: RigConfig) -> Any:
+    """Held.verdict of a rig's loop, tried alone."""
+    held = Held()
+    try_together(loop_of(rig, [held]), [held])
+    return held.verdict(rig)
 
 
 def _creeps(rig: RigConfig) -> Any:
     """Which axes creep away under a constant push: bool, (n_axes,)."""
-    loop, quiet = _settled(rig)
-    period, mass, averages = rig.period_ns * 1e-9, rig_model(rig).mass, []
+    loop, averages = PulseLoop(rig, rig_model(rig)), []
+    quiet, mass = np.zeros(loop.shape), rig_model(rig).mass
     creeps = np.zeros(len(rig.axes), dtype=bool)
     with np.errstate(all="ignore"):
-        loop.change_plant(PushedPlant(mass, period, loop.pulse() * mass / period**2))
+        for _ in range(SETTLE):
+            loop.step(quiet)
+        loop.change_plant(PushedPlant(mass, loop.period, loop.pulse() * mass / loop.period**2))
         for _ in range(MOST_BLOCKS):
             averages.append(np.mean([loop.beyond(loop.step(quiet))[0] for _ in range(BLOCK)], axis=0))
             if len(averages) < FEWEST:
@@ -96,13 +130,3 @@ def _creeps(rig: RigConfig) -> Any:
             if np.all(rests | alike):
                 break
     return creeps
-
-
-def _settled(rig: RigConfig) -> tuple[PulseLoop, Array]:
-    """The loop on its way, and a tick without a pulse."""
-    loop = PulseLoop(rig, rig_model(rig))
-    quiet = np.zeros(loop.shape)
-    with np.errstate(all="ignore"):
-        for _ in range(SETTLE):
-            loop.step(quiet)
-    return loop, quiet

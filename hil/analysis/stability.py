@@ -8,7 +8,7 @@ damp it. The same around the axis a stage really has is in loop_corners.py.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.analysis.pulse_loop import DECAYED, GROWN, pulse_and_kick, pulse_response
-from hil.analysis.restoring import pushes_away
+from hil.analysis.pulse_loop import DECAYED, GROWN, Trial, pulse_and_kick, pulse_response
+from hil.analysis.restoring import Held
 from hil.control.estimator.gains import keep_design
 from hil.control.laws.base import Array
 from hil.rig.schema import RigConfig, RigError
@@ -283,8 +283,9 @@ def refuse_unstable(rig: RigConfig) -> None:
 
 
 def _report(rig: RigConfig, ticks: int) -> StabilityReport:
-    _, motion, kicked = pulse_and_kick(rig, ticks)
-    columns = zip(motion.T, kicked.T, pushes_away(rig), strict=True)
+    held = Held()
+    _, motion, kicked = pulse_and_kick(rig, ticks, [held])
+    columns = zip(motion.T, kicked.T, held.verdict(rig), strict=True)
     found = [_judged(moved, back, rig.period_ns * 1e-9, bool(away)) for moved, back, away in columns]
     return StabilityReport(rig.law.name, rig.rate_hz, dict(zip(rig.axes, found, strict=True)))
 
@@ -326,20 +327,26 @@ def _finite_difference_rates(rig: RigConfig) -> list[float | None]:
 
 
 def check_stability(
-    rig: RigConfig, *, lowest_rate: bool = False, kicked: bool = True, ticks: int = ANSWER
+    rig: RigConfig,
+    *,
+    lowest_rate: bool = False,
+    kicked: bool = True,
+    ticks: int = ANSWER,
+    beside: Sequence[Trial] = (),
 ) -> StabilityReport:
     """Poles and margins of every axis of the rig's sampled loop; lowest_rate: also search the lowest stable rates.
     kicked: also whether it comes back from a push. ticks: of the answer, at least REALISED; the more, the finer the
-    frequencies at which margins are taken.
+    frequencies at which margins are taken. beside: other trials of the same loop, where it is kicked.
 
     Raises ValueError where the law cannot be made from its gains.
     """
+    held = Held()
     if kicked:
-        answer, motion, offset = pulse_and_kick(rig, ticks)
+        answer, motion, offset = pulse_and_kick(rig, ticks, [held, *beside])
+        away = held.verdict(rig)
     else:
         answer, motion = pulse_response(rig, ticks)
-        offset = np.zeros(motion.shape)
-    away = pushes_away(rig) if kicked else np.zeros(len(rig.axes), dtype=bool)
+        offset, away = np.zeros(motion.shape), np.zeros(len(rig.axes), dtype=bool)
     rates: list[float | None] = [*_lowest_rates(rig, motion)] if lowest_rate else [None] * len(rig.axes)
     differences = _finite_difference_rates(rig) if lowest_rate else rates
     axes = {}

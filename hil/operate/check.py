@@ -16,13 +16,13 @@ from drivers.config import KERNEL_INTERFACES
 from drivers.frame import EXTENDED
 from hil.analysis.feasibility import start_notes, task_problems
 from hil.analysis.learning_check import check_learning
-from hil.analysis.loop_corners import corner_problems
+from hil.analysis.loop_corners import CornerTrial, corner_problems
 from hil.analysis.stability import StabilityReport, check_stability
 from hil.analysis.task_figures import excursion_notes, excursion_problems, excursions_json, task_figures
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.law_registry import law_class
-from hil.operate.check_loop import corner_notes, corner_table, findings, measured_notes
+from hil.operate.check_loop import corner_notes, corner_table, measured_findings, measured_notes
 from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import (
     analyse_rig,
@@ -80,8 +80,9 @@ def check_rig(
     try:
         infeasible = [*encoder_range_problems(rig, layout), *task_problems(rig), *excursion_problems(rig)]
         figures = task_figures(rig)
-        stability = check_stability(rig, lowest_rate=True)
-        corners = findings(rig, measured, frd) if stability.stable else []
+        trial = CornerTrial(rig)
+        stability = check_stability(rig, lowest_rate=True, beside=[trial])
+        corners = [*trial.findings(), *measured_findings(rig, measured, frd)] if stability.stable else []
         learning = check_learning(rig)
         sensor = check_sensor(rig)
     except ValueError as error:

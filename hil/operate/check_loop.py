@@ -8,16 +8,16 @@ from typing import Any
 from rich.table import Table
 
 from hil.analysis.frequency_response import LoopResponse, loop_response, measured_finding
-from hil.analysis.loop_corners import CornerFinding, check_corners
+from hil.analysis.loop_corners import CornerFinding
 from hil.cli.output import write_json
 from hil.rig.schema import RigConfig, RigError
 
 
-def findings(rig: RigConfig, measured: Sequence[str], frd: Path | None) -> list[CornerFinding]:
-    """Every axis in every corner, and with each measured response ("AXIS=FILE"). frd: where the loop's frequency
-    response is written, which python-control's `frd` takes. Raises RigError.
+def measured_findings(rig: RigConfig, measured: Sequence[str], frd: Path | None) -> list[CornerFinding]:
+    """Axes with each measured response ("AXIS=FILE"). frd: where the loop's frequency response is written, which
+    python-control's `frd` takes. Raises RigError.
     """
-    found = check_corners(rig)
+    found: list[CornerFinding] = []
     files = [_axis_and_file(rig, text) for text in measured]
     if frd or files:
         response = loop_response(rig)

@@ -7,9 +7,10 @@ import pytest
 
 from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.analysis.frequency_response import LoopResponse, loop_response, measured_finding, read_response
-from hil.analysis.loop_corners import CornerFinding, check_corners
-from hil.analysis.pulse_loop import PulseLoop, RigidPlant
-from hil.analysis.stability import check_stability
+from hil.analysis.loop_corners import CornerFinding, CornerTrial, check_corners
+from hil.analysis.pulse_loop import PulseLoop, RigidPlant, loop_of, pulse_and_kick, try_together
+from hil.analysis.restoring import Held, pushes_away
+from hil.analysis.stability import REALISED, check_stability
 from hil.control.nominal_model import rig_model
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
@@ -256,3 +257,16 @@ def test_a_presliding_range_is_checked() -> None:
     for value in ("[1e-6]", "[2e-6, 1e-6]", "[0, 1e-6]"):
         with pytest.raises(RigError, match="presliding"):
             rig_of(f"axes.x.model.presliding={value}")
+
+
+def test_trials_of_one_loop_do_not_see_each_other() -> None:
+    rig = rig_of(*GUIDES)
+    alone, beside, held = CornerTrial(rig, REALISED), CornerTrial(rig, REALISED), Held()
+    try_together(loop_of(rig, [alone]), [alone])
+    together = pulse_and_kick(rig, 400, [held, beside])
+    for one, other in zip(pulse_and_kick(rig, 400), together, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(alone.answer, beside.answer)
+    np.testing.assert_array_equal(alone.motion, beside.motion)
+    assert alone.findings() == beside.findings()
+    assert held.verdict(rig).tolist() == pushes_away(rig).tolist()
