@@ -58,15 +58,15 @@ def on_segment(frame: Frame, segment: int) -> Frame:
 
 def to_bytes(frame: Frame) -> bytes:
     """Bytes to write to a CAN socket. Raises ValueError for a length that no frame can have."""
-    data, flags = frame.data, frame.flags
+    can_id, data, flags, _ = frame
     length = len(data)
     if flags & FD:
         if length not in _FD_LENGTHS:
             raise ValueError(f"{length} data bytes: an FD frame has one of {FD_LENGTHS}")
-        return _pack_fd(frame.can_id, length, flags, data)
+        return _pack_fd(can_id, length, flags, data)
     if length > 8:
         raise ValueError(f"{length} data bytes: a classic frame has at most 8")
-    return _pack_classic(frame.can_id, length, data)
+    return _pack_classic(can_id, length, data)
 
 
 def from_bytes(packet: bytes, timestamp_ns: int = 0) -> Frame | None:

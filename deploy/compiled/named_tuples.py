@@ -1,8 +1,9 @@
 """Build pass: makes instances of NamedTuples without the detour through Python that their constructors take.
 
-`Frame(a, b)` runs a Python function that ends in `tuple.__new__(Frame, (a, b, 0, 0))`. Compiled code can call the
-latter itself, which halves the instructions (callgrind, compiled, Python 3.11: 1760 instead of 3280; a tick makes seven
-or more of them). So the sources say `Frame(a, b)`, and this pass rewrites the copies that are compiled.
+`Frame(a, b)` runs a Python function that ends in `tuple.__new__(Frame, (a, b, 0, 0))`: 3280 instructions (callgrind,
+compiled, Python 3.11), and half of them where compiled code calls the latter itself. `drivers.native.tuple_as` does the
+same without the detour through keywords and checks that `tuple.__new__` takes. A tick makes three or more of them. So
+the sources say `Frame(a, b)`, and this pass rewrites the copies that are compiled.
 
 Rewritten are calls with positional arguments only, of classes that are defined in, or imported by name from, the
 packages being built. Left-out arguments get their default where it is a literal. All other calls stay as they are.
@@ -38,7 +39,8 @@ def rewrite(text: str, module: str, known: dict[Key, Fields]) -> str:
         lines.insert(behind[name], f"_new_{name}: _Final = {name}\n")
     if used:
         last = max(node.end_lineno or 0 for node in tree.body if _goes_first(node))
-        lines.insert(last, f"from typing import Final as _Final\n{_NEW}: _Final = tuple.__new__\n")
+        first = "from typing import Final as _Final\nfrom drivers.native import tuple_as as _native_tuple_as\n"
+        lines.insert(last, f"{first}{_NEW}: _Final = _native_tuple_as\n")
     return "".join(lines)
 
 

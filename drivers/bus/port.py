@@ -31,6 +31,7 @@ from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
 from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, to_bytes
+from drivers.native import tuple_as
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
 
@@ -49,7 +50,10 @@ _, _, _REFUSED, _OVERFLOW, _DISCARDED, _ERRORS, _NO_ACK, _BUS_OFF, _RESTARTED, _
 # Used in every tick; compiled code reads a Final faster than a global.
 _RECEIVED: Final[int] = PortCounters._fields.index("received")
 _SENT: Final[int] = PortCounters._fields.index("sent")
-_make_counters: Final[Callable[..., PortCounters]] = tuple.__new__  # what PortCounters._make ends in, in every tick
+_make: Final = tuple_as
+_counters: Final = PortCounters
+_monotonic_ns: Final = monotonic_ns
+_time_ns: Final = time_ns
 _HOST_DEPTH = 2  # times the receive limit: room for a flood to be seen as one
 
 
@@ -132,8 +136,8 @@ class Port:
         """
         earliest_ns, self._drained_ns = self._drained_ns, stamp(now_ns)
         sources = self._ready()
-        wall_ns = time_ns()
-        latest_ns = monotonic_ns()
+        wall_ns = _time_ns()
+        latest_ns = _monotonic_ns()
         offset_ns = wall_ns - latest_ns if latest_ns - now_ns < _CLOCKS_READ_NS else _wall_offset()
         if len(sources) == 1:
             frames = self._read(sources[0], offset_ns, earliest_ns, latest_ns)
@@ -257,7 +261,7 @@ class Port:
 
     def counters(self) -> PortCounters:
         """Everything counted since the port was opened, and the bus' state."""
-        return _make_counters(PortCounters, self._counts)
+        return _make(_counters, self._counts)  # what PortCounters._make ends in, in every tick
 
     def rebind(self) -> bool:
         """Open the bus anew, after it went down or its adapter was unplugged; True when it can be used again.

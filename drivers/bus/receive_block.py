@@ -48,6 +48,7 @@ _ORDINARY = {
 }
 
 _SECOND: Final = 1_000_000_000
+_FRAME: Final = Frame
 _STAMP_NS: Final = 1000
 
 
@@ -109,7 +110,7 @@ class ReceiveBlock:
         if self._native is None:
             return self._plain_frames(count, offset_ns, earliest_ns, latest_ns)
         return self._native(
-            self._headers, self._slots, count, Frame, self._size, self._head, self._flags,
+            self._headers, self._slots, count, _FRAME, self._size, self._head, self._flags,
             offset_ns, earliest_ns, latest_ns,
         )  # fmt: skip
 

@@ -7,10 +7,13 @@ stage_fd.py in drivers/families/stage, hil/live/pacing.py, hil/cycle/record_buil
 
 import importlib
 import os
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
 
 OFF = "HIL_NATIVE"  # in the environment, set to 0: Python all the same
+
+
+_Tuple = TypeVar("_Tuple", bound=tuple[Any, ...])
 
 
 def _extension() -> Any:
@@ -30,3 +33,4 @@ def _plain_copy(to: memoryview, begin: int, source: memoryview) -> None:
 
 path: Final[Any] = _extension()
 copy: Final[Callable[[memoryview, int, memoryview], None]] = path.copy if path else _plain_copy
+tuple_as: Final[Callable[[type[_Tuple], Sequence[Any]], _Tuple]] = path.tuple_as if path else tuple.__new__

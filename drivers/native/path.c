@@ -13,8 +13,9 @@
 
 enum { SECOND = 1000000000, STAMP = 1000, DATA_AT = 8, MOST_DATA = 64, FRAME_BYTES = 72, CONTROL_BYTES = 64 };
 enum { SLOT_BYTES = FRAME_BYTES + CONTROL_BYTES, STAMPED = CMSG_SPACE(sizeof(struct timespec)) };
-enum { FEEDBACK = 16, COMMAND = 24, RECORDED = 80 };
+enum { FEEDBACK = 16, COMMAND = 24, RECORDED = 80, AXES = 4 };
 #define ERROR_FLAG 0x20000000u
+#define FD_FLAG 0x04
 
 static uint32_t crc_table[256];
 
@@ -45,6 +46,8 @@ static uint16_t read_u16(const uint8_t *at) { return (uint16_t)(at[0] | at[1] <<
 static void put_u16(uint8_t *at, uint16_t value) { at[0] = (uint8_t)value, at[1] = (uint8_t)(value >> 8); }
 
 static void put_u32(uint8_t *at, uint32_t value) { put_u16(at, (uint16_t)value), put_u16(at + 2, (uint16_t)(value >> 16)); }
+
+static void put_i64(uint8_t *at, int64_t value) { put_u32(at, (uint32_t)value), put_u32(at + 4, (uint32_t)(value >> 32)); }
 
 /* As Python's %: the sign of the divisor. */
 static int64_t modulo(int64_t value, int64_t divisor) {
@@ -176,62 +179,119 @@ static PyObject *frames(PyObject *Py_UNUSED(module), PyObject *const *args, Py_s
     return found;
 }
 
+/* What a feedback frame says, into four numbers: position, status, sequence, stamp_ns; 0 for a wrong checksum. */
+static int read_feedback(const uint8_t *data, int64_t can_id, int64_t received_ns, int64_t *into) {
+    if (crc32_of(data, FEEDBACK - 4, (uint32_t)can_id) != read_u32(data + FEEDBACK - 4)) {
+        return 0;
+    }
+    int64_t earliest = received_ns - ((int64_t)1 << 31);
+    into[0] = (int32_t)read_u32(data), into[1] = read_u16(data + 8), into[2] = read_u16(data + 10);
+    into[3] = earliest + (int64_t)(uint32_t)(read_u32(data + 4) - (uint64_t)earliest);
+    return 1;
+}
+
 /* feedback(data, can_id, received_ns) -> (position, status, sequence, stamp_ns), or None for a wrong checksum */
 static PyObject *feedback(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
-    int64_t given[2];
+    int64_t given[2], found[4];
     if (!expects("feedback", n, 3) || !integers(args + 1, 2, given)) {
         return NULL;
     }
     if (!PyBytes_Check(args[0]) || PyBytes_GET_SIZE(args[0]) != FEEDBACK) {
         return too_small("feedback");
     }
-    const uint8_t *data = (const uint8_t *)PyBytes_AS_STRING(args[0]);
-    if (crc32_of(data, FEEDBACK - 4, (uint32_t)given[0]) != read_u32(data + FEEDBACK - 4)) {
+    if (!read_feedback((const uint8_t *)PyBytes_AS_STRING(args[0]), given[0], given[1], found)) {
         Py_RETURN_NONE;
     }
-    int64_t earliest = given[1] - ((int64_t)1 << 31);
-    int64_t stamp = earliest + (int64_t)(uint32_t)(read_u32(data + 4) - (uint64_t)earliest);
-    PyObject *made = PyTuple_New(4);
-    PyObject *fields[4] = {PyLong_FromLong((int32_t)read_u32(data)), PyLong_FromLong(read_u16(data + 8)),
-                           PyLong_FromLong(read_u16(data + 10)), PyLong_FromLongLong(stamp)};
-    int whole = made != NULL;
-    for (int i = 0; i < 4; i++) {
-        whole = whole && fields[i] != NULL;
-    }
-    for (int i = 0; i < 4; i++) {
-        if (whole) {
-            PyTuple_SET_ITEM(made, i, fields[i]);
-        } else {
-            Py_XDECREF(fields[i]);
-        }
-    }
-    if (!whole) {
-        Py_CLEAR(made);
-    }
-    return made;
+    return Py_BuildValue("LLLL", (long long)found[0], (long long)found[1], (long long)found[2], (long long)found[3]);
 }
 
-/* command(can_id, force_0, force_1, force_2, force_3, sequence, flags) -> the 24 bytes of a command frame */
-static PyObject *command(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
-    int64_t can_id, counts[2];
-    uint8_t data[COMMAND];
-    if (!expects("command", n, 7) || !integers(args, 1, &can_id) || !integers(args + 5, 2, counts)) {
+/* One sound answer of an axis, into six numbers: axis, the four of a feedback, received_ns; 0: it is none. */
+static int read_answer(PyObject *frame, int64_t first_id, int64_t axes, int64_t most, int64_t *into) {
+    if (!PyTuple_Check(frame) || PyTuple_GET_SIZE(frame) != 4 || !PyBytes_Check(PyTuple_GET_ITEM(frame, 1))) {
+        return 0;
+    }
+    PyObject *data = PyTuple_GET_ITEM(frame, 1);
+    int64_t can_id = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 0)), flags = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 2));
+    into[0] = can_id - first_id, into[5] = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 3));
+    if (PyErr_Occurred()) {
+        PyErr_Clear();
+        return 0;
+    }
+    return 0 <= into[0] && into[0] < axes && flags & FD_FLAG && PyBytes_GET_SIZE(data) == FEEDBACK &&
+           read_feedback((const uint8_t *)PyBytes_AS_STRING(data), can_id, into[5], into + 1) && into[2] <= most;
+}
+
+/* answers(frames, first_id, axes, most_status) -> six i64 of each, little-endian; None: not all of them are some */
+static PyObject *answers(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t given[3], found[6];
+    if (!expects("answers", n, 4) || !integers(args + 1, 3, given)) {
         return NULL;
     }
-    for (int axis = 0; axis < 4; axis++) {
-        double force = PyFloat_AsDouble(args[1 + axis]);
-        if (force == -1.0 && PyErr_Occurred()) {
-            return NULL;
+    PyObject *frames = PySequence_Fast(args[0], "answers(): no list of frames");
+    Py_ssize_t count = frames == NULL ? 0 : PySequence_Fast_GET_SIZE(frames);
+    PyObject *all = frames == NULL ? NULL : PyBytes_FromStringAndSize(NULL, count * (Py_ssize_t)sizeof found);
+    for (Py_ssize_t i = 0; all != NULL && all != Py_None && i < count; i++) {
+        if (read_answer(PySequence_Fast_GET_ITEM(frames, i), given[0], given[1], given[2], found)) {
+            for (int k = 0; k < 6; k++) {
+                put_i64((uint8_t *)PyBytes_AS_STRING(all) + i * (Py_ssize_t)sizeof found + 8 * k, found[k]);
+            }
+        } else {
+            Py_SETREF(all, Py_NewRef(Py_None));
         }
+    }
+    Py_XDECREF(frames);
+    return all;
+}
+
+/* command(can_id, forces, limits, sequence, flags) -> the 24 bytes of a command frame; None: a force is beyond them */
+static PyObject *command(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t can_id, counts[2];
+    uint8_t data[COMMAND] = {0};
+    if (!expects("command", n, 5) || !integers(args, 1, &can_id) || !integers(args + 3, 2, counts)) {
+        return NULL;
+    }
+    if (!PyTuple_Check(args[2]) || PyTuple_GET_SIZE(args[2]) != AXES) {
+        PyErr_SetString(PyExc_TypeError, "command(): a tuple of four limits");
+        return NULL;
+    }
+    PyObject *forces = PySequence_Fast(args[1], "command(): no list of forces");
+    int sound = forces != NULL && PySequence_Fast_GET_SIZE(forces) <= AXES;
+    for (Py_ssize_t axis = 0; sound && axis < PySequence_Fast_GET_SIZE(forces); axis++) {
+        double force = PyFloat_AsDouble(PySequence_Fast_GET_ITEM(forces, axis));
+        double limit = PyFloat_AsDouble(PyTuple_GET_ITEM(args[2], axis));
+        sound = -limit <= force && force <= limit && !PyErr_Occurred();
         float single = (float)force;
         uint32_t bits;
         memcpy(&bits, &single, sizeof bits);
         put_u32(data + 4 * axis, bits);
     }
+    Py_XDECREF(forces);
+    if (!sound) {
+        return PyErr_Occurred() ? NULL : Py_NewRef(Py_None);
+    }
     put_u16(data + 16, (uint16_t)counts[0]);
     put_u16(data + 18, (uint16_t)counts[1]);
     put_u32(data + COMMAND - 4, crc32_of(data, COMMAND - 4, (uint32_t)can_id));
     return PyBytes_FromStringAndSize((const char *)data, COMMAND);
+}
+
+/* tuple_as(type, items): tuple.__new__, which takes eight times as many instructions to find that out */
+static PyObject *tuple_as(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    if (!expects("tuple_as", n, 2)) {
+        return NULL;
+    }
+    if (!PyType_Check(args[0]) || !PyType_IsSubtype((PyTypeObject *)args[0], &PyTuple_Type)) {
+        PyErr_SetString(PyExc_TypeError, "tuple_as(): the class is a tuple's");
+        return NULL;
+    }
+    PyTypeObject *type = (PyTypeObject *)args[0];
+    PyObject *items = PySequence_Fast(args[1], "tuple_as(): no items");
+    PyObject *made = items == NULL ? NULL : type->tp_alloc(type, PySequence_Fast_GET_SIZE(items));
+    for (Py_ssize_t i = 0; made != NULL && i < PySequence_Fast_GET_SIZE(items); i++) {
+        PyTuple_SET_ITEM(made, i, Py_NewRef(PySequence_Fast_GET_ITEM(items, i)));
+    }
+    Py_XDECREF(items);
+    return made;
 }
 
 /* One frame as a record keeps it, RECORDED bytes; 0 with an exception where it is none. */
@@ -260,28 +320,53 @@ static int keep(uint8_t *at, PyObject *frame) {
     return 1;
 }
 
-/* keep_frames(memory, begin, frames): a list of frames into a record's memory, from byte `begin` on */
-static PyObject *keep_frames(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
-    int64_t begin;
-    Py_buffer memory;
-    if (!expects("keep_frames", n, 3) || !integers(args + 1, 1, &begin)) {
-        return NULL;
-    }
-    PyObject *frames = PySequence_Fast(args[2], "keep_frames(): no list of frames");
-    if (frames == NULL || PyObject_GetBuffer(args[0], &memory, PyBUF_WRITABLE)) {
-        Py_XDECREF(frames);
-        return NULL;
+/* A list of frames into a record's memory, from byte `begin` on; 0 with an exception where they do not fit. */
+static int keep_frames(const Py_buffer *memory, int64_t begin, PyObject *list) {
+    PyObject *frames = PySequence_Fast(list, "record(): no list of frames");
+    if (frames == NULL) {
+        return 0;
     }
     Py_ssize_t count = PySequence_Fast_GET_SIZE(frames);
-    int whole = 0 <= begin && count <= (memory.len - begin) / RECORDED;
+    int whole = 0 <= begin && count <= (memory->len - begin) / RECORDED;
     if (!whole) {
-        too_small("keep_frames");
+        too_small("record");
     }
     for (Py_ssize_t i = 0; whole && i < count; i++) {
-        whole = keep((uint8_t *)memory.buf + begin + i * RECORDED, PySequence_Fast_GET_ITEM(frames, i));
+        whole = keep((uint8_t *)memory->buf + begin + i * RECORDED, PySequence_Fast_GET_ITEM(frames, i));
     }
-    PyBuffer_Release(&memory);
     Py_DECREF(frames);
+    return whole;
+}
+
+/* The words but for the motion's, and that, into a record's memory, up to byte `last`; 0 where they do not fit. */
+static int keep_words(const Py_buffer *part, int64_t begin, int64_t end, int64_t last) {
+    uint8_t *memory = part[0].buf, *words = part[1].buf;
+    if (begin < 0 || end < begin || last < end || part[0].len < last || part[1].len < last || part[2].len < end - begin) {
+        too_small("record");
+        return 0;
+    }
+    memcpy(memory, words, (size_t)begin);
+    memcpy(memory + begin, part[2].buf, (size_t)(end - begin));
+    memcpy(memory + end, words + end, (size_t)(last - end));
+    return 1;
+}
+
+/* record(memory, words, motion, begin, end, sent_at, sent, received_at, received): all of a record; places in bytes */
+static PyObject *record(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t edges[3], received_at;
+    Py_buffer part[3];
+    if (!expects("record", n, 9) || !integers(args + 3, 3, edges) || !integers(args + 7, 1, &received_at)) {
+        return NULL;
+    }
+    int held = 0;
+    while (held < 3 && PyObject_GetBuffer(args[held], &part[held], held ? PyBUF_SIMPLE : PyBUF_WRITABLE) == 0) {
+        held++;
+    }
+    int whole = held == 3 && keep_words(part, edges[0], edges[1], edges[2]) && keep_frames(part, edges[2], args[6]) &&
+                keep_frames(part, received_at, args[8]);
+    while (held > 0) {
+        PyBuffer_Release(&part[--held]);
+    }
     if (!whole) {
         return NULL;
     }
@@ -351,8 +436,10 @@ static PyMethodDef methods[] = {
     FAST(receive),
     FAST(frames),
     FAST(feedback),
+    FAST(answers),
     FAST(command),
-    FAST(keep_frames),
+    FAST(tuple_as),
+    FAST(record),
     FAST(copy),
     {"sleep_until", sleep_until, METH_O, NULL},
     {"sleep_alone", sleep_alone, METH_O, NULL},

@@ -1,7 +1,10 @@
 """From received frames to at most one trusted sample per axis and tick: layout, checksum, sequence, age."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
+
+from librt.strings import read_i64_le
+from mypy_extensions import i64
 
 from drivers.frame import ECHO, Frame, segment_of
 from drivers.protocols.base import HostProtocol, Reject, Sample, own_ids
@@ -21,6 +24,8 @@ SUSPICIOUS = frozenset(
 
 
 _NOT_EXPECTED: Final = -2  # no sample has this sequence number
+_WORD: Final = 8
+_ANSWER: Final = 6 * _WORD  # bytes of an answer that was read in C: a Sample's fields, and when it came
 
 
 class Inbox:
@@ -42,8 +47,9 @@ class Inbox:
         n = protocol.n_axes
         self._readings = readings
         self._outputs = outputs
-        self._none_fresh = (False,) * n
         self._decode = protocol.decode
+        # Of layouts whose frames are read in C, all of a tick at once (drivers/families/stage/stage_fd.py).
+        self._answers: Callable[[Sequence[Frame]], bytes | None] | None = getattr(protocol, "answers", None)
         self._own = own_ids(protocol)
         self._checked = protocol.checksum
         self._unforgiven = 0  # of bad_frames
@@ -81,22 +87,45 @@ class Inbox:
         self.useless_now = 0
         self._served.clear()
         self.foreign_id = self.differ_axis = -1
-        fresh, samples, last = self.fresh, self.samples, self._last_sequence
-        fresh[:] = self._none_fresh
-        decode, modulus, received = self._decode, self._modulus, self.received_ns
+        for axis in range(len(self.fresh)):
+            self.fresh[axis] = False
+        read = None if self._answers is None else self._answers(frames)
+        if read is None:
+            self._sort(frames, sent_sequence)
+        else:
+            self._take_read(read, sent_sequence)
+        if sent_sequence >= 0:
+            self._grow_older()
+
+    def _take_read(self, read: bytes, sent_sequence: int) -> None:
+        """Answers that were read in C."""
+        for begin in range(0, len(read), _ANSWER):
+            at: i64 = begin
+            sample = Sample(
+                read_i64_le(read, at), read_i64_le(read, at + _WORD), read_i64_le(read, at + 2 * _WORD),
+                read_i64_le(read, at + 3 * _WORD), read_i64_le(read, at + 4 * _WORD),
+            )  # fmt: skip
+            self._take(sample, read_i64_le(read, at + 5 * _WORD), sent_sequence)
+
+    def _take(self, sample: Sample, received_ns: int, sent_sequence: int) -> None:
+        """An answer; mostly what is due."""
+        axis, modulus = sample.axis, self._modulus
+        self.received_ns[axis] = received_ns
         expected = sent_sequence % modulus if modulus and sent_sequence >= 0 else _NOT_EXPECTED
+        if sample.sequence == expected and self._last_sequence[axis] != expected:
+            self.samples[axis] = sample
+            self._last_sequence[axis] = expected
+            self.fresh[axis] = True
+        else:
+            self._accept(sample, sent_sequence)
+
+    def _sort(self, frames: Sequence[Frame], sent_sequence: int) -> None:
+        """One by one, whatever they are."""
+        decode = self._decode
         for frame in frames:
             outcome = decode(frame)
             if isinstance(outcome, Sample):
-                axis, sequence = outcome.axis, outcome.sequence
-                if sequence == expected and last[axis] != expected:  # what is due, nearly always
-                    samples[axis] = outcome
-                    last[axis] = sequence
-                    fresh[axis] = True
-                    received[axis] = frame.timestamp_ns
-                else:
-                    received[axis] = frame.timestamp_ns
-                    self._accept(outcome, sent_sequence)
+                self._take(outcome, frame.timestamp_ns, sent_sequence)
             elif isinstance(outcome, tuple):
                 for sample in outcome:
                     self._accept(sample, sent_sequence)
@@ -114,8 +143,6 @@ class Inbox:
                     self.foreign_id = frame.can_id
                 self._reject(outcome)
                 self._excuse(outcome, frame)
-        if sent_sequence >= 0:
-            self._grow_older()
 
     def oldest(self) -> int:
         """Ticks since the sample of the axis that has waited longest."""

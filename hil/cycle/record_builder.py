@@ -76,7 +76,8 @@ _COMMAND_WORDS: Final = COMMAND.itemsize // 8
 _FRAME_WORDS: Final = FRAME.itemsize // 8
 _PACKED_GOAL: Final = Struct("<IBBHqq4d4ddIIQ")  # GOAL
 _PADDING: Final = bytes(7)
-_keep_frames: Final[Callable[[memoryview, int, Sequence[Frame]], None] | None] = native.keep_frames if native else None
+_copy: Final = copy
+_record: Final[Callable[..., None] | None] = native.record if native else None
 
 _MAX_I16: Final = 0x7FFF
 _MAX_U16: Final = 0xFFFF
@@ -126,7 +127,7 @@ class RecordBuilder:
         buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(buffer, dtype=RECORD)[0]
         record, words = memoryview(buffer), memoryview(self._words).cast("B")
-        self._buffer, self._keep_frames = record, _keep_frames
+        self._buffer, self._words_bytes, self._put_together = record, words, _record
         begin, end = 8 * _MOTION, 8 * _STAMP
         # The record's parts, each with what it is a copy of; the last one by the number of frames received.
         self._to_head, self._head = record[:begin], words[:begin]
@@ -138,8 +139,6 @@ class RecordBuilder:
         self._to_readings = record[8 * _READINGS : 8 * (_READINGS + MAX_READINGS)]
         self._from_readings = memoryview(self._readings).cast("B")
         used = [8 * (_RECEIVED + _FRAME_WORDS * received) for received in range(MAX_RECEIVED + 1)]
-        if _keep_frames is not None:  # puts frames where they belong, instead of into the words
-            used = [8 * _SENT] * (MAX_RECEIVED + 1)
         self._to_rest, self._rest = [record[end:last] for last in used], [words[end:last] for last in used]
 
     def tick(self, tick: Tick, state: int, fault: int, faults_active: int, *, sending: bool) -> None:
@@ -305,19 +304,21 @@ class RecordBuilder:
         )
         if commands:
             self._commands(commands)
-        if self._keep_frames is None:
+        if self._put_together is None:
             self._frames(0, sent)
             self._frames(MAX_SENT, received)
+            _copy(self._to_head, 0, self._head)
+            _copy(self._to_motion, 0, self._from_motion)
+            _copy(self._to_rest[n_received], 0, self._rest[n_received])
         else:
-            self._keep_frames(self._buffer, 8 * _SENT, sent)
-            self._keep_frames(self._buffer, 8 * _RECEIVED, received)
-        copy(self._to_head, 0, self._head)
-        copy(self._to_motion, 0, self._from_motion)
-        copy(self._to_rest[n_received], 0, self._rest[n_received])
+            self._put_together(
+                self._buffer, self._words_bytes, self._from_motion, 8 * _MOTION, 8 * _STAMP,
+                8 * _SENT, sent, 8 * _RECEIVED, received,
+            )  # fmt: skip
         if self._has_readings:
-            copy(self._to_readings, 0, self._from_readings)
+            _copy(self._to_readings, 0, self._from_readings)
         if n_evidence:
-            copy(self._to_measured, 0, self._from_measured)
+            _copy(self._to_measured, 0, self._from_measured)
             self._n_evidence = 0
         return self.record
 

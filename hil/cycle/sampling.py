@@ -165,13 +165,13 @@ class Sampling:
         """
         inbox, inputs, instants, starts, tracked = self._inbox, self._inputs, self.instants, self.starts, self.tracked
         samples, arrived, answered = inbox.samples, inbox.fresh, 0.0
-        received = inbox.received_ns
-        if self._one_command:  # all sample before the first of the answers comes
-            received = _first_of(received, arrived)
+        received, together = inbox.received_ns, self._one_command
+        first = _first_of(received, arrived) if together else 0  # all sample before the first of the answers comes
         for axis, clock in enumerate(self.clocks):
             sample = samples[axis]
             if arrived[axis] and sample is not None:
-                if clock.take(axis, sample, sent_ns, received[axis], monitor, tracked=tracked):
+                came = first if together else received[axis]
+                if clock.take(axis, sample, sent_ns, came, monitor, tracked=tracked):
                     answered = 1.0
             else:
                 clock.miss()
@@ -193,10 +193,10 @@ class Sampling:
             self.shares[axis] = min(max(clock.latency - acts_ns, 0), period) / period
 
 
-def _first_of(received: list[int], arrived: list[bool]) -> list[int]:
-    """For every axis the earliest instant at which an answer came; `received` itself where none did."""
+def _first_of(received: list[int], arrived: list[bool]) -> int:
+    """The earliest instant at which an answer came; 0 where none did."""
     first, found = 0, False
     for axis, fresh in enumerate(arrived):  # in compiled code a third of what min() of a list costs
         if fresh and (not found or received[axis] < first):
             first, found = received[axis], True
-    return [first] * len(received) if found else received
+    return first

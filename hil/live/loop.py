@@ -19,6 +19,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from librt.vecs import vec
+from mypy_extensions import i64
+
 from drivers.bus.counters import BusState
 from drivers.bus.port import Port
 from drivers.protocols.base import HostProtocol
@@ -38,13 +41,14 @@ from hil.live.ring import RingWriter
 from hil.live.stop_line import StopLine
 from hil.live.systemd import Notifier
 from hil.live.task_file import TaskIntake
-from hil.live.timing_record import TimingRecorder
+from hil.live.timing_record import METRICS, TimingRecorder
 from hil.live.watched_file import WatchedFile
 from hil.rig.schema import RigConfig
 
 CHORE_INTERVAL_S = 0.25
 STOP_GRACE_S = 1.0  # beyond what STOPPING may take; then the loop ends without the cycle's consent
 _NO_AGE: Final = -1
+_monotonic_ns: Final = time.monotonic_ns
 
 
 class TimedCycle(ControlCycle):
@@ -106,6 +110,7 @@ class ControlLoop:
         self._realtime_ok = parts.claim.verdict.ok
         self._records = parts.cycle.records
         self._cpu_mark_ns = self._cpu_ns = 0
+        self._times: vec[i64] = vec[i64]([0] * len(METRICS))  # of the tick, as METRICS
         self._told: tuple[State, tuple[Note, ...]] | None = None
         self._silent = False
         self._recall_due: list[Port] = []  # by segment, what may still hold frames
@@ -182,7 +187,7 @@ class ControlLoop:
         sending = self._cycle.stamps[RECORD]
         for frame in result.frames:
             port.send(frame)
-        sent_ns = time.monotonic_ns()
+        sent_ns = _monotonic_ns()
         self._ring.append(result.record)
         if goals:
             self._goals.answer(self._cycle.supervisor.goals.handled)
@@ -216,7 +221,10 @@ class ControlLoop:
                 break
             age = max(age, sent_ns - instant)
         lateness = pacer.now_ns - pacer.scheduled_ns
-        self._timing.note([lateness, read, estimated, controlled, gated, sent, self._cpu_ns, age])
+        times = self._times
+        times[0], times[1], times[2], times[3] = lateness, read, estimated, controlled
+        times[4], times[5], times[6], times[7] = gated, sent, self._cpu_ns, age
+        self._timing.note(times)
 
     def _book_miss(self) -> None:
         ledger = self.ledger

@@ -40,6 +40,7 @@ VERSION = 4  # of header and record
 PAGE = 4096
 _HEADER = struct.Struct("<8sIIQQQQQQq")  # see _Header
 
+_copy: Final = copy
 _WRITE_INDEX: Final = 128 // 8  # u64 words of the header, on cache lines of their own
 _ENDED = 192 // 8
 _CLEAN, _SAVED = 1, 2  # values of _ENDED
@@ -114,7 +115,7 @@ class RingWriter(Closing):
         # Slots beyond the frames received keep what they held; readers go by n_received.
         used = self._sources[self._counts[_N_RECEIVED]]
         start = self._offset
-        copy(self._slots, start, used)
+        _copy(self._slots, start, used)
         start += RECORD_SIZE
         self._offset = start if start < self._size else 0
         self.written += 1

@@ -128,7 +128,7 @@ class TimingRecorder:
         self._ticks = 0
         self._file["magic"] = MAGIC  # last: a reader that sees it sees a whole header
 
-    def note(self, times: list[int]) -> None:
+    def note(self, times: vec[i64]) -> None:
         """One tick: its METRICS in their order, ns."""
         for metric, value in enumerate(times):
             self._count(metric, value)

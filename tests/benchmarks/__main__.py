@@ -16,6 +16,7 @@ BENCHES = BENCHES_AT_A_RIG | {
     name: Entry(f"tests.benchmarks.{name}:{name}", text)
     for name, text in {
         "tick": "CPU per tick by stage, system calls and allocations, against a C program doing the same work",
+        "instructions": "Instructions of a live tick of the compiled build, counted by valgrind",
         "misses": "Slots that a long run loses, against a C program that touches as much memory",
         "peers": "The same tick with python-can + cantools, with canopen, with moteus",
         "endurance": "Memory, descriptors, files and lateness of every process over a long live run",

@@ -18,12 +18,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import native
+from drivers.bus.counters import PortCounters
 from drivers.bus.receive_block import _SLOT_BYTES as SLOT_BYTES
 from drivers.bus.receive_block import ReceiveBlock
 from drivers.bus.recvmmsg import CONTROL_LENGTH_AT, HEADER_BYTES, SLOTS, SO_TIMESTAMPNS, STAMPED, MessageMemory
 from drivers.bus.recvmmsg import _receive as plain_receive
+from drivers.config import BusConfig, Wiring
 from drivers.families.stage import stage_fd
 from drivers.frame import BRS, CANFD_MTU, ERROR, FD, Frame, from_bytes, to_bytes
+from drivers.protocols.base import EVERY_STATUS, Sample
+from hil.cycle.inbox import Inbox
 from hil.cycle.record import MAX_RECEIVED, MAX_SENT
 from hil.cycle.record_builder import RecordBuilder
 from tests.support.paths import ROOT
@@ -72,11 +76,16 @@ def test_feedback_is_read_alike(c: ModuleType, data: bytes, can_id: int, receive
 FORCES = st.floats(-1e30, 1e30) | st.sampled_from([0.0, -0.0, 5e-324, 1e-45, math.nextafter(20.0, 21.0)])
 
 
-@given(can_id=U32, force=st.tuples(FORCES, FORCES, FORCES, FORCES), sequence=U16, flags=U16)
-def test_a_command_is_written_alike(
-    c: ModuleType, can_id: int, force: tuple[float, float, float, float], sequence: int, flags: int
+FORCE = FORCES | st.sampled_from([math.nan, math.inf, -math.inf])
+LIMIT = st.sampled_from([20.0, 1e31, 0.0])
+
+
+@given(can_id=U32, forces=st.lists(FORCE, max_size=5), limits=st.tuples(*4 * [LIMIT]), sequence=U16, flags=U16)
+def test_a_command_is_written_or_refused_alike(
+    c: ModuleType, can_id: int, forces: list[float], limits: tuple[float, ...], sequence: int, flags: int
 ) -> None:
-    assert c.command(can_id, *force, sequence, flags) == stage_fd._plain_command(can_id, *force, sequence, flags)
+    arguments = (can_id, forces, limits, sequence, flags)
+    assert c.command(*arguments) == stage_fd._plain_command(*arguments)
 
 
 LENGTHS = st.sampled_from([0, 1, 7, 8, 12, 16, 24, 64])
@@ -89,11 +98,64 @@ FRAMES = st.builds(
 )
 
 
+WIRING = Wiring(BusConfig(protocol="stage_fd"), 3, (20.0,) * 3)
+HOST, DEVICE = stage_fd.StageFdHost(WIRING), stage_fd.StageFdDevice(WIRING)
+I32 = st.integers(-(2**31), 2**31 - 1)
+
+
+def answer(axis: int, numbers: tuple[int, int, int, int], received_ns: int, damage: int) -> Frame:
+    """An axis' answer, received then; damage: 1 to 4, in one of its parts."""
+    position, stamp, status, sequence = numbers
+    data = stage_fd.FEEDBACK.pack(position, stamp, status, sequence, 0)[:12]
+    can_id = DEVICE.encode_feedback(Sample(axis, 0, 0, 0, 0)).can_id
+    data += stage_fd.crc32(data, can_id + (damage == 1)).to_bytes(4, "little")
+    flags = (FD | BRS, FD | BRS, 0, FD, FD | BRS)[damage]
+    return Frame(can_id, data[: 12 if damage == 4 else 16], flags, received_ns)
+
+
+TOLD = (
+    "samples", "fresh", "received_ns", "age", "heard", "rejects", "bad_frames", "suspect_axis", "late", "lost",
+    "foreign_id", "differ_axis", "useless_now",
+)  # fmt: skip
+NUMBERS = st.tuples(I32, U32, st.integers(0, 1023) | U16, st.integers(0, 3))
+ANSWERS = st.builds(answer, st.integers(0, 2) | st.just(3), NUMBERS, STAMPS, st.sampled_from([0] * 12 + [1, 2, 3, 4]))
+
+
+@given(frames=st.lists(ANSWERS, max_size=5) | st.lists(ANSWERS | FRAMES, max_size=5))
+def test_answers_are_read_alike_or_left_to_be_decoded(c: ModuleType, frames: list[Frame]) -> None:
+    decoded = [HOST.decode(frame) for frame in frames]
+    read = c.answers(frames, HOST._feedback_id, 3, EVERY_STATUS)
+    assert (read is not None) is all(isinstance(outcome, Sample) for outcome in decoded)
+    if read is not None:
+        fields = [Sample(*fields) for *fields, _ in struct.iter_unpack("<6q", read)]
+        assert fields == decoded
+        assert [row[5] for row in struct.iter_unpack("<6q", read)] == [frame.timestamp_ns for frame in frames]
+
+
+@given(ticks=st.lists(st.lists(ANSWERS, max_size=4), max_size=6))
+def test_an_inbox_is_the_same_whoever_reads(c: ModuleType, ticks: list[list[Frame]]) -> None:
+    plain, fast = Inbox(HOST, 20), Inbox(HOST, 20)
+    plain._answers, fast._answers = None, lambda frames: c.answers(frames, HOST._feedback_id, 3, EVERY_STATUS)
+    for sequence, frames in enumerate(ticks):
+        plain.collect(frames, sequence)
+        fast.collect(frames, sequence)
+        assert [getattr(fast, name) for name in TOLD] == [getattr(plain, name) for name in TOLD]
+
+
+@given(st.lists(st.integers(), max_size=5))
+def test_a_tuple_of_any_class_is_made_alike(c: ModuleType, items: list[int]) -> None:
+    for kind in (tuple, Frame, PortCounters):
+        made = c.tuple_as(kind, items)
+        assert (type(made), made) == (kind, tuple.__new__(kind, items))
+    assert outcome(c.tuple_as, list, items) is TypeError
+    assert outcome(c.tuple_as, Frame, 3) is TypeError
+
+
 @given(ticks=st.lists(st.tuples(st.lists(FRAMES, max_size=MAX_SENT), st.lists(FRAMES, max_size=MAX_RECEIVED))))
 def test_a_record_keeps_frames_alike_tick_by_tick(c: ModuleType, ticks: list[tuple[list[Frame], list[Frame]]]) -> None:
     plain = RecordBuilder(4)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hil.cycle.record_builder._keep_frames", c.keep_frames)
+        patch.setattr("hil.cycle.record_builder._record", c.record)
         fast = RecordBuilder(4)
     for sent, received in ticks:
         expected = plain.traffic((), sent, received).tobytes()
@@ -188,16 +250,28 @@ def test_what_a_socket_has_is_received_alike(c: ModuleType) -> None:
 
 def test_what_does_not_fit_is_refused_and_nothing_written(c: ModuleType) -> None:
     memory = memoryview(bytearray(160))
-    assert outcome(c.keep_frames, memory, 1, [FEEDBACK, FEEDBACK]) is ValueError
-    assert outcome(c.keep_frames, memory, -1, [FEEDBACK]) is ValueError
-    assert outcome(c.keep_frames, memory, 0, [(1, b"", 0)]) is TypeError
-    assert outcome(c.keep_frames, memory, 0, [Frame(1, bytes(65))]) is ValueError
+    words, motion = bytes(160), bytes(8)
+    for edges, sent, received in (
+        ((8, 16, 80), [FEEDBACK, FEEDBACK], []),
+        ((8, 16, 80), [], [FEEDBACK]),
+        ((8, 16, 80), [Frame(1, bytes(65))], []),
+        ((-1, 7, 80), [], []),
+        ((16, 8, 80), [], []),
+        ((8, 17, 80), [], []),
+        ((8, 16, 161), [], []),
+    ):
+        assert outcome(c.record, memory, words, motion, *edges, sent, 81, received) is ValueError
+    assert outcome(c.record, memory, words, motion, 8, 16, 80, [(1, b"", 0)], 80, []) is TypeError
+    assert outcome(c.record, words, words, motion, 8, 16, 80, [], 80, []) is BufferError
     assert outcome(c.copy, memory, 150, bytes(11)) is ValueError
     assert outcome(native._plain_copy, memory, 150, bytes(11)) is ValueError
     assert outcome(c.copy, bytes(4), 0, b"1") is BufferError
     assert outcome(c.feedback, bytes(15), 1, 0) is ValueError
     assert outcome(c.feedback, bytes(16), "1", 0) is TypeError
     assert outcome(c.command, 1, 0.0) is TypeError
+    assert outcome(c.command, 1, [0.0], (1.0,), 0, 0) is TypeError
+    assert outcome(c.command, 1, ["much"], (1.0,) * 4, 0, 0) is TypeError
+    assert outcome(c.answers, None, 1, 4, 0) is TypeError
     assert outcome(c.receive, 0, memory, SLOTS) is ValueError
     assert outcome(c.frames, memory, memory, 3, Frame, 72, 16, 4, 0, 0, 0) is ValueError
     assert outcome(c.frames, memory, memory, 1, object, 72, 16, 4, 0, 0, 0) is TypeError

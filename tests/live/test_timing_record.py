@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from librt.vecs import vec
+from mypy_extensions import i64
 
 from hil.live.timing_record import BINS, METRICS, SUB_BINS, WINDOW, TimingRecorder, bin_edge, bin_of, read_timing
 
@@ -29,7 +31,7 @@ def note(record, lateness):
     for value in lateness:
         row = [100] * len(METRICS)
         row[LATENESS] = int(value)
-        record.note(row)
+        record.note(vec[i64](row))
 
 
 @given(st.integers(1, 2**36 - 1))

@@ -4,7 +4,7 @@ Contract: stage_fd.dbc. Its two messages are of whole bytes, so that a struct sa
 the DBC file says. So a control process on this layout needs no DBC parser.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from struct import Struct
 from typing import Final
@@ -46,8 +46,18 @@ def _plain_feedback(data: bytes, can_id: int, received_ns: int) -> tuple[int, in
     return position, status, sequence, earliest + (stamp - earliest) % _WRAP
 
 
-def _plain_command(can_id: int, a: float, b: float, c: float, d: float, sequence: int, flags: int) -> bytes:
-    """The bytes of a command frame, of four forces in N or N m and a sequence number of 16 bits."""
+def _plain_command(
+    can_id: int, forces: Sequence[float], limits: tuple[float, ...], sequence: int, flags: int
+) -> bytes | None:
+    """The bytes of a command frame, of up to four forces in N or N m and a sequence number of 16 bits; None: a force is
+    not finite or beyond its limit, of which there are four.
+    """
+    if len(forces) > MAX_AXES:
+        return None
+    a, b, c, d = (*forces, *(0.0,) * (MAX_AXES - len(forces)))
+    la, lb, lc, ld = limits
+    if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
+        return None
     data = COMMAND.pack(a, b, c, d, sequence, flags, 0)[:COMMAND_CHECKED]
     return data + crc32(data, can_id).to_bytes(4, "little")
 
@@ -55,9 +65,10 @@ def _plain_command(can_id: int, a: float, b: float, c: float, d: float, sequence
 _feedback: Final[Callable[[bytes, int, int], tuple[int, int, int, int] | None]] = (
     native.feedback if native else _plain_feedback
 )
-_command: Final[Callable[[int, float, float, float, float, int, int], bytes]] = (
+_command: Final[Callable[[int, Sequence[float], tuple[float, ...], int, int], bytes | None]] = (
     native.command if native else _plain_command
 )
+_answers: Final[Callable[[Sequence[Frame], int, int, int], bytes | None] | None] = native.answers if native else None
 
 
 class _Layout(StageLayout):
@@ -85,7 +96,12 @@ class StageFdHost(_Layout):
         super().__init__(wiring)
         n_axes, rated_force = wiring.n_axes, wiring.rated_force
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
-        self._padding = (0.0,) * (MAX_AXES - n_axes)
+
+    def answers(self, frames: Sequence[Frame]) -> bytes | None:
+        """Where all of these are sound answers, as nearly always, six i64 of each: the fields of the Sample that
+        `decode` makes of it, in their order, and its time of reception. None: ask `decode`.
+        """
+        return None if _answers is None else _answers(frames, self._feedback_id, self.n_axes, EVERY_STATUS)
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
@@ -108,12 +124,12 @@ class StageFdHost(_Layout):
 
     def encode(self, command: Command) -> list[Frame]:
         """The one command frame. Raises ValueError for a force that is not finite or beyond its rated force."""
-        a, b, c, d = (*command.force, *self._padding)
-        la, lb, lc, ld = self._rated
-        if not (-la <= a <= la and -lb <= b <= lb and -lc <= c <= lc and -ld <= d <= ld):
-            check_force((a, b, c, d), self._rated)  # says which
-        flags = command.enable & self._enable_mask | (RESET if command.reset else 0)
-        data = _command(self._command_id, a, b, c, d, command.sequence % SEQUENCE_MODULUS, flags)
+        sequence, force, enable, reset = command
+        flags = enable & self._enable_mask | (RESET if reset else 0)
+        data = _command(self._command_id, force, self._rated, sequence % SEQUENCE_MODULUS, flags)
+        if data is None or len(force) != self.n_axes:
+            check_force(force, self._rated[: self.n_axes])  # says which
+            raise ValueError(f"{len(force)} forces for {self.n_axes} axes")
         return [Frame(self._command_id, data, FD | BRS)]
 
     def messages(self, period_ns: int) -> list[Message]:
