@@ -75,12 +75,29 @@ class ModeConfig(Table):
 
 
 class SwitchConfig(Table):
-    """[[plant.switches]]: the switches of one axis, as its drive reads them."""
+    """[[plant.switches]]: the switches of one axis and its encoder's counter, as its drive reads them."""
 
     axis: str = key(REQUIRED, "axis that they are on")
     low: Position | None = key(None, "limit switch closed from here on towards negative positions", "m (rad)")
     high: Position | None = key(None, "limit switch closed from here on towards positive positions", "m (rad)")
     home: Position | None = key(None, "home switch closed from here on towards negative positions", "m (rad)")
+    contact: Literal["sound", "dead", "stuck", "bouncing", "inverted"] = key(
+        "sound",
+        "dead: never closed; stuck: always; bouncing: within 5 um (5 urad) of its place; inverted",
+        exclude_if=lambda contact: contact == "sound",
+    )
+    zero: Position | None = key(
+        None,
+        "place where the encoder counts from after power-up; none: it knows the axis' position",
+        "m (rad)",
+        exclude_if=lambda place: place is None,
+    )
+    index: Position | None = key(
+        None,
+        "the encoder's index: once it has been passed the drive counts from there and says homed",
+        "m (rad)",
+        exclude_if=lambda place: place is None,
+    )
 
 
 def _is_zero(value: float) -> bool:

@@ -59,7 +59,7 @@ OTHERS = """
 hil/control: reading
 hil/control/plans: *
 hil/control/trajectories: base blends chosen_axes displaced figures minimum_jerk paths rows segments
-hil/cycle: goal record
+hil/cycle: axis_homing goal homing press_watch record
 hil/cycle/faults: number row
 hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length

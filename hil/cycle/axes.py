@@ -101,6 +101,15 @@ class Axes:
         """By axis, what the next run begins with; empty lists: nothing."""
         return [[float(value) for value in law.kept()] for law in self._keeping]
 
+    def move_origin(self, axis: int, by: float) -> None:
+        """The axis rests where it is, and that place is `by` m further on from now on."""
+        x, motion = self.inputs[axis], self.filters[axis]
+        x.position += by
+        self.measured = [each.position for each in self.inputs]
+        motion.reseed(x.position)
+        motion.tell(x)
+        self.shown[axis].reseed(x.position)
+
     def hold(self) -> None:
         """No task runs any more. Else its setpoints would go on, and the filters expect the friction of that motion."""
         self.setpoints.hold(self.measured)

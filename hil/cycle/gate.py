@@ -51,7 +51,7 @@ class TorqueGate:
     def __init__(self, protocol: HostProtocol, limits: Sequence[ForceLimits], drives: int | None = None) -> None:
         self._encode = protocol.encode
         self._limits = list(limits)
-        self._given = tuple(limits)
+        self._given = list(limits)
         n = protocol.n_axes
         self._zero = [0.0] * n
         self.force = self._zero  # applied in the latest tick
@@ -61,6 +61,11 @@ class TorqueGate:
     def bound(self, axis: int, force: float) -> None:
         """Give the axis at most `force` (N) from here on, never more than its limit."""
         self._limits[axis] = self._limits[axis]._replace(force=min(force, self._given[axis].force))
+
+    def enclose(self, axis: int, low: float, high: float) -> None:
+        """Between these places, m, the axis is inside its travel from here on."""
+        self._given[axis] = self._given[axis]._replace(position_low=low, position_high=high)
+        self._limits[axis] = self._limits[axis]._replace(position_low=low, position_high=high)
 
     def block(self, axis: int, *, low: bool, high: bool) -> None:
         """What the axis' limit switches say: no force towards an end whose switch is closed, whatever the position."""

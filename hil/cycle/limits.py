@@ -6,9 +6,10 @@ from hil.control.error_map import ErrorMap
 from hil.control.plans.axis_plan import MotionLimits
 from hil.cycle.fault_evidence import AxisLimits
 from hil.cycle.gate import ForceLimits
+from hil.rig.home_table import HomeConfig
 from hil.rig.layout import LIMITS
 from hil.rig.schema import RigConfig
-from hil.rig.tables import AxisConfig, HomeConfig, LimitsConfig
+from hil.rig.tables import AxisConfig, LimitsConfig
 
 REST_WINDOW = {"linear": 3e-5, "rotary": 3e-4}  # m, rad: play of a brake, where limits.standstill is not stated
 REST_COUNTS = 4.0  # encoder counts beyond it, for noise

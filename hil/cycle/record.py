@@ -103,7 +103,7 @@ _FIELDS = [
     ("evidence_limit", "<f8", (MAX_EVIDENCE,)),
     # goals (hil.cycle.goal), and what they and the task have come to
     ("motion", "u1"),  # MotionWord
-    ("homing", "u1"),  # sub-state of HOMING; 0: none
+    ("homing", "u1"),  # hil.cycle.axis_homing.Step in HOMING, else 0; from bit 4 on the axes that are yet to be homed
     ("outputs", "u1"),  # bit i: output i is set
     ("n_goals", "u1"),
     ("phase", "<u2"),  # of a cell

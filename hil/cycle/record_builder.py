@@ -281,6 +281,11 @@ class RecordBuilder:
             for k in range(_GOAL_WORDS):
                 words[at + k] = read_i64_le(packed, 8 * k)
 
+    def homing(self, told: int) -> None:
+        """What is being done to home the axes, and which are not homed. Behind `motion`."""
+        words = self._words
+        words[_MOVING] = words[_MOVING] & ~0xFF00 | told << 8
+
     def decided(self, outputs: int, phase: int, cell: int, limited: int) -> None:
         """Of a motion that decides: the outputs set, its phase and cell, and what was brought within limits so far.
         Behind `motion`.

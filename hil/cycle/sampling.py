@@ -8,7 +8,7 @@ learnt.
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.protocols.base import Sample
+from drivers.protocols.base import DriveStatus, Sample
 from hil.control.error_map import ErrorMap
 from hil.control.laws.base import LawInputs
 from hil.cycle.drive_clock import DriveClock
@@ -18,6 +18,7 @@ from hil.cycle.inbox import Inbox
 
 LATENCY_SHIFT: Final = 6  # the send-to-sample latency is averaged over 64 samples
 LATENCY_STEP_NS: Final = 1_000  # and followed in steps, so that a tick's end is the next one's start to the nanosecond
+_HOMED: Final = int(DriveStatus.HOMED)
 LONGEST_PERIODS: Final = 8  # a stamp that jumps is no reason to integrate for hours; the position is checked anyway
 
 
@@ -26,11 +27,13 @@ class SampleClock:
 
     instant: of the filter's state, ns. latency: from the tick's start to the drive's sampling, averaged, ns. stretch:
     interval since the last sample in periods, where slots were skipped, else 1. trusted: last believed position, m.
+    offset: counts added to the drive's. awaits_index: the drive is going to count from the encoder's index, and then
+    says that it is homed.
     """
 
     __slots__ = (
         "_average", "_drive", "_inputs", "_map", "_period_ns", "_resolution", "_trusted_ns",
-        "instant", "known", "latency", "stretch", "trusted",
+        "awaits_index", "instant", "known", "latency", "offset", "stretch", "trusted",
     )  # fmt: skip
 
     def __init__(
@@ -46,6 +49,8 @@ class SampleClock:
         self.known = False  # the latency
         self.stretch = 1.0
         self.trusted, self._trusted_ns = 0.0, 0  # and its instant
+        self.offset = 0
+        self.awaits_index = False
 
     def take(
         self,
@@ -70,7 +75,9 @@ class SampleClock:
                 self.miss()
                 return False
         self._learn(instant - sent_ns)
-        position = sample.position * self._resolution
+        if self.awaits_index and sample.status & _HOMED:
+            self._pass_index(sample.position, (instant - self._trusted_ns) * 1e-9)
+        position = (sample.position + self.offset) * self._resolution
         if self._map is not None:
             position = self._map.corrected(position)
         if tracked:
@@ -87,6 +94,19 @@ class SampleClock:
         self._trusted_ns = instant
         x.fresh = 1.0
         return True
+
+    def shift(self, counts: int) -> float:
+        """The same place is `counts` further on from now on; by how much that is, m."""
+        self.offset += counts
+        by = counts * self._resolution
+        self.trusted += by
+        return by
+
+    def _pass_index(self, told: int, seconds: float) -> None:
+        """The drive's counts begin anew at the index; positions go on where the axis is."""
+        self.awaits_index = False
+        there = self.trusted + self._inputs.velocity_estimate * seconds
+        self.offset = round(there / self._resolution) - told
 
     def restart(self) -> None:
         """What was learnt about the drive's clock counts no more."""

@@ -40,6 +40,7 @@ from hil.cycle.command_desk import CommandDesk
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.gate import TorqueGate
+from hil.cycle.homing import Homing
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import axis_limits, error_maps, force_limits, return_forces
 from hil.cycle.output_gate import OutputGate
@@ -90,8 +91,13 @@ class ControlCycle:
             one_command=not rig.bus.segments, maps=error_maps(rig),
         )  # fmt: skip
         self.monitor = FaultMonitor(rig.safety, axis_limits(rig), rig.period_ns, self.axes.innovation_limit)
-        self.supervisor = Supervisor(rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings)
         self.gate = TorqueGate(self.protocol, force_limits(rig))
+        self.homing: Homing | None = None
+        if any(axis.home is not None for axis in axes):
+            self.homing = Homing(rig, self.monitor, self.inbox, self.sampling, self.axes, self.gate)
+        self.supervisor = Supervisor(
+            rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings, self.homing
+        )  # fmt: skip
         self._return_force = return_forces(rig)
         self._soft = [False] * len(axes)  # axes that have no more than that: those on their way back
         self.records = RecordBuilder(len(axes))
@@ -214,7 +220,8 @@ class ControlCycle:
         monitor.check_grants(tick)
         state = self.supervisor.machine.state
         if monitor.switched:
-            self._read_switches(homing=state is State.HOMING)
+            required = self.homing is not None and self.homing.required
+            self._read_switches(homing=required or state is State.HOMING)
         monitor.check_samples(self.inbox, self.supervisor.enabled)
         if state not in TORQUE_STATES:
             monitor.check_released(self.inbox)
@@ -324,6 +331,8 @@ class ControlCycle:
         if desk.decided is not None:
             bits = 0 if self.outputs is None else self.outputs.set
             records.decided(bits, desk.decided.phase, desk.decided.cell, desk.limited + desk.decided.limited)
+        if self.homing is not None:
+            records.homing(self.homing.told)
         records.drives(inbox.age, [0 if s is None else s.status for s in inbox.samples])
         refused = supervisor.commands.refused
         records.counters(tick.port, inbox.rejects, inbox.lost, supervisor.machine.refused, refused)

@@ -6,7 +6,8 @@ Rules:
 - The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
   ACTIVATE and HOME without a recorder, real time or heartbeat that the rig asks for; RESET while its cause is there;
   all three while an axis moves. ACTIVATE is refused where the task from here would break a limit
-  (hil/analysis/start_ranges.py). HOME is refused while the tip is beyond its safe height, as all axes go home together.
+  (hil/analysis/start_ranges.py), and with LOAD_TASK where an axis is yet to be homed (homing.py). HOME is refused
+  while the tip is beyond its safe height, as all axes go home together.
   A refused event is counted and has no other effect.
 - An axis that rests beyond its travel has a way back: it may be held there (ACTIVATE_HOLD), with less force
   (limits.return_forces), and goals move it inwards, slowly. What it has come back it does not get again (travel.py).
@@ -40,6 +41,7 @@ from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.goal import MotionWord
 from hil.cycle.goal_desk import GoalDesk
+from hil.cycle.homing import Homing
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import motion_limits, path_accelerations
 from hil.cycle.readings import Readings
@@ -61,12 +63,12 @@ class Supervisor:
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
     torque, and none has taken it back. released: while the tip is led out, axes that have the damped stop's force all
     the same; None: it is not. way_out: of the rig's motion; None: it declares none. start_ranges: by axis, where the
-    task may begin, m (rad).
+    task may begin, m (rad). homing: how axes find their positions; None: none has to.
     """
 
     def __init__(
         self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes,
-        readings: Readings | None = None,
+        readings: Readings | None = None, homing: Homing | None = None,
     ) -> None:  # fmt: skip
         self.machine = StateMachine()
         self.commands = CommandDesk()
@@ -90,6 +92,7 @@ class Supervisor:
         retreat = None if decided is None else decided.retreat
         self.way_out = None if retreat is None else Withdrawal(retreat, rig, limits)
         self.released: list[bool] | None = None
+        self.homing = homing
         self._went = 0.0  # m/s, velocity of the way out's axis when its torque ended
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
@@ -107,7 +110,7 @@ class Supervisor:
     def tip(self) -> str:
         """That the tip stays beyond its safe height, and how it comes out, for people; empty where it does not."""
         way_out = self.way_out
-        if way_out is None or self.machine.state in TORQUE_STATES or not self._sampling.tracked:
+        if way_out is None or self.machine.state in TORQUE_STATES or not self._sampling.tracked or self._homeless():
             return ""
         axis = way_out.axis
         seen = bool(self._inbox.fresh[axis])
@@ -116,6 +119,8 @@ class Supervisor:
 
     def advance(self, tick: Tick) -> None:
         """Faults first, then exit, the operator, the stop line, and at last what the state itself has reached."""
+        if self.homing is not None:
+            self.homing.watch()
         if self.machine.state is State.BOOT:
             self._handle(Event.BUS_UP, tick)
         if self._monitor.active:
@@ -151,7 +156,7 @@ class Supervisor:
     def _inside(self) -> bool:
         """Whether the tip is beyond its safe height, or on its way there."""
         way_out = self.way_out
-        if way_out is None:
+        if way_out is None or self._homeless():
             return False
         return way_out.needed(self._axes.measured[way_out.axis], self._axes.ahead_velocity()[way_out.axis])
 
@@ -189,6 +194,8 @@ class Supervisor:
             return False
         if event is Event.HOME and self._inside():
             return False
+        if event is Event.ACTIVATE and self._homeless():
+            return False
         if event is Event.ACTIVATE and not self.commands.hold_asked and not self._may_begin_here():
             return False
         if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
@@ -196,6 +203,10 @@ class Supervisor:
         if event in _FROM_REST and self.machine.state is not State.CONNECTED and self._moves():
             return False
         return self._handle(event, tick)
+
+    def _homeless(self) -> bool:
+        """Whether positions mean nothing yet: HOMING_REQUIRED."""
+        return self.homing is not None and self.homing.required
 
     def _moves(self) -> bool:
         """Whether an axis is not known to rest although it has no torque."""
@@ -215,7 +226,7 @@ class Supervisor:
         if kind == CommandKind.SET_LAW:
             return tick.law is not None and self._axes.take_law(tick.law)
         task = tick.task
-        if task is None or not self._within(task.start_ranges):
+        if task is None or self._homeless() or not self._within(task.start_ranges):
             return False
         self._plan, self.start_ranges = task.plan, list(task.start_ranges)
         return True
@@ -246,6 +257,8 @@ class Supervisor:
     def _handle(self, event: Event, tick: Tick) -> bool:
         before = self.machine.state
         taken = self.machine.handle(event)
+        if self.homing is not None and self.machine.state not in TORQUE_STATES:
+            self.homing.leave(homed=event is Event.STOPPED)
         if taken and (self.machine.state is not before or event is Event.RESET):
             self._enter(self.machine.state, event, tick)
         return taken
@@ -258,6 +271,8 @@ class Supervisor:
             self._axes.hold()
         elif state in (State.ACTIVE, State.HOMING):
             self._engage()
+            if state is State.HOMING and self.homing is not None:
+                self.homing.open(self._axes.measured)
             if state is State.ACTIVE and self.commands.hold_asked:
                 self._monitor.allow_way_back(self._axes.measured)
         elif state is State.STOPPING:
@@ -307,8 +322,8 @@ class Supervisor:
                 self._await_enable(tick)
             elif self.commissioning.running:
                 self._push(tick)
-            elif state is State.HOMING and self._at_home():
-                self._handle(Event.HOMED, tick)
+            elif state is State.HOMING:
+                self._home(tick)
         elif state is State.STOPPING and self.released is not None:
             self._go_out(tick)
         elif state is State.STOPPING:
@@ -357,6 +372,9 @@ class Supervisor:
             self.goals.begin(None, MotionWord.HOLD)
             return
         origin = [tick.now_ns + clock.latency for clock in sampling.clocks]
+        if self.machine.state is State.HOMING and self.homing is not None:
+            self.homing.begin(origin)
+            return
         decided = self.goals.decided
         if self.machine.state is State.ACTIVE and decided is not None:
             self.goals.decide(decided, origin)
@@ -386,6 +404,20 @@ class Supervisor:
             self.released = None
             self.goals.leave()
             self._stopping_since_ns = tick.now_ns
+
+    def _home(self, tick: Tick) -> None:
+        """The way home, or what finds the axes' positions."""
+        homing = self.homing
+        if homing is None:
+            if self._at_home():
+                self._handle(Event.HOMED, tick)
+            return
+        failed = homing.advance()
+        if failed >= 0:
+            self._monitor.flag_state(Fault.HOMING_FAILED, homing.why(failed), failed)
+            self.latch(Fault.HOMING_FAILED, Reaction.STOP, tick)
+        elif homing.over:
+            self._handle(Event.HOMED, tick)
 
     def _at_home(self) -> bool:
         setpoints = self._axes.setpoints

@@ -15,6 +15,10 @@ class Travel:
         """The travel between its ends."""
         self.low, self.high, self.wide = self._low, self._high, False
 
+    def enclose(self, low: float, high: float) -> None:
+        """While it homes, its ends mean nothing: only so far, m (rad), until the next `restart`."""
+        self.low, self.high, self.wide = low, high, False
+
     def begin_at(self, position: float) -> None:
         """The axis rests there, and is to be brought back where that is beyond an end."""
         self.low = min(self._low, position - self._room) if position < self._low else self._low

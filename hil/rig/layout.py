@@ -10,6 +10,7 @@ from hil.rig.schema import RigConfig
 from hil.rig.sensors import check_sensors, readers_of
 
 LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
+HOMED_BY = {"switch": DriveStatus.HOME, "index": DriveStatus.HOMED, "drive": DriveStatus.HOMED}
 
 
 def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
@@ -42,8 +43,8 @@ def demands(rig: RigConfig) -> list[tuple[str, int, int]]:
     for number, (name, axis) in enumerate(rig.axes.items()):
         if axis.limits.switches:
             found.append((f"axes.{name}.limits.switches = true", number, int(LIMITS)))
-        if axis.home is not None and axis.home.by == "switch":
-            found.append((f'axes.{name}.home.by = "switch"', number, int(DriveStatus.HOME)))
+        if axis.home is not None and axis.home.by in HOMED_BY:
+            found.append((f'axes.{name}.home.by = "{axis.home.by}"', number, int(HOMED_BY[axis.home.by])))
         for bit in axis.must_tell:
             found.append((f'axes.{name}.must_tell = ["{bit}"]', number, int(DriveStatus[bit.upper()])))
     return found

@@ -13,6 +13,7 @@ from drivers.base.plugins import Kind, known, unknown
 from drivers.protocols.base import STATUS_NAMES
 from drivers.protocols.mounting import Mounting
 from hil.rig.error_map_table import ErrorMapConfig
+from hil.rig.home_table import HomeConfig
 from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
 from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
 from hil.rig.motion_tables import MotionConfig as MotionConfig
@@ -58,13 +59,6 @@ class LimitsConfig(Table):
         False,
         "limit switches at both ends, read by the drive: one that closes stops the axis; no force goes beyond",
     )
-
-
-class HomeConfig(Table):
-    """[axes.NAME.home]: what tells the axis its home position."""
-
-    by: Literal["switch", "limit"] = key(REQUIRED, "switch: the home switch; limit: the limit switch in `direction`")
-    direction: Literal[-1, 1] = key(-1, "in which the axis moves to find it", "1")
 
 
 class ModelConfig(Table):
@@ -129,7 +123,7 @@ class AxisConfig(Table):
         "status bits that the axis' drive has to be able to tell: a layout that has no room for one is refused",
         exclude_if=lambda bits: not bits,
     )
-    home: HomeConfig | None = key(None, "switch that tells the axis its home position; while homing, it is no fault")
+    home: HomeConfig | None = key(None, "how the axis finds its position after power-up; none: the encoder knows it")
     limits: LimitsConfig = key(REQUIRED, "what the gate and the fault detectors hold the axis to")
     model: ModelConfig = key(REQUIRED, "the nominal model of the axis")
     motion: AxisMotionConfig = key(AxisMotionConfig(), "what goals hold the axis to")
@@ -149,8 +143,9 @@ class AxisConfig(Table):
             raise ValueError(f"limits.force = {self.limits.force} exceeds rated_force = {self.rated_force}")
         if problem := self.motion.problem(self.limits.speed, self.limits.force / self.model.mass):
             raise ValueError(problem)
-        if self.home is not None and self.home.by == "limit" and not self.limits.switches:
-            raise ValueError('home.by = "limit" needs limits.switches = true')
+        held = self.model.coulomb + abs(self.model.gravity)
+        if self.home is not None and (problem := self.home.problem(self.limits, held)):
+            raise ValueError(problem)
         return self
 
     @property

@@ -253,10 +253,14 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
             RIG_OK: "the rig file has changed since the start",
         }
         reasons = [text for bit, text in missing.items() if not flags & bit] + _moving(rig, record)
+        if kind is not CommandKind.HOME:
+            reasons += homing_required(rig, record)
         if not reasons and kind is CommandKind.ACTIVATE:
             reasons = _infeasible(rig, record)
         missing_heartbeat = "no operator heartbeat" if rig.safety.heartbeat_s else "the task cannot begin here"
         return "refused: " + (" and ".join(reasons) or missing_heartbeat)
+    if kind is CommandKind.LOAD_TASK and state is State.READY and (reasons := homing_required(rig, record)):
+        return f"refused: {reasons[0]}"
     if kind is CommandKind.LOAD_TASK and (state is State.READY or record["motion"] == MotionWord.HOLD):
         return "refused: the task cannot begin where the axes stand"
     if kind is CommandKind.SET_LAW and (state is State.READY or record["motion"] == MotionWord.HOLD):
@@ -266,6 +270,15 @@ def explain(kind: CommandKind, expires_ns: int, record: np.void, rig: RigConfig)
         cause = f"the cause of the fault is still there, or an axis moved in the last {SETTLED_S:g} s"
         return f"refused in {state.name}: {moving or cause}{also}"
     return f"{kind.name} is not possible in state {state.name}{also}"
+
+
+def homing_required(rig: RigConfig, record: np.void) -> list[str]:
+    """The axes that are yet to be homed, and the command that does it; empty where none is."""
+    yet = int(record["homing"]) >> 4
+    names = [name for axis, name in enumerate(rig.axes) if yet >> axis & 1]
+    return (
+        [f"HOMING_REQUIRED: {', '.join(names)} not homed since power-up; first: hil home {rig.name}"] if names else []
+    )
 
 
 def _moving(rig: RigConfig, record: np.void) -> list[str]:

@@ -42,8 +42,13 @@ _COMMAND_LIFE_NS = 100_000_000
 
 
 def activate_when_ready(run: "LockstepRun", index: int) -> Sequence[CommandKind]:
-    """The operator of an ordinary run: activates as soon as the rig is READY, once."""
-    return (CommandKind.ACTIVATE,) if run.cycle.state is State.READY and run.activated_at < 0 else ()
+    """The operator of an ordinary run: activates as soon as the rig is READY, once; homes it before, where it has to be
+    homed.
+    """
+    if run.cycle.state is not State.READY or run.activated_at >= 0:
+        return ()
+    homing = run.cycle.homing
+    return (CommandKind.HOME,) if homing is not None and homing.required else (CommandKind.ACTIVATE,)
 
 
 class LockstepRun:

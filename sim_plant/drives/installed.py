@@ -10,7 +10,7 @@ from drivers.config import LAYOUT_KIND, BusConfig, DrivesConfig
 from drivers.frame import Frame
 from drivers.protocols.mounting import Mounting
 from sim_plant.config import EmulatedDriveConfig, PlantConfig
-from sim_plant.drives.servo import ServoDrive, Switches
+from sim_plant.drives.servo import Counter, ServoDrive, Switches
 from sim_plant.physics.stage import per_axis_array
 
 Position = Callable[[], float]
@@ -68,8 +68,10 @@ def installed_servos(
         for axis in range(n_axes)
     ]
     for entry in plant.switches:
-        switches = Switches(**entry.model_dump(exclude={"axis"}, exclude_none=True))
-        servos[list(axis_names).index(entry.axis)].switches = switches
+        servo = servos[list(axis_names).index(entry.axis)]
+        servo.switches = Switches(**entry.model_dump(exclude={"axis", "zero", "index"}, exclude_none=True))
+        if entry.zero is not None or entry.index is not None:
+            servo.counter = Counter(entry.zero or 0.0, entry.index)
     return servos
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 from drivers.protocols.base import DriveStatus, Sample
 
 NEVER_NS = 1 << 62
+BOUNCE = 5e-6  # m (rad) to either side of where a bouncing contact closes
 
 _ENABLED = int(DriveStatus.ENABLED)
 _FAULT = int(DriveStatus.FAULT)
@@ -37,22 +38,65 @@ class Trip(NamedTuple):
 
 
 class Switches(NamedTuple):
-    """Digital inputs of an axis, m (rad): closed at `low` and below, at `high` and above, at `home` and below."""
+    """Digital inputs of an axis, m (rad): closed at `low` and below, at `high` and above, at `home` and below.
+
+    contact: what their contacts do instead: "dead" (never closed), "stuck" (always), "inverted", or "bouncing" within
+    BOUNCE of where they close.
+    """
 
     low: float = -math.inf
     high: float = math.inf
     home: float = -math.inf
+    contact: str = "sound"
 
     def closed(self, position: float) -> int:
         """DriveStatus bits."""
-        return (
+        contact = self.contact
+        if contact == "bouncing":
+            position += BOUNCE * (round(position * 1e9) * 2654435761 % 2001 - 1000) * 1e-3
+        bits = (
             (_LIMIT_LOW if position <= self.low else 0)
             | (_LIMIT_HIGH if position >= self.high else 0)
             | (_HOME if position <= self.home else 0)
         )
+        if contact in ("sound", "bouncing"):
+            return bits
+        there = self.there
+        return 0 if contact == "dead" else there if contact == "stuck" else there & ~bits
+
+    @property
+    def there(self) -> int:
+        """DriveStatus bits of the switches that there are."""
+        return (
+            (_LIMIT_LOW if self.low > -math.inf else 0)
+            | (_LIMIT_HIGH if self.high < math.inf else 0)
+            | (_HOME if self.home > -math.inf else 0)
+        )
 
 
 NO_SWITCHES = Switches()
+
+
+class Counter:
+    """What an incremental encoder's counter says: from where it was switched on, and from its index once that has been
+    passed. zero: m (rad), where it counts 0. index: m (rad); None: the encoder has none.
+    """
+
+    __slots__ = ("_index", "_last", "homed", "zero")
+
+    def __init__(self, zero: float, index: float | None) -> None:
+        self.zero = zero
+        self.homed = False
+        self._index = index
+        self._last: float | None = None
+
+    def take(self, position: float) -> float:
+        """What it says at a place, both m (rad)."""
+        index, last = self._index, self._last
+        if index is not None and last is not None and not self.homed and (last - index) * (position - index) <= 0.0:
+            self.zero, self.homed = index, True
+        self._last = position
+        return position - self.zero
 
 
 class ServoDrive:
@@ -63,7 +107,8 @@ class ServoDrive:
 
     force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
     last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
-    gain: torque constant over its nominal value. switches: its digital inputs. extra_status: bits shown on top of
+    gain: torque constant over its nominal value. switches: its digital inputs. counter: of an incremental encoder;
+    None: the encoder knows the axis' position. extra_status: bits shown on top of
     `status`. taps: what a sample goes through before it is sent. broken: a fault that no reset clears. stuck: every
     command enables it, whatever its bit says. gain and the last four are for fault injection.
     """
@@ -73,6 +118,7 @@ class ServoDrive:
         "_sequence",
         "axis",
         "broken",
+        "counter",
         "deadline_ns",
         "extra_status",
         "force",
@@ -106,6 +152,7 @@ class ServoDrive:
         self.broken = False
         self.stuck = False
         self.switches = NO_SWITCHES
+        self.counter: Counter | None = None
         self.taps: list[Callable[[Sample], Sample]] = []
         self.status = _HOMED | (_BRAKE if has_brake else 0)
         self.deadline_ns = NEVER_NS
@@ -150,6 +197,10 @@ class ServoDrive:
         status = self.status | self.extra_status
         if self.switches is not NO_SWITCHES:
             status |= self.switches.closed(position)
+        if self.counter is not None:
+            position = self.counter.take(position)
+            if not self.counter.homed:
+                status &= ~_HOMED
         sample = Sample(self.axis, round(position / self.resolution), status, self._sequence, now_ns)
         for tap in self.taps:
             sample = tap(sample)

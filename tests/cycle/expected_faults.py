@@ -58,6 +58,7 @@ EXPECTED: dict[Fault, tuple[Reaction, set[State]]] = {
     Fault.SENSOR_STUCK: (Reaction.STOP, MOVING),
     Fault.SENSOR_RANGE: (Reaction.STOP, MOVING),
     Fault.SENSOR_SEQUENCE: (Reaction.COUNT, MOVING),
+    Fault.HOMING_FAILED: (Reaction.STOP, {State.HOMING}),
 }
 BITS = {  # a drive's status that is a fault by itself
     Fault.DRIVE_FAULT: DriveStatus.FAULT,

@@ -90,7 +90,8 @@ class _Run(LockstepRun):
         def operator(run: LockstepRun, index: int) -> Sequence[CommandKind]:
             said = [CommandKind.HEARTBEAT] if index < cause.beats else []
             ready = run.cycle.state is State.READY and run.activated_at < 0 and cause.activates
-            return [*said, CommandKind.ACTIVATE] if ready else said
+            begins = CommandKind.ACTIVATE if run.cycle.homing is None else CommandKind.HOME
+            return [*said, begins] if ready else said
 
         super().__init__(rig, RIGS, operator=operator, observer=observer)
 
@@ -109,6 +110,7 @@ def _drifts(counts: int) -> Step:
 
 _LOOSE = tuple(f"axes.{axis}.limits.following_error=1.0" for axis in "xy")
 _PUSHES = tuple(f"axes.{axis}.push={{force={force}, distance=4e-3}}" for axis, force in (("x", 1.6), ("y", 0.4)))
+_UNHOMED = ('axes.y.home={by="drive"}', 'plant.switches=[{axis="y", zero=0.1}]')
 _SENSOR = ('sensors.force={can_id=0x300, unit="N", scale=1e-8, noise=5e-6, range=[-0.01, 0.01]}',)
 _wire: Callable[..., Step] = host_frames
 
@@ -147,6 +149,7 @@ _CAUSES = (
     Cause(Fault.RIG_CHANGED, withdrawn("rig_ok")),
     Cause(Fault.DRIVE_STAYS_ENABLED, once(says_enabled), Y, activates=False),
     Cause(Fault.AXIS_NOT_AS_STATED, _nothing, "x", _PUSHES, begin=0, beside=("axes.x.encoder_resolution=1e-8",)),
+    Cause(Fault.HOMING_FAILED, _nothing, Y, _UNHOMED, begin=0),
     Cause(Fault.FOREIGN_COMMAND, once(foreign_command)),
     Cause(Fault.ANSWERS_DIFFER, answer_twice, Y),
     Cause(Fault.STAMP, stamp_off(1_000_000), Y),

@@ -86,7 +86,7 @@ def test_a_switch_that_is_closed_lets_only_force_inwards_pass() -> None:
 
 
 def test_while_homing_the_switch_that_the_axis_homes_on_is_no_fault_and_the_other_one_is() -> None:
-    run = run_of('axes.x.home={by="limit",direction=-1}')
+    run = run_of('axes.x.home={by="limit",direction=-1,farthest=1.0}')
     monitor, inbox = run.cycle.monitor, run.cycle.inbox
     for _ in range(20):
         run.tick()
@@ -114,7 +114,7 @@ def test_a_layout_without_room_for_switches_is_refused_when_the_file_is_read(lay
 
 
 def test_a_home_switch_is_asked_of_the_layout_too() -> None:
-    home = 'axes.y.home={by="switch",direction=1}'
+    home = 'axes.y.home={by="switch",direction=1,farthest=1.0}'
     load_rig(RIGS / "paper.toml", [home])
     with pytest.raises(RigError, match=r"axes\.y\.home\.by"):
         load_rig(RIGS / "paper.toml", [home, "bus.protocol=stage_classic"])

@@ -121,6 +121,28 @@ ROWS: Final = (
         trials=(Trial("loop swings at 25 Hz"),),
     ),
     Row(
+        48,
+        "HOMING_FAILED",
+        requirement="SR-4.5",
+        seen_by="an axis does not find what it homes on within axes.NAME.home.farthest, or is blocked on the way",
+        after="the way allowed",
+        reaction=Reaction.STOP,
+        states=frozenset({State.HOMING}),
+        form=Form.STATE,
+        measured="{}",
+        words=(
+            "what it homes on is not found within home.farthest",
+            "its switch stays closed, however far the axis backs off",
+            "it is blocked on its way",
+            "its drive does not say that it is homed",
+            "home.move_to is further than home.farthest from where it stood",
+            "its stop is found at two places",
+        ),
+        cause="the switch is dead, stuck or wired the other way round, or the axis began too far away",
+        action=f"watch the switch with hil monitor NAME while it is pressed by hand, check axes.AXIS.home, {RESET}; "
+        "then hil home NAME",
+    ),
+    Row(
         42,
         "STANDSTILL",
         requirement="SR-5.2",

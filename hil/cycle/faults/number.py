@@ -54,3 +54,4 @@ class Fault(IntEnum):
     SENSOR_STUCK = 45
     SENSOR_RANGE = 46
     SENSOR_SEQUENCE = 47
+    HOMING_FAILED = 48

@@ -1,0 +1,105 @@
+"""One homing of a rig's first axis in lockstep, with switches, counter and stops as a test wants them."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.cycle.axis_homing import Step
+from hil.cycle.fault_table import ROWS, Fault
+from hil.cycle.state_machine import State
+from hil.cycle.tick import CommandKind
+from hil.rig.file import load_rig
+from hil.rig.schema import RigConfig
+from hil.virtual.lockstep import LockstepRun
+from tests.support.paths import RIGS, ROOT
+
+PLACE = -0.02  # m, where the switch closes, the index or the stop is
+FARTHEST = 0.1  # m
+START, ZERO = 0.01, 0.0031  # m, where the table stands, and where its counter was switched on
+ONE_AXIS = ("task.kind=hold", "task.axes=[]")
+BY = {
+    "switch": f"home={PLACE}",
+    "limit": f"low={PLACE}",
+    "index": f"index={PLACE}",
+    "stop": "",
+    "drive": "",
+    "here": "",
+    "absolute": "",
+}
+SEARCHING = ("switch", "limit", "index", "stop")
+LIMIT_TICKS = 30_000
+
+
+class Homed(NamedTuple):
+    """state, fault: at the end. why: HOMING_FAILED's words. steps: sub-states, in order. off: m by which positions are
+    wrong. way: m, the greatest from where the table stood. known: the axis counts as homed.
+    """
+
+    state: State
+    fault: Fault
+    why: str
+    steps: list[Step]
+    off: float
+    way: float
+    known: bool
+
+
+def homing_rig(
+    by: str, folder: Path, *, contact: str = "sound", start: float = START, zero: float = ZERO, home: str = "",
+    more: Sequence[str] = (),
+) -> RigConfig:  # fmt: skip
+    """The paper's rig, whose X axis homes so; a copy of it with a stage between stops for `stop`. zero: m."""
+    shutil.copy(RIGS / "paper.toml", folder)
+    shutil.copy(ROOT / "tests/support/walled.py", folder)
+    place = f", {BY[by]}" if BY[by] else ""
+    counter = "" if by in ("absolute", "drive") else f", zero={zero}"
+    searches = by in SEARCHING
+    way = f", farthest={FARTHEST}, speed=0.1, latch_speed=0.01, at={PLACE}" if searches else ""
+    walls = ["plant.stage=./walled.py:Walled", f"plant.parameters={{low={PLACE}}}"] if by == "stop" else []
+    return load_rig(
+        folder / "paper.toml",
+        [
+            f'plant.switches=[{{axis="x"{place}{counter}, contact="{contact}"}}]',
+            f'axes.x.home={{by="{by}"{way}{", force=4.0" if by == "stop" else ""}{home}}}',
+            f"axes.x.limits.switches={'true' if by == 'limit' else 'false'}",
+            f"plant.initial_position=[{start}, 0.0]",
+            *walls,
+            *more,
+        ],
+    )
+
+
+def home_once(rig: RigConfig, folder: Path) -> tuple[LockstepRun, Homed]:
+    """Until it is homed, or a fault has stopped it."""
+    asked: list[int] = []
+
+    def operator(run: LockstepRun, index: int) -> Sequence[CommandKind]:
+        if run.cycle.state is not State.READY or asked:
+            return ()
+        asked.append(index)
+        return (CommandKind.HOME,)
+
+    run = LockstepRun(rig, folder, operator=operator)
+    start, way, steps, why = float("nan"), 0.0, [Step.NONE], ""
+    homing = run.cycle.homing
+    assert homing is not None
+    while not asked or run.cycle.state in (State.HOMING, State.STOPPING):
+        record = run.tick().record
+        place = float(run.true_position[0])
+        if run.cycle.state is State.HOMING and start != start:
+            start = place
+        way = max(way, abs(place - start)) if start == start else 0.0
+        step = Step(int(record["homing"]) & 15)
+        if step is not steps[-1]:
+            steps.append(step)
+        for found in run.cycle.monitor.evidence:
+            if found.fault == Fault.HOMING_FAILED:
+                why = ROWS[Fault.HOMING_FAILED].words[int(found.value)]
+        assert run.index < LIMIT_TICKS
+    clock, zero = run.cycle.sampling.clocks[0], 0.0
+    counter = run.stage.drives[0].counter
+    if counter is not None:
+        zero = counter.zero
+    off = clock.offset * rig.axes["x"].encoder_resolution - zero
+    return run, Homed(run.cycle.state, run.cycle.fault, why, steps[1:-1], off, way, homing.known[0])
