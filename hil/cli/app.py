@@ -35,6 +35,7 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "drive": Entry("hil.operate.drive:drive", "Emulate a CiA 402 drive from its EDS file"),
     },
     "Move": {
+        "home": Entry("hil.operate.home:home", "Let a running rig find the positions of its axes"),
         "move": Entry("hil.operate.move:move", "Move axes of a running rig: hil move microscope x=1mm"),
         "jog": Entry("hil.operate.move:jog", "Move axes of a running rig at a speed for a time"),
         "stream": Entry("hil.operate.move:stream", "Move axes of a running rig through timed rows as they come"),

@@ -17,6 +17,7 @@ Rules:
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+HOMING_REQUIRED: Final = "HOMING_REQUIRED"  # in the refusal of who would move an axis that is yet to be homed
 SURE: Final = 3  # samples in a row
 CLEAR_S: Final = 0.05  # of the search's speed: how far the axis goes from what it has found, before it comes back
 

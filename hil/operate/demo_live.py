@@ -16,6 +16,7 @@ from rich.live import Live
 from drivers.base.runtime import make_private, read_private, runtime_dir
 from drivers.protocols.base import DriveStatus
 from hil.cli.processes import Family
+from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
@@ -253,7 +254,8 @@ class Demo:
         elif tripped(status):
             self._command(CommandKind.RESET)
         elif status.state == "READY" and status.recording and not self._stopped:
-            self._command(CommandKind.ACTIVATE_HOLD if self._holds else CommandKind.ACTIVATE)
+            begins = CommandKind.ACTIVATE_HOLD if self._holds else CommandKind.ACTIVATE
+            self._command(CommandKind.HOME if HOMING_REQUIRED in self._refusal else begins)
 
     def _note_stall(self, before: pb.Status) -> None:
         status = self.status

@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.base.toml_file import short
 from hil.analysis.feasibility import violations
+from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.command_desk import LOADS
 from hil.cycle.goal import MotionWord
 from hil.cycle.limits import axis_limits, motion_limits
@@ -276,9 +277,8 @@ def homing_required(rig: RigConfig, record: np.void) -> list[str]:
     """The axes that are yet to be homed, and the command that does it; empty where none is."""
     yet = int(record["homing"]) >> 4
     names = [name for axis, name in enumerate(rig.axes) if yet >> axis & 1]
-    return (
-        [f"HOMING_REQUIRED: {', '.join(names)} not homed since power-up; first: hil home {rig.name}"] if names else []
-    )
+    first = f"not homed since power-up; first: hil home {rig.name}"
+    return [f"{HOMING_REQUIRED}: {', '.join(names)} {first}"] if names else []
 
 
 def _moving(rig: RigConfig, record: np.void) -> list[str]:

@@ -11,17 +11,16 @@ from hil.analysis.feasibility import violations
 from hil.analysis.task_figures import excursion_problems
 from hil.cycle.goal import Goal, MotionError, MotionWord, Refusal
 from hil.cycle.record import RECORD
-from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind, CycleResult, Tick
 from hil.live.goal_link import FIELDS, Look, TickReader
 from hil.rig.schema import RigConfig, TaskConfig
-from hil.virtual.lockstep import LockstepRun
+from hil.virtual.lockstep import LockstepRun, begin_when_ready
 
 READY_S: Final = 60.0  # virtual time in which a rig must have come under torque
 
 
 def _hold_when_ready(run: LockstepRun, index: int) -> Sequence[CommandKind]:
-    return (CommandKind.ACTIVATE_HOLD,) if run.cycle.state is State.READY and run.activated_at < 0 else ()
+    return begin_when_ready(run, CommandKind.ACTIVATE_HOLD)
 
 
 class LockstepLink:

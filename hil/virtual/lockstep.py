@@ -42,13 +42,16 @@ _COMMAND_LIFE_NS = 100_000_000
 
 
 def activate_when_ready(run: "LockstepRun", index: int) -> Sequence[CommandKind]:
-    """The operator of an ordinary run: activates as soon as the rig is READY, once; homes it before, where it has to be
-    homed.
-    """
+    """The operator of an ordinary run: activates as soon as the rig is READY, once."""
+    return begin_when_ready(run, CommandKind.ACTIVATE)
+
+
+def begin_when_ready(run: "LockstepRun", kind: CommandKind) -> Sequence[CommandKind]:
+    """As soon as the rig is READY, once: ACTIVATE or ACTIVATE_HOLD; HOME before, where it has to be homed."""
     if run.cycle.state is not State.READY or run.activated_at >= 0:
         return ()
     homing = run.cycle.homing
-    return (CommandKind.HOME,) if homing is not None and homing.required else (CommandKind.ACTIVATE,)
+    return (CommandKind.HOME,) if homing is not None and homing.required else (kind,)
 
 
 class LockstepRun:

@@ -49,6 +49,7 @@ CASES = {
     "export": _case("export {in}/run --out e.csv", "e.csv"),
     "faults": _case("faults {in}/rig.toml --only interface --stride 16 --workers 1 --json f.json --html f.html",
                     "f.json", "f.html"),
+    "home": _case("home paper", status=69),
     "identify": _case("identify {in}/rig.toml --axes x --only push --write i.toml --json i.json", "i.toml", "i.json"),
     "inject": _case("inject {in}/cells.toml --grid 1x1 --csv i.csv --report i.html --json i.json",
                     "i.csv", "i.html", "i.json"),
