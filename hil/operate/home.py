@@ -39,6 +39,7 @@ def home(
             print(f"hil home: {verdict.reason}", file=sys.stderr)
             raise typer.Exit(1)
         with nearest(name, _ring, RingError) as ring:
+            ring.next = max(ring.written - 1, 0)
             status = _watch(name, ring)
     except (NoGatewayError, RingError) as error:
         print(f"hil home: {error}", file=sys.stderr)
@@ -53,7 +54,6 @@ def _ring(directory: Path) -> RingReader:
 def _watch(name: str, ring: RingReader) -> int:
     """Say each step until the rig is READY or a fault has latched; the exit status."""
     until, told = time.monotonic() + LONGEST_S, ""
-    ring.next = max(ring.written - 1, 0)
     while time.monotonic() < until and ring.writer_alive:
         for record in ring.read(256, FIELDS).records:
             state, step = State(int(record["state"])), Step(int(record["homing"]) & 15)

@@ -1,9 +1,11 @@
 """One homing of a rig's first axis in lockstep, with switches, counter and stops as a test wants them."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from hil.cycle.axis_homing import Step
 from hil.cycle.fault_table import ROWS, Fault
@@ -17,7 +19,6 @@ from tests.support.paths import RIGS, ROOT
 PLACE = -0.02  # m, where the switch closes, the index or the stop is
 FARTHEST = 0.1  # m
 START, ZERO = 0.01, 0.0031  # m, where the table stands, and where its counter was switched on
-ONE_AXIS = ("task.kind=hold", "task.axes=[]")
 BY = {
     "switch": f"home={PLACE}",
     "limit": f"low={PLACE}",
@@ -28,7 +29,7 @@ BY = {
     "absolute": "",
 }
 SEARCHING = ("switch", "limit", "index", "stop")
-LIMIT_TICKS = 30_000
+LIMIT_TICKS = 30_000  # of one homing
 
 
 class Homed(NamedTuple):
@@ -70,8 +71,8 @@ def homing_rig(
     )
 
 
-def home_once(rig: RigConfig, folder: Path) -> tuple[LockstepRun, Homed]:
-    """Until it is homed, or a fault has stopped it."""
+def home_once(rig: RigConfig, folder: Path, keep: Callable[[np.void], None] | None = None) -> tuple[LockstepRun, Homed]:
+    """Until it is homed, or a fault has stopped it. keep: called with the record of every tick."""
     asked: list[int] = []
 
     def operator(run: LockstepRun, index: int) -> Sequence[CommandKind]:
@@ -86,6 +87,8 @@ def home_once(rig: RigConfig, folder: Path) -> tuple[LockstepRun, Homed]:
     assert homing is not None
     while not asked or run.cycle.state in (State.HOMING, State.STOPPING):
         record = run.tick().record
+        if keep is not None:
+            keep(record)
         place = float(run.true_position[0])
         if run.cycle.state is State.HOMING and start != start:
             start = place
