@@ -44,7 +44,7 @@ class Why(IntEnum):
     TWO_PLACES = 6
 
 
-class Means(NamedTuple):
+class Terms(NamedTuple):
     """What an axis homes with. direction: -1 or 1. speed, latch_speed: m/s. way: m from where it stands. at: counts,
     position of what is found. move_to: m, or None. resolution: m a count. patience: ticks that a switch which is
     neither closed nor open is waited for.
@@ -89,9 +89,9 @@ class AxisHoming:
     which its positions are to be moved.
     """
 
-    def __init__(self, means: Means) -> None:
-        self.means = means
-        self._clear = CLEAR_S * means.speed
+    def __init__(self, terms: Terms) -> None:
+        self.terms = terms
+        self._clear = CLEAR_S * terms.speed
         self.restart()
 
     def restart(self) -> None:
@@ -114,7 +114,7 @@ class AxisHoming:
         if self.step is Step.MOVE_TO:
             self.done = seen.ended
             return self._fail(Why.BLOCKED) if seen.blocked else None
-        by = self.means.by
+        by = self.terms.by
         if by == "stop":
             return self._towards_stop(seen)
         if by in ("switch", "limit", "index") and seen.blocked:
@@ -128,7 +128,7 @@ class AxisHoming:
         if by == "here":
             return self._found(seen.counts)
         if by == "absolute":
-            return self._found(self.means.at)
+            return self._found(self.terms.at)
         if seen.homed:
             return self._found(seen.counts - seen.told)
         return self._search(seen) if by == "index" else self._fail(Why.NOT_TOLD)
@@ -142,7 +142,7 @@ class AxisHoming:
             self._same += 1
         if self._same < SURE:
             self._waited += seen.ended
-            return self._fail(Why.NOT_FOUND) if self._waited > self.means.patience else None
+            return self._fail(Why.NOT_FOUND) if self._waited > self.terms.patience else None
         if self.step is Step.SEARCH:
             return self._back_off() if self._closed else self._search(seen)
         if self.step is Step.BACK_OFF:
@@ -154,13 +154,13 @@ class AxisHoming:
     def _search(self, seen: Seen) -> Go | None:
         if not self._leaves:
             self._leaves = True
-            return Go(self._start + self.means.direction * self.means.way, self.means.speed)
+            return Go(self._start + self.terms.direction * self.terms.way, self.terms.speed)
         return self._fail(Why.NOT_FOUND) if seen.ended else None
 
     def _back_off(self) -> Go:
         """As far as the way allows; once the switch is open, no further than CLEAR_S."""
         self.step, self._leaves = Step.BACK_OFF, True
-        return Go(self._start - self.means.direction * self.means.way, self.means.speed)
+        return Go(self._start - self.terms.direction * self.terms.way, self.terms.speed)
 
     def _off_switch(self, seen: Seen) -> Go | None:
         if self._closed:
@@ -168,12 +168,12 @@ class AxisHoming:
             return self._fail(Why.STAYS_CLOSED) if seen.ended else None
         if self._leaves:
             self._leaves = False
-            return Go(self._edge - self.means.direction * self._clear, self.means.speed)
+            return Go(self._edge - self.terms.direction * self._clear, self.terms.speed)
         return self._latch(self._edge) if seen.ended else None
 
     def _latch(self, edge: float) -> Go:
         self.step, self._leaves = Step.LATCH, True
-        return Go(edge + self.means.direction * self._clear, self.means.latch_speed)
+        return Go(edge + self.terms.direction * self._clear, self.terms.latch_speed)
 
     # a stop -----------------------------------------------------------------------------------------------------------
 
@@ -182,7 +182,7 @@ class AxisHoming:
             if not seen.blocked:
                 return self._search(seen)
             self.step, self._first = Step.BACK_OFF, seen.position
-            return Go(seen.position - self.means.direction * self._clear, self.means.speed)
+            return Go(seen.position - self.terms.direction * self._clear, self.terms.speed)
         if self.step is Step.BACK_OFF:
             return self._latch(self._first) if seen.ended else None
         if not seen.blocked:
@@ -195,16 +195,16 @@ class AxisHoming:
     # found ------------------------------------------------------------------------------------------------------------
 
     def _found(self, counts: int) -> Go:
-        """What is at `counts` is at `means.at`. From a stop the axis goes back, from where it is wanted nowhere."""
-        means = self.means
-        self.step, self.shift = Step.MOVE_TO, means.at - counts
-        if means.move_to is not None:
-            target = means.move_to - self.shift * means.resolution
-            return self._fail(Why.BEYOND) if abs(target - self._start) > means.way else Go(target, means.speed)
-        if means.by == "stop":
-            return Go(self._edge - means.direction * self._clear, means.speed)
-        return Go(None, means.speed)
+        """What is at `counts` is at `terms.at`: then to where the axis is wanted, or off the stop, or to rest."""
+        terms = self.terms
+        self.step, self.shift = Step.MOVE_TO, terms.at - counts
+        if terms.move_to is not None:
+            target = terms.move_to - self.shift * terms.resolution
+            return self._fail(Why.BEYOND) if abs(target - self._start) > terms.way else Go(target, terms.speed)
+        if terms.by == "stop":
+            return Go(self._edge - terms.direction * self._clear, terms.speed)
+        return Go(None, terms.speed)
 
     def _fail(self, why: Why) -> Go:
         self.why = why
-        return Go(None, self.means.speed)
+        return Go(None, self.terms.speed)

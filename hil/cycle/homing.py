@@ -19,7 +19,7 @@ from hil.control.plans.axis_plan import MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import halt, move
 from hil.cycle.axes import Axes
-from hil.cycle.axis_homing import AxisHoming, Go, Means, Seen, Step, Why
+from hil.cycle.axis_homing import AxisHoming, Go, Seen, Step, Terms, Why
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault
 from hil.cycle.gate import TorqueGate
@@ -50,7 +50,7 @@ class Homing:
         stated = list(rig.axes.values())
         homes = [(number, axis, axis.home) for number, axis in enumerate(stated) if axis.home is not None]
         period_s = rig.period_ns * 1e-9
-        self._one = {number: AxisHoming(_means(axis, home, period_s)) for number, axis, home in homes}
+        self._one = {number: AxisHoming(_terms(axis, home, period_s)) for number, axis, home in homes}
         self._bits = {number: _switch(home) for number, _, home in homes}
         self._told = frozenset(number for number, _, home in homes if home.by in TOLD)
         self._force = {number: home.force or math.inf for number, _, home in homes}
@@ -58,7 +58,7 @@ class Homing:
         self._room = {number: home.farthest or axis.limits.following_error for number, axis, home in homes}
         self._press = {
             number: PressWatch(
-                home.force or axis.limits.force, axis.limits.following_error, self._one[number].means.latch_speed,
+                home.force or axis.limits.force, axis.limits.following_error, self._one[number].terms.latch_speed,
                 period_s,
             )
             for number, axis, home in homes
@@ -107,7 +107,7 @@ class Homing:
         self._tracked = True
 
     def _forget(self, axis: int) -> None:
-        if axis in self._one and self._one[axis].means.by != "absolute":
+        if axis in self._one and self._one[axis].terms.by != "absolute":
             self.known[axis] = False
 
     # HOMING -----------------------------------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ class Homing:
             self._gate.enclose(axis, place - room, place + room)
             self._gate.bound(axis, self._force[axis])
             li = self._limits[axis]
-            way = one.means.way
+            way = one.terms.way
             self._limits[axis] = MotionLimits(li.speed, li.acceleration, li.jerk, place - way, place + way)
 
     def begin(self, origin_ns: Sequence[int]) -> None:
@@ -134,12 +134,12 @@ class Homing:
 
     def _begin_group(self) -> None:
         for axis in self._groups[self._group]:
-            self.known[axis] = self._one[axis].means.by == "absolute"
+            self.known[axis] = self._one[axis].terms.by == "absolute"
             self._one[axis].begin(self._axes.measured[axis])
             self._press[axis].restart()
             sample = self._inbox.samples[axis]
             homed = sample is not None and bool(sample.status & _HOMED)
-            self._sampling.clocks[axis].awaits_index = self._one[axis].means.by == "index" and not homed
+            self._sampling.clocks[axis].awaits_index = self._one[axis].terms.by == "index" and not homed
 
     def advance(self) -> int:
         """One tick: the axis that cannot be homed, -1 where none."""
@@ -214,9 +214,9 @@ class Homing:
         self._axes.setpoints.update(self._sampling.instants, self._sampling.starts)
 
 
-def _means(axis: AxisConfig, home: HomeConfig, period_s: float) -> Means:
+def _terms(axis: AxisConfig, home: HomeConfig, period_s: float) -> Terms:
     speed = home.speed or SPEED * axis.limits.speed
-    return Means(
+    return Terms(
         home.by,
         home.direction,
         speed,
