@@ -234,7 +234,7 @@ def _keep_learnt(loop: ControlLoop) -> None:
     axes.keep()
     try:
         keep(rig, axes.kept())
-    except OSError as error:
+    except (OSError, RuntimeDirectoryError) as error:
         with contextlib.suppress(OSError):
             print(f"hil run: what was learnt is not kept: {error}", file=sys.stderr, flush=True)
 
