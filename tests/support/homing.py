@@ -57,7 +57,7 @@ def homing_rig(
     counter = "" if by in ("absolute", "drive") else f", zero={zero}"
     searches = by in SEARCHING
     way = f", farthest={FARTHEST}, speed=0.1, latch_speed=0.01, at={PLACE}" if searches else ""
-    walls = ["plant.stage=./walled.py:Walled", f"plant.parameters={{low={PLACE}}}"] if by == "stop" else []
+    walls = ["plant.stage=./walled.py:Walled", f"plant.parameters={{low={PLACE}, high=1.0}}"] if by == "stop" else []
     return load_rig(
         folder / "paper.toml",
         [
