@@ -69,8 +69,10 @@ def counted(rig: Path, overrides: Sequence[str], ticks: int) -> float:
                 reader.next = first = reader.written
                 live_runs._wait_until(process, reader, first + ticks)
                 _tell(process, "--dump")
-                if (reader.read(reader.slots, ["state"]).records["state"] != State.ACTIVE).any():
-                    raise live_runs.DisturbedError("hil run left ACTIVE")
+                records = reader.read(reader.slots, ["state", "fault"]).records
+                if (records["state"] != State.ACTIVE).any():
+                    fault = live_runs.fault_words(int(records["fault"][-1]))
+                    raise live_runs.DisturbedError(f"hil run left ACTIVE with fault {fault}")
         finally:
             live_runs._end(process)
         return per_tick(out.with_suffix(".1").read_text(encoding="utf-8"))

@@ -2,10 +2,11 @@
 
 import pytest
 
-from hil.operate.bench.live_runs import private_bus, undisturbed
+from hil.operate.bench.live_runs import BenchError, private_bus, undisturbed
 from tests.benchmarks.instructions import TICK, counted, missing, per_tick
 from tests.support.paths import RIGS
 
+RIG = RIGS / "microscope-ideal.toml"
 MOST = 90_000
 
 
@@ -20,6 +21,9 @@ def test_a_profile_says_what_a_tick_takes() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(bool(missing()), reason=missing())
 def test_a_live_tick_of_four_axes_takes_no_more_instructions_than_it_did() -> None:
-    with private_bus():
-        count, _ = undisturbed(lambda: counted(RIGS / "microscope-ideal.toml", ["law.name=pd-feedforward"], ticks=300))
+    try:
+        with private_bus():
+            count, _ = undisturbed(lambda: counted(RIG, ["law.name=pd-feedforward"], ticks=200))
+    except BenchError as error:
+        pytest.skip(f"this host is too busy: {error}")
     assert 10_000 < count < MOST
