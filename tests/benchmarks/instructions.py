@@ -1,7 +1,8 @@
 """`make bench-compiled ARGS=instructions`: what a live tick takes, counted by callgrind. No other work on the machine
 changes this figure.
 
-The control process runs in valgrind, beside an emulated stage, slow enough for that. Counted are ticks in ACTIVE, the
+The control process runs in valgrind, beside an emulated stage, slow enough for that. On a busy machine a moving stage
+ends in a fault there; `--set task.kind=hold` holds it. Counted are ticks in ACTIVE, the
 whole of `ControlLoop._tick` with all it calls. The clocks are slow in there, so that one of them is read once more than
 on a processor: 1700 instructions.
 """
