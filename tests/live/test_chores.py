@@ -228,7 +228,7 @@ def test_stages_follow_one_another_and_an_age_counts_only_where_every_axis_answe
 
     class Timing:
         def note(self, row: list[int]) -> None:
-            rows.append(row)
+            rows.append(list(row))
 
     class Records:
         def spent(self, *stages: int) -> None:

@@ -60,7 +60,7 @@ def test_feedback_in_the_drives_own_time_is_measured_by_its_period(tmp_path: Pat
     for dropped in (0, 10):
         first, second = measured("odrive", tmp_path, dropped)
         assert second.lost == 0
-        assert second.figures()["p50_us"] == pytest.approx(2000, rel=0.01)  # feedback_s of the rig
+        assert second.figures()["p50_us"] == pytest.approx(2500, rel=0.01)  # feedback_s of the rig
         assert first.lost == pytest.approx(TICKS / 10 if dropped else 0, abs=1)
 
 

@@ -22,7 +22,7 @@ PAPER, ODRIVE = RIGS / "paper.toml", RIGS / "odrive.toml"
 def test_a_rig_is_told_what_feedback_in_the_drives_own_time_costs(
     overrides: list[str], age: str, counts: str, rest: str
 ) -> None:
-    rig = load_rig(ODRIVE, overrides)
+    rig = load_rig(ODRIVE, ["rate_hz=500", *overrides])
     (note,) = feedback_notes(rig, rig_layout(rig, RIGS))
     assert [part for part in (age, counts, rest) if part not in note] == []
 

@@ -32,13 +32,13 @@ PAIRS = {
         "be less than half of `wrap`, 0.005",
     ),
     "a position in every tick": (
-        "odrive", [], "bus.dbc.feedback_period_s=0.002002", "bus.dbc.feedback_period_s=0.0020021",
-        "bus.dbc.feedback_period_s = 0.0020021: a position has to come in every tick",
+        "odrive", [], "bus.dbc.feedback_period_s=0.0025025", "bus.dbc.feedback_period_s=0.0025026",
+        "bus.dbc.feedback_period_s = 0.0025026: a position has to come in every tick",
     ),
     "a state within the patience for it": (
-        "odrive", ["safety.disable_timeout_ticks=30"], "bus.dbc.state_period_s=0.0599", "bus.dbc.state_period_s=0.06",
-        "bus.dbc.state_period_s = 0.06: a drive that is disabled has to say so within the 0.06 s of "
-        "safety.disable_timeout_ticks = 30",
+        "odrive", ["safety.disable_timeout_ticks=40"], "bus.dbc.state_period_s=0.0999", "bus.dbc.state_period_s=0.1",
+        "bus.dbc.state_period_s = 0.1: a drive that is disabled has to say so within the 0.1 s of "
+        "safety.disable_timeout_ticks = 40",
     ),
     "the upper end of the travel": (
         "paper", WAY, "task.waypoints=[[0.0], [1.2]]", "task.waypoints=[[0.0], [1.2000001]]",

@@ -18,7 +18,7 @@ FITS: Final = 0.25  # of the speeds' rise: places that ask for another accelerat
 
 class Knot(NamedTuple):
     """due_ns: on the course's clock. place, speed: m and m/s. after: s under way since the one before, 0 where there is
-    none; rise: of the speed since then, m/s^2; arc: how far off this speed's line that one lies, over after^2, m/s^2.
+    none. rise: of the speed since then, m/s^2. arc: how far off this speed's line that one lies, over after^2, m/s^2.
     """
 
     due_ns: int = 0

@@ -205,8 +205,8 @@ def test_a_key_that_could_not_act_is_refused(changes: dict[str, Any], says: str)
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"feedback_period_s": 0.004}, "rate_hz = 500 has to be 250 or less"),
-        ({"state_period_s": 0.1}, "within the 0.1 s of safety.disable_timeout_ticks = 50"),
+        ({"feedback_period_s": 0.004}, "rate_hz = 400 has to be 250 or less"),
+        ({"state_period_s": 0.2}, "within the 0.125 s of safety.disable_timeout_ticks = 50"),
     ],
 )
 def test_drives_that_say_too_little_for_the_rate_are_refused(changes: dict[str, Any], says: str) -> None:
