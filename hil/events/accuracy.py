@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.events.axis_model import AxisModel, Floats, steps
+from hil.events.axis_model import AxisModel, Floats, in_step, steps
 from hil.events.baseline import BEYOND, phase_of, tremble
 from hil.events.forces import ForceJudge
 from hil.events.windows import SETTLED, Windows
@@ -187,7 +187,8 @@ class _Judge:
         """A step in one tick beyond what can act on the axis; told a window later, when it was not noise that began."""
         known = self._seen["step"] >= KNOWN and not self._beyond["tremble"]
         seen = self._most["step"] if known else np.inf
-        found = steps(self._axis, self._period_s, axis["position"], axis["force"], axis["setpoint_velocity"], seen)
+        position = in_step(axis["position"], axis["setpoint_velocity"], axis["stamp_ns"] * 1e-9, self._period_s)
+        found = steps(self._axis, self._period_s, position, axis["force"], axis["setpoint_velocity"], seen)
         beyond, before = found.beyond, self._step
         self._step = None
         if beyond:

@@ -82,6 +82,17 @@ def steps(
     return Steps(np.abs(change), bound, _sudden(change))
 
 
+def in_step(position: Floats, velocity: Floats, instants: Floats, period_s: float) -> Floats:
+    """Positions as they would be a period apart, m. Of drives that send in their own time a tick now and then brings a
+    sample that is a whole one early or late; where none does, `position` itself. Arrays (n,): m, m/s, s.
+    """
+    late = instants - instants[0] - period_s * np.arange(len(instants))
+    if np.ptp(np.diff(late)) < 0.5 * period_s:
+        return position
+    moved: Floats = position - velocity * late
+    return moved
+
+
 def _sudden(change: Floats) -> NDArray[np.bool_]:
     """Where a tick beside takes half of it back, or is not known. change: second difference of the position, (n,), m.
 

@@ -12,7 +12,7 @@ WINDOW_S: Final = 0.128
 SLOW_LAG_S: Final = 0.008
 SETTLED: Final = 2  # windows at rest before an axis counts as resting
 FIELDS: Final = (
-    "position", "following_error", "setpoint_position", "setpoint_velocity", "force", "innovation",
+    "position", "following_error", "setpoint_position", "setpoint_velocity", "force", "innovation", "stamp_ns",
 )  # fmt: skip
 
 

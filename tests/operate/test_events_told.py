@@ -106,7 +106,8 @@ def expected(cause: Cause, events: Sequence[Event]) -> Event:
         assert seen.cause.split("; after ")[0] == text.cause
     else:
         assert seen.cause.startswith(known)
-    assert known or seen.action == text.action.replace("AXIS", cause.axis or "NAME")
+    action = text.action.replace("AXIS", cause.axis or "NAME").replace("sensors.NAME", f"sensors.{cause.axis}")
+    assert known or seen.action == seen._replace(action=action).pasted(cause.believed.name).action
     assert not math.isnan(seen.value)
     if text.form is not Form.THRESHOLD:
         assert seen.measured in {text.measured.format(word) for word in text.words or (0x80,)}
