@@ -14,6 +14,7 @@ SETTLED: Final = 2  # windows at rest before an axis counts as resting
 FIELDS: Final = (
     "position", "following_error", "setpoint_position", "setpoint_velocity", "force", "innovation", "stamp_ns",
 )  # fmt: skip
+STAMP: Final = "stamp_ns"  # zeros where the records have none: who needs it takes samples as even then
 
 
 class Window:
@@ -37,11 +38,19 @@ class Windows:
         self.lag = max(2, round(SLOW_LAG_S / period_s))
         self._held: dict[str, NDArray[Any]] = {}
 
+    @staticmethod
+    def _names(records: NDArray[np.void] | Mapping[Any, NDArray[Any]]) -> list[str]:
+        """Of what is cut, what these have: an export may lack the samples' instants."""
+        names = records.dtype.names or () if isinstance(records, np.ndarray) else records
+        return [name for name in (*FIELDS, "index", "state") if name != STAMP or name in names]
+
     def take(self, records: NDArray[np.void] | Mapping[Any, NDArray[Any]]) -> Iterator[Window | None]:
         """The windows that end in these ticks; None for one in which ticks are missing, or nothing was followed, or
         only now and then. records: or columns by name.
         """
-        new: dict[str, NDArray[Any]] = {name: records[name] for name in (*FIELDS, "index", "state")}
+        new: dict[str, NDArray[Any]] = {name: records[name] for name in self._names(records)}
+        if STAMP not in new:
+            new[STAMP] = np.zeros(new["position"].shape)
         new["followed"], new["fresh"] = followed(records), records["age_ticks"] == 0
         held = len(self._held["index"]) if self._held else 0
         if held:

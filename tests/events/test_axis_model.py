@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.events.axis_model import AxisModel, Floats, Steps, steps
+from hil.events.axis_model import AxisModel, Floats, Steps, in_step, steps
 
 AXIS = AxisModel(resolution=5e-9, mass=0.9, dry=0.6, wet=3.0, gravity=0.0)
 PERIOD_S = 1e-3
@@ -59,3 +59,14 @@ def test_a_sound_axis_is_good() -> None:
     found = seen(AXIS.resolution * np.round(np.sin(np.arange(TICKS))))
     assert found.good
     assert found.beyond == 0
+
+
+def test_drives_in_their_own_time_bring_a_sample_that_is_a_whole_one_late_and_no_step() -> None:
+    instants = 2e-3 * np.floor(np.arange(TICKS) * 2.5e-3 / 2e-3)  # of samples every 2 ms, at ticks of 2.5 ms
+    speed = np.full(TICKS, 3.0)
+    even = in_step(3.0 * instants, speed, instants, 2.5e-3)
+    assert np.ptp(np.diff(3.0 * instants)) == pytest.approx(6e-3)
+    assert np.ptp(np.diff(even)) < 1e-12
+    held = np.arange(TICKS) * 1e-3 + 1e-5 * (np.arange(TICKS) % 2)  # nearly even: left as they are
+    assert in_step(even, speed, held, 1e-3) is even
+    assert in_step(even, speed, np.zeros(TICKS), 1e-3) is even, "without instants"
