@@ -48,7 +48,7 @@ $(ROOM): review
 endif
 
 test-live: setup  ## the same as real processes on the local bus: started, killed, watched (about two minutes)
-	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "live and not slow and not vcan and not controller"
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "live and not slow and not vcan and not controller" $(ARGS)
 
 # Their packages are large: they come into an environment of their own, on top of ours.
 test-adapters: $(ADAPTERS)/.installed  ## Micro-Manager's and Bluesky's devices on an emulated rig (a minute, most of it to install)

@@ -28,6 +28,7 @@ from hil.telemetry.command_client import NoGatewayError, local_client
 
 START_S = 60.0  # for three Python processes to be up, and the rig ACTIVE, on a busy machine
 STOP_S = 3.0
+RECORDED_S = 30.0  # for the sidecar to write the rest of the recording; nothing moves any more
 POLL_S = 0.02
 LINE_INTERVAL_S = 1.0
 STALL_FAULTS = (
@@ -328,7 +329,7 @@ class Demo:
             return
         if self.control.exit_status is None and not self.control.end(STOP_S):
             self.troubles.append(self.control.fate())
-        self.sidecar.end(STOP_S)
+        self.sidecar.end(RECORDED_S)
         if self.emulator:
             self.emulator.end(STOP_S)
         if self.busy:
