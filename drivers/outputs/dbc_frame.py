@@ -4,12 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from cantools.database.can import Message
-
 from drivers.frame import BRS, FD, Frame
 from drivers.outputs.config import OutputConfig
 from drivers.protocols.base import LayoutError, Reject
-from drivers.protocols.dbc_codec import compile_codec, is_fd, load_dbc, switches_rate
+from drivers.protocols.dbc_codec import compile_codec, message_of_node, switches_rate
 
 _NOTHING: Final[tuple[int, ...]] = ()
 
@@ -20,7 +18,9 @@ class DbcOutputFrame:
     def __init__(self, outputs: Mapping[str, OutputConfig], base_dir: Path) -> None:
         name, config = next(iter(outputs.items()))
         self._key = f"outputs.{name}"
-        self._message = message = self._found(config, base_dir / config.file)
+        self._message = message = message_of_node(
+            self._key, base_dir / config.file, config.can_id, fd=config.fd, what="output"
+        )
         codec = compile_codec(message)
         self._pack, self._values = codec.pack, [0] * len(codec.names)
         places = {signal: place for place, signal in enumerate(codec.names)}
@@ -38,26 +38,6 @@ class DbcOutputFrame:
             self._flags = FD | BRS if switches_rate(message) else FD
         self.bits = sum(1 << output.bit for output in outputs.values())
         self.ready, self.can_ids, self.problem = True, _NOTHING, ""
-
-    def _found(self, config: OutputConfig, path: Path) -> Message:
-        try:
-            messages = load_dbc(path).messages
-        except LayoutError as error:
-            raise LayoutError(f"{self._key}.file: {error}") from None
-        for message in messages:
-            if message.frame_id == config.can_id and not message.is_extended_frame:
-                break
-        else:
-            some = ", ".join(f"{message.name} {message.frame_id:#x}" for message in messages[:6])
-            raise LayoutError(f"{self._key}.can_id = {config.can_id:#x}: no such message in {path.name}: {some}")
-        if message.is_multiplexed():
-            raise LayoutError(f"{self._key}.file: message {message.name} is multiplexed, which no output may be")
-        if is_fd(message) != config.fd:
-            raise LayoutError(
-                f"{self._key}.fd = {str(config.fd).lower()}: message {message.name} of {path.name} is "
-                f"{'a CAN FD' if is_fd(message) else 'a classic'} frame"
-            )
-        return message
 
     def _place(self, key: str, name: str, places: dict[str, int]) -> int:
         """Of a signal that carries whole numbers as they are."""

@@ -111,6 +111,30 @@ def is_fd(message: Message) -> bool:
     return bool(message.is_fd) or (message.length > LONGEST_CLASSIC and not _states_format(message))
 
 
+def message_of_node(key: str, path: Path, can_id: int, *, fd: bool, what: str) -> Message:
+    """The one message of a sensor or an output beside the drives. key: its table in the rig file. can_id: 11 bits.
+
+    Raises LayoutError naming the key: the file cannot be read, has no such message, or one of pages or of the other
+    frame format.
+    """
+    try:
+        messages = load_dbc(path).messages
+    except LayoutError as error:
+        raise LayoutError(f"{key}.file: {error}") from None
+    for message in messages:
+        if message.frame_id == can_id and not message.is_extended_frame:
+            break
+    else:
+        some = ", ".join(f"{message.name} {message.frame_id:#x}" for message in messages[:6])
+        raise LayoutError(f"{key}.can_id = {can_id:#x}: no such message in {path.name}: {some}")
+    if message.is_multiplexed():
+        raise LayoutError(f"{key}.file: message {message.name} is multiplexed, which no {what} may be")
+    if is_fd(message) != fd:
+        found = "a CAN FD" if is_fd(message) else "a classic"
+        raise LayoutError(f"{key}.fd = {str(fd).lower()}: message {message.name} of {path.name} is {found} frame")
+    return message
+
+
 def fd_by_length(message: Message) -> bool:
     """Whether its length alone says that it is."""
     return is_fd(message) and not message.is_fd

@@ -5,11 +5,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cantools.database.can import Message
-
 from drivers.frame import FD, FD_LENGTHS, Frame
 from drivers.protocols.base import LayoutError, Reject
-from drivers.protocols.dbc_codec import compile_codec, is_fd, load_dbc
+from drivers.protocols.dbc_codec import compile_codec, message_of_node
 from drivers.sensors.base import Measured
 from drivers.sensors.config import SensorConfig
 
@@ -21,7 +19,9 @@ class DbcSensorFrame:
 
     def __init__(self, name: str, config: SensorConfig, base_dir: Path) -> None:
         self._key = f"sensors.{name}"
-        self.message = message = self._found(config, base_dir / config.file)
+        self.message = message = message_of_node(
+            self._key, base_dir / config.file, config.can_id, fd=config.fd, what="sensor"
+        )
         self.can_ids = (config.can_id,)
         self.problem = ""
         self._fd = config.fd
@@ -44,26 +44,6 @@ class DbcSensorFrame:
             problem = config.unfit(abs(self._factor), min(ends), max(ends))
         if problem:
             raise LayoutError(f"{self._key}: {problem}")
-
-    def _found(self, config: SensorConfig, path: Path) -> Message:
-        try:
-            messages = load_dbc(path).messages
-        except LayoutError as error:
-            raise LayoutError(f"{self._key}.file: {error}") from None
-        for message in messages:
-            if message.frame_id == config.can_id and not message.is_extended_frame:
-                break
-        else:
-            some = ", ".join(f"{message.name} {message.frame_id:#x}" for message in messages[:6])
-            raise LayoutError(f"{self._key}.can_id = {config.can_id:#x}: no such message in {path.name}: {some}")
-        if message.is_multiplexed():
-            raise LayoutError(f"{self._key}.file: message {message.name} is multiplexed, which no sensor may be")
-        if is_fd(message) != config.fd:
-            raise LayoutError(
-                f"{self._key}.fd = {str(config.fd).lower()}: message {message.name} of {path.name} is "
-                f"{'a CAN FD' if is_fd(message) else 'a classic'} frame"
-            )
-        return message
 
     def _place(self, key: str, name: str, places: dict[str, int]) -> int:
         if name and name not in places:

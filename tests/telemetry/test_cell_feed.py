@@ -1,9 +1,8 @@
 """Cells over Zenoh: a client that joins late has the newest word on each, and then what comes."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
-import pytest
 import zenoh
 
 from hil.control.motion.injection.verdict import TOLD, CellResult, Phase, Verdict
@@ -11,21 +10,7 @@ from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.cell_feed import CellFeed
 from hil.telemetry.cell_watch import CellWatch, Told
 from hil.telemetry.publisher import Publisher
-from hil.telemetry.session import client_config
 from tests.support.cells import equipped
-from tests.telemetry.test_sidecar import free_endpoint
-
-
-@pytest.fixture
-def publisher() -> Iterator[Publisher]:
-    with Publisher("hil", "rig", [free_endpoint()]) as publisher:
-        yield publisher
-
-
-@pytest.fixture
-def session(publisher: Publisher) -> Iterator[zenoh.Session]:
-    with zenoh.open(client_config(publisher.listen[0])) as session:
-        yield session
 
 
 def over(watch: CellWatch, number: int, verdict: Verdict, tick: int) -> pb.Cell:

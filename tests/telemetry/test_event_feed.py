@@ -1,7 +1,7 @@
 """Events over Zenoh: a client that joins late has all of them, in order, once; and what it missed it asks for again."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 import zenoh
@@ -11,20 +11,6 @@ from hil.telemetry import events_pb2 as pb
 from hil.telemetry.event_feed import EventFeed
 from hil.telemetry.event_log import KEPT, EventLog, own_event
 from hil.telemetry.publisher import Publisher
-from hil.telemetry.session import client_config
-from tests.telemetry.test_sidecar import free_endpoint
-
-
-@pytest.fixture
-def publisher() -> Iterator[Publisher]:
-    with Publisher("hil", "rig", [free_endpoint()]) as publisher:
-        yield publisher
-
-
-@pytest.fixture
-def session(publisher: Publisher) -> Iterator[zenoh.Session]:
-    with zenoh.open(client_config(publisher.listen[0])) as session:
-        yield session
 
 
 def tell(log: EventLog, *names: str) -> None:
