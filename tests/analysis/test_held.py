@@ -47,6 +47,7 @@ def test_the_time_back_is_that_of_the_slow_pole(kd: float) -> None:
         assert axis.stable == (seconds < OFFSET_S)
 
 
+@pytest.mark.long
 def test_a_slow_loop_is_refused_beyond_ten_minutes_alone() -> None:
     refuse_unstable(stage(kp=0.1, kd=2.0))
     with pytest.raises(RigError, match=r"takes 9\d\d s to come back to 1% \(limit 600 s\)"):

@@ -97,6 +97,7 @@ def test_gain_margin_is_where_the_loop_turns_unstable() -> None:
     assert not np.abs(outside[-100:, 0]).max() < 1e3
 
 
+@pytest.mark.long
 def test_a_law_that_has_not_settled_yet_has_its_margin_all_the_same() -> None:
     """A slow integrator still takes up friction when the pulse comes; that is no part of the loop's answer."""
     slow, plain = (
@@ -109,6 +110,7 @@ def test_a_law_that_has_not_settled_yet_has_its_margin_all_the_same() -> None:
     assert slow.gain_margin == pytest.approx(plain.gain_margin, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_loop_that_circles_for_ever_is_unstable_though_it_forgets_a_pulse() -> None:
     """Friction's sign taken over a width in which it drives more than the law damps."""
     gains = ["law.gains.kp=1930", "law.gains.kd=6.3", "law.gains.sign_width={}"]

@@ -55,6 +55,7 @@ def test_the_pipette_may_come_from_any_side(shaft: float) -> None:
     assert math.dist(seen.tip, optics.tip(ABOVE)) < 1.0
 
 
+@pytest.mark.long
 def test_a_broken_pipette_ends_elsewhere() -> None:
     whole, broken = (seen_of(Optics(), ABOVE._replace(missing=missing)) for missing in (0.0, 5e-4))
     assert whole.tip is not None
@@ -62,6 +63,7 @@ def test_a_broken_pipette_ends_elsewhere() -> None:
     assert broken.tip.column - whole.tip.column == pytest.approx(0.2 * 5e-4 / 2.5e-6, abs=1.0)
 
 
+@pytest.mark.long
 def test_a_bolus_and_a_dimple_are_told_apart_and_measured() -> None:
     empty, dented, full = (
         seen_of(Optics(), ABOVE._replace(dimple=dimple, bolus=bolus))
@@ -74,6 +76,7 @@ def test_a_bolus_and_a_dimple_are_told_apart_and_measured() -> None:
     assert full.dimple == 0.0
 
 
+@pytest.mark.long
 def test_defocus_widens_the_edge_and_moves_nothing() -> None:
     sharp, soft = (Optics(blur=blur, noise=0.005) for blur in (0.8, 4.0))
     first, second = seen_of(sharp, ABOVE), seen_of(soft, ABOVE)

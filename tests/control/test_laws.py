@@ -126,6 +126,7 @@ def test_at_rest_without_error_a_law_asks_for_feedforward_alone(name: str) -> No
         assert controller.force(inputs) == pytest.approx(GRAVITY, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seconds", [2, pytest.param(20, marks=[pytest.mark.slow])])
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if WITH_TUNED in n else []) for n in NAMES])
 def test_a_law_stays_bounded_however_long_the_error_lasts(name: str, seconds: int) -> None:

@@ -64,6 +64,7 @@ def test_the_same_text_under_two_names_is_told_by_each(rig_file: Path) -> None:
     assert all("ZeroDivisionError" in failure for failure in failures)
 
 
+@pytest.mark.long
 @pytest.mark.requirement(id="SR-1.4")
 def test_a_law_that_never_returns_is_given_up(rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call_limit, "CALL_LIMIT_S", 0.3)

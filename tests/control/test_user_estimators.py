@@ -78,6 +78,7 @@ def test_the_rigs_own_filter_written_anew_changes_nothing(more: tuple[str, ...],
     assert np.abs(theirs[1].true - ours[1].true).max() < 1e-12
 
 
+@pytest.mark.long
 def test_nor_do_the_margins_change_by_it(rig_file: Path) -> None:
     ours, theirs = (check_stability(rig).axes for rig in (load_rig(rig_file, QUICK), honest(rig_file)))
     for name, axis in ours.items():

@@ -176,6 +176,7 @@ def _limited(*words: str) -> str:
     return text
 
 
+@pytest.mark.long
 def test_a_task_archive_that_unfolds_is_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("time_s.npy", bytes(2**28))
@@ -197,6 +198,7 @@ def test_a_trace_whose_block_unfolds_is_refused(tmp_path: Path) -> None:
         KINDS["trace-blf"].read(tmp_path / "x.blf")
 
 
+@pytest.mark.long
 def test_a_database_that_never_ends_is_refused(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "x.db") as made:
         made.execute(
@@ -209,6 +211,7 @@ def test_a_database_that_never_ends_is_refused(tmp_path: Path) -> None:
         KINDS["trace-db"].read(tmp_path / "x.db")
 
 
+@pytest.mark.long
 def test_a_compressed_trace_of_one_line_is_refused(tmp_path: Path) -> None:
     with gzip.open(tmp_path / "x.log.gz", "wb") as file:
         for _ in range(64):

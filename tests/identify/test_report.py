@@ -45,6 +45,7 @@ def test_the_curves_of_the_travel_are_friction_and_place(findings: Findings) -> 
     assert curves.friction_at_speed == pytest.approx(COULOMB + VISCOUS * np.abs(curves.speed), abs=0.02)
 
 
+@pytest.mark.long
 def test_each_axis_has_a_row_of_panels(findings: Findings, tmp_path: Path) -> None:
     kinds = {"x": "linear", "theta": "rotary"}
     one_row, two_rows = tmp_path / "one.png", tmp_path / "pictures" / "two.png"

@@ -54,6 +54,7 @@ def test_a_second_identification_is_written_over_the_first_and_its_changes_are_t
     assert changes(old, FOUND) == []
 
 
+@pytest.mark.long
 def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
     source = by_name("rigs", Path("microscope"))
     made = tmp_path / "microscope.toml"

@@ -97,6 +97,7 @@ def test_commands_that_nobody_acknowledged_are_recalled_before_the_drives_get_po
     assert (drives.recalls, drives.waiting) == (1, [])
 
 
+@pytest.mark.long
 def test_a_recall_that_failed_is_tried_until_nothing_waits(tmp_path, monkeypatch):
     drives = UnpoweredDrives(NO_ACK, purges=[False, False])
     loop = run_beside(drives, tmp_path, monkeypatch, ticks=1000)

@@ -88,6 +88,7 @@ realtime._mappings = some_gone
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.geteuid() != 0, reason="others may not lock memory at all")
 def test_memory_that_was_given_back_before_it_could_be_locked_is_no_refusal():
     """To read the list of mappings takes memory: what holds it is in the list, and gone a moment later."""

@@ -77,6 +77,7 @@ def test_a_rig_on_the_bus_is_surveyed_and_left_as_it_was(tmp_path: Path) -> None
     assert emulator.stage.applied_force == [0.0, 0.0]
 
 
+@pytest.mark.long
 def test_drives_that_are_not_there_are_not_ready() -> None:
     status, text = drives()
     assert status == 1
@@ -170,6 +171,7 @@ def test_a_survey_that_is_stopped_ends_without_a_report() -> None:
         assert not survey.done
 
 
+@pytest.mark.long
 def test_drives_are_brought_up_through_an_adapter_that_has_no_driver_in_the_kernel(tmp_path: Path) -> None:
     """`virtual`, python-can's own bus within a process, stands for it; the drives are those of `hil drive`."""
     write_files(tmp_path)

@@ -35,6 +35,7 @@ def press(jog: KeyJog, mover: hil.VirtualMover, text: str, seconds: float = 0.5)
     return goes_on
 
 
+@pytest.mark.long
 def test_a_press_is_a_step_of_its_axis(jog: KeyJog, mover: hil.VirtualMover) -> None:
     begun = mover.status().setpoint
     for text, steps in (

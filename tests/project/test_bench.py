@@ -148,6 +148,7 @@ def test_the_program_that_walks_books_the_slots_that_it_works_through_as_its_own
     assert figures["own_misses"] + figures["host_misses"] >= 20  # at least one a period, two where none begins late
 
 
+@pytest.mark.long
 def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():
     rig = load_rig(RIG)
     figures = measure(rig, RIG.parent, 0.3)
@@ -156,6 +157,7 @@ def test_a_lockstep_block_measures_itself_and_memory_does_not_grow():
     assert allocations_per_tick(rig, RIG.parent, 500) < 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("module", ["tests.benchmarks.__main__", "hil.operate.bench.command"])
 def test_a_list_of_benchmarks_loads_none_of_them(module):
     code = f"import sys; sys.argv = ['hil', 'bench', '--help']; import {module} as command\n"

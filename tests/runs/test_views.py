@@ -145,6 +145,7 @@ class Page(HTMLParser):
         self.words += data
 
 
+@pytest.mark.long
 def test_a_report_needs_nothing_else_and_tells_the_run(run: hil.Simulation, tmp_path: Path) -> None:
     first, second = (run.report(tmp_path / f"{name}.html").read_text() for name in "ab")
     assert first == second

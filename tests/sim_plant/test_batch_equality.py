@@ -27,6 +27,7 @@ plants = st.builds(
 forces = st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-1.5, 1.5)), min_size=1, max_size=6)
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(st.lists(plants, min_size=1, max_size=4), st.sampled_from([1, 12]), forces, st.integers(1, 2 * MS))
 def test_a_batch_is_bit_for_bit_its_members_one_by_one(

@@ -58,6 +58,7 @@ def test_a_command_of_the_host_is_heard_alike(layout: str, command: Command) -> 
     assert heard.sequence == command.sequence % emulated.sequence_modulus
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("layout", LAYOUTS)
 @given(
     command=commands, flip=st.integers(0, 191), flags=st.sampled_from([0, FD]), cut=st.integers(0, 25),
@@ -84,6 +85,7 @@ def test_any_whole_frame_of_stage_fd_is_obeyed_or_refused_alike(body: bytes) -> 
     assert as_told(emulated.decode_command(frame)) == as_told(told.decode_command(frame))
 
 
+@pytest.mark.long
 @given(body=st.binary(min_size=7, max_size=7), spare=st.booleans())
 def test_any_whole_frame_of_stage_classic_is_obeyed_or_refused_alike(body: bytes, spare: bool) -> None:
     _, told, emulated = sides("stage_classic")

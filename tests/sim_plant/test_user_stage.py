@@ -181,6 +181,7 @@ def test_it_travels_with_the_rig_and_its_recording_replays(rig_file: Path, tmp_p
     assert simulate(again, rig_file.parent, 0.4)[0].trace_sha256
 
 
+@pytest.mark.long
 def test_a_sweep_varies_its_masses_and_reproduces_singly(rig_file: Path, tmp_path: Path) -> None:
     rig = leaning(rig_file)
     (job,) = jobs(rig, rig_file.parent, 2, 0.8, seed=1)

@@ -163,6 +163,7 @@ def test_a_figure_that_depends_on_the_step_or_was_not_solved_is_reported_as_unre
     assert len(problems(outcome_of(claim, {first.job: first, finer.job: finer}))) == 3  # bar, step, unsolved
 
 
+@pytest.mark.long
 def test_runs_come_back_from_worker_processes_the_same(runs: dict[Job, Run]) -> None:
     shares: dict[Job, list[float]] = {}
     got = run_claims(

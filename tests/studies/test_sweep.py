@@ -15,6 +15,7 @@ PAPER, MICROSCOPE = RIGS / "paper.toml", RIGS / "microscope-ideal.toml"
 QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.modelling_error=0.1"]
 
 
+@pytest.mark.long
 def test_a_sweep_gives_the_same_numbers_however_plants_are_dealt_out() -> None:
     rig = load_rig(PAPER, [*QUICK, "law.name=structured-kalman"])
     document = rig.model_dump_json()

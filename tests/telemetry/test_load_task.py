@@ -89,6 +89,7 @@ def test_what_cannot_be_done_is_refused_with_its_reason(
     assert asking.load_task(json.dumps(SMALL)).accepted
 
 
+@pytest.mark.long
 def test_bytes_that_are_no_task_and_too_many_of_them_are_refused(client: tuple[CommandClient, CommandBench]) -> None:
     asking, bench = client
     assert "damaged" in asking.command(CommandKind.LOAD_TASK, b"", patience_s=5.0).reason

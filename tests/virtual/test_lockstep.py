@@ -59,6 +59,7 @@ def test_activation_starts_at_rest_where_the_axes_are(lockstep: MakeRun) -> None
     assert np.abs(run.stage.position - [0.01, -0.02]).max() < 1e-3  # the approach begins gently
 
 
+@pytest.mark.long
 def test_the_circle_is_followed_to_a_micrometre_where_nominal_model_and_plant_agree(paper: RigConfig) -> None:
     report, _ = simulate(paper, RIGS, 10.0, observer=Invariants(paper, RIGS).observe)
     assert report.state == "ACTIVE"

@@ -89,6 +89,7 @@ def test_reading_it_in_python_does_not_run_it(folder: Path) -> None:
     assert not (folder / "mark").exists()
 
 
+@pytest.mark.long
 def test_a_replay_that_was_asked_runs_it_where_it_cannot_write(folder: Path) -> None:
     done = command("replay R --run-its-code", folder)
     assert done.returncode == 0, done.stderr
@@ -109,6 +110,7 @@ def test_code_that_was_trusted_needs_no_asking_and_other_code_does(folder: Path)
     assert not (folder / "mark").exists()
 
 
+@pytest.mark.long
 def test_the_readers_own_law_runs_beside_a_recording_of_ours(folder: Path) -> None:
     hil.simulate(folder / "rig.toml", 0.3, record=folder / "ours.mcap")
     (folder / "mine.py").write_text(LAW)

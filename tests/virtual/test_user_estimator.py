@@ -77,6 +77,7 @@ def test_its_text_is_part_of_the_rig_and_travels_with_it(rig_file: Path, tmp_pat
     assert "class Luenberger" in recording.report(tmp_path / "run.html").read_text()
 
 
+@pytest.mark.long
 def test_compare_and_sweep_take_it_along(rig_file: Path, tmp_path: Path) -> None:
     row = run_case(Case(str(rig_file), "robust-pd", "nominal", 1000.0, MADE, 1.0))
     assert (row["state"], row["faults"]) == ("ACTIVE", {})

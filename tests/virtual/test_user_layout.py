@@ -42,6 +42,7 @@ def wrong(rig_file: Path, text: str) -> RigConfig:
     return load_rig(rig_file, ["bus.protocol=./wrong.py:Wrong", *QUICK])
 
 
+@pytest.mark.long
 @pytest.mark.replaces_methods
 def test_a_call_of_what_a_user_brought_is_over_before_the_next_begins(
     rig_file: Path, monkeypatch: pytest.MonkeyPatch

@@ -223,6 +223,7 @@ def run_check(tmp_path: Path, *options: str) -> tuple[int, dict[str, object], Pa
     return result.exit_code, json.loads(report.read_text()), picture
 
 
+@pytest.mark.long
 def test_hil_check_reports_a_rig_that_fits(tmp_path: Path) -> None:
     status, document, picture = run_check(tmp_path)
     assert status == 0
@@ -235,6 +236,7 @@ def test_hil_check_reports_a_rig_that_fits(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_hil_check_exits_78_naming_frame_and_margin_when_a_rig_does_not_fit(tmp_path: Path) -> None:
     status, document, picture = run_check(tmp_path, "--set", "bus.protocol=stage_classic", "--set", "rate_hz=1500")
     assert status == EXIT_CONFIG
