@@ -49,7 +49,7 @@ HOMES = {"hil/control/": "hil/floats/", "sim_plant/physics/": "sim_plant/floats/
 # What works for one rig alone, and so imports those modules from the copies.
 ONE_RIG = """
 hil/cycle: axes command_desk commissioning damped_stop decided_motion drive_clock fault_evidence fault_monitor
-hil/cycle: fault_table gate goal_desk inbox limits oscillation output_gate reading_faults readings record_builder
+hil/cycle: fault_table gate goal_desk guards inbox limits oscillation output_gate reading_faults readings record_builder
 hil/cycle: rest_watch sampling state_machine step supervisor tick travel withdrawal
 hil/live: loop miss_ledger pacing timing_record
 sim_plant/physics: events native_axis real_axis single_axis single_stage

@@ -3,7 +3,7 @@
 Rules:
 - In one tick, in this order: faults, the process's own end (SIGTERM), the operator's commands, and last what the state
   itself waits for (axes ready, drives enabled, at home, at rest). So no command outruns a fault of the same tick.
-- The table in state_machine.py says which transitions exist. Guards, here, refuse events that the table allows:
+- The table in state_machine.py says which transitions exist. Guards (guards.py) refuse events that the table allows:
   ACTIVATE and HOME without a recorder, real time or heartbeat that the rig asks for; RESET while its cause is there;
   all three while an axis moves. ACTIVATE is refused where the task from here would break a limit
   (hil/analysis/start_ranges.py), and with LOAD_TASK where an axis is yet to be homed (homing.py). HOME is refused
@@ -23,7 +23,6 @@ which asks the state machine and, where the state has changed (or was reset), `_
 What the rest of the cycle needs to know of all this is `state`, `silent`, `sends` and `take_reset`.
 """
 
-from collections.abc import Sequence
 from typing import Final
 
 from drivers.bus.counters import BusState
@@ -41,6 +40,7 @@ from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.goal import MotionWord
 from hil.cycle.goal_desk import GoalDesk
+from hil.cycle.guards import Guards
 from hil.cycle.homing import Homing
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import motion_limits, path_accelerations
@@ -52,7 +52,6 @@ from hil.cycle.tick import CommandKind, Tick
 from hil.cycle.withdrawal import WITHIN_S, Withdrawal
 from hil.rig.schema import RigConfig
 
-_FROM_REST: Final = frozenset({Event.ACTIVATE, Event.HOME, Event.RESET})
 REST_TICKS: Final = 200  # most that an axis pushed by hand keeps the rig from READY; then it is STANDSTILL
 RESET_TICKS: Final = 3  # with the reset bit clear, then set: drives see its edge even if two frames of each are lost
 
@@ -93,6 +92,7 @@ class Supervisor:
         self.way_out = None if retreat is None else Withdrawal(retreat, rig, limits)
         self.released: list[bool] | None = None
         self.homing = homing
+        self.guards = Guards(rig, monitor, axes, self.commands, homing, self.way_out)
         self._went = 0.0  # m/s, velocity of the way out's axis when its torque ended
         self._reset_ticks = self._ready_ticks = self._waited_for_enable = self._stopping_since_ns = 0
 
@@ -110,7 +110,9 @@ class Supervisor:
     def tip(self) -> str:
         """That the tip stays beyond its safe height, and how it comes out, for people; empty where it does not."""
         way_out = self.way_out
-        if way_out is None or self.machine.state in TORQUE_STATES or not self._sampling.tracked or self._homeless():
+        if way_out is None or self.machine.state in TORQUE_STATES:
+            return ""
+        if not self._sampling.tracked or self.guards.homeless():
             return ""
         axis = way_out.axis
         seen = bool(self._inbox.fresh[axis])
@@ -148,17 +150,10 @@ class Supervisor:
         if before is not MotionWord.NONE and self.released is None:
             self.goals.advance(tick.goals, self._path_from)
             decided = self.goals.decided
-            if before is MotionWord.MOTION and decided is not None and decided.failure and self._inside():
+            if before is MotionWord.MOTION and decided is not None and decided.failure and self.guards.inside():
                 self._handle(Event.STOP, tick)
         elif tick.goals:
             self.goals.refuse(tick.goals)
-
-    def _inside(self) -> bool:
-        """Whether the tip is beyond its safe height, or on its way there."""
-        way_out = self.way_out
-        if way_out is None or self._homeless():
-            return False
-        return way_out.needed(self._axes.measured[way_out.axis], self._axes.ahead_velocity()[way_out.axis])
 
     def _path_from(self, position: list[float]) -> Trajectory | None:
         """The task's plan from rest; None where it may not begin there."""
@@ -186,31 +181,9 @@ class Supervisor:
         self._reset_ticks = max(0, self._reset_ticks - 1)
         return reset
 
-    # guards -----------------------------------------------------------------------------------------------------------
-
     def _operate(self, event: Event, tick: Tick) -> bool:
-        """An operator's event, after the guards the table cannot express."""
-        if event in (Event.ACTIVATE, Event.HOME) and not self._may_activate(tick):
-            return False
-        if event is Event.HOME and self._inside():
-            return False
-        if event is Event.ACTIVATE and self._homeless():
-            return False
-        if event is Event.ACTIVATE and not self.commands.hold_asked and not self._may_begin_here():
-            return False
-        if event is Event.RESET and (self._monitor.blocks_reset() or tick.port.state >= BusState.BUS_OFF):
-            return False
-        if event in _FROM_REST and self.machine.state is not State.CONNECTED and self._moves():
-            return False
-        return self._handle(event, tick)
-
-    def _homeless(self) -> bool:
-        """Whether positions mean nothing yet: HOMING_REQUIRED."""
-        return self.homing is not None and self.homing.required
-
-    def _moves(self) -> bool:
-        """Whether an axis is not known to rest although it has no torque."""
-        return any(watch.restless for watch in self._monitor.rest)
+        """An operator's event, where no guard is against it."""
+        return self.guards.allow(event, tick, self.machine.state, self.start_ranges) and self._handle(event, tick)
 
     @property
     def at_rest(self) -> bool:
@@ -226,30 +199,9 @@ class Supervisor:
         if kind == CommandKind.SET_LAW:
             return tick.law is not None and self._axes.take_law(tick.law)
         task = tick.task
-        if task is None or self._homeless() or not self._within(task.start_ranges):
+        if task is None or self.guards.homeless() or not self.guards.within(task.start_ranges):
             return False
         self._plan, self.start_ranges = task.plan, list(task.start_ranges)
-        return True
-
-    def _may_activate(self, tick: Tick) -> bool:
-        rig = self._rig
-        if not tick.rig_ok or (rig.telemetry.recording_required and not tick.recorder_ok):
-            return False
-        if not tick.realtime_ok and not rig.timing.allow_degraded:
-            return False
-        heartbeat_ns = self.commands.heartbeat_ns
-        alive = heartbeat_ns is not None and tick.now_ns - heartbeat_ns <= rig.safety.heartbeat_s * 1e9
-        return not rig.safety.heartbeat_s or alive
-
-    def _may_begin_here(self) -> bool:
-        """The task keeps every limit from where each axis stands."""
-        return self._within(self.start_ranges)
-
-    def _within(self, ranges: Sequence[tuple[float, float]]) -> bool:
-        for axis, position in enumerate(self._axes.measured):
-            low, high = ranges[axis]
-            if not low <= position <= high:
-                return False
         return True
 
     # entering a state -------------------------------------------------------------------------------------------------
@@ -336,7 +288,7 @@ class Supervisor:
         healthy = all(self._inbox.fresh) and not any(s is None or s.status & UNHEALTHY for s in samples)
         self._ready_ticks = self._ready_ticks + 1 if healthy and tick.port.state <= BusState.ERROR_PASSIVE else 0
         waited = self._ready_ticks - self._rig.safety.ready_ticks
-        if waited >= REST_TICKS or (waited >= 0 and not self._moves()):
+        if waited >= REST_TICKS or (waited >= 0 and not self.guards.moves()):
             self._handle(Event.AXES_READY, tick)
 
     def _await_enable(self, tick: Tick) -> None:
@@ -392,7 +344,7 @@ class Supervisor:
         if way_out is None or not self.enabled or self.goals.word is MotionWord.NONE:
             return
         way_out.begin()
-        if self._inside() and way_out.sound(self._monitor):
+        if self.guards.inside() and way_out.sound(self._monitor):
             way_out.due(tick.now_ns, self.goals.withdraw(way_out.axis, way_out.safe, WITHIN_S))
             self.released = way_out.released
 

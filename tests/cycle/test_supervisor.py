@@ -100,7 +100,7 @@ def test_a_task_may_begin_at_both_ends_of_its_ranges_and_not_beyond() -> None:
         (math.nan, 0.0, False),
     ):
         cycle.axes.measured = [x, y]
-        assert supervisor._may_begin_here() is may, (x, y)
+        assert supervisor.guards.within(supervisor.start_ranges) is may, (x, y)
 
 
 def test_a_heartbeat_counts_up_to_its_age_and_not_a_nanosecond_longer() -> None:
@@ -108,7 +108,7 @@ def test_a_heartbeat_counts_up_to_its_age_and_not_a_nanosecond_longer() -> None:
     supervisor = cycle.supervisor
     for heard, now, may in ((None, 0, False), (0, 500_000_000, True), (7, 500_000_007, True), (7, 500_000_008, False)):
         supervisor.commands.heartbeat_ns = heard
-        assert supervisor._may_activate(Tick(1, now, now, PortCounters())) is may, (heard, now)
+        assert supervisor.guards.may_activate(Tick(1, now, now, PortCounters())) is may, (heard, now)
 
 
 @pytest.mark.requirement(id="SR-5.4")
@@ -124,8 +124,8 @@ def test_a_heartbeat_counts_up_to_its_age_and_not_a_nanosecond_longer() -> None:
 )
 def test_what_keeps_an_operator_from_activating(missing: str, overrides: list[str], may: bool) -> None:
     supervisor = ControlCycle(paper(*overrides), RIGS).supervisor
-    assert supervisor._may_activate(Tick(1, 0, 0, PortCounters()))
-    assert supervisor._may_activate(Tick(1, 0, 0, PortCounters(), **{missing: False})) is may  # type: ignore[arg-type]
+    assert supervisor.guards.may_activate(Tick(1, 0, 0, PortCounters()))
+    assert supervisor.guards.may_activate(Tick(1, 0, 0, PortCounters(), **{missing: False})) is may  # type: ignore[arg-type]
 
 
 def test_after_a_reset_every_axis_is_to_be_heard_anew_before_its_position_counts() -> None:

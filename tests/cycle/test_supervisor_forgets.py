@@ -100,10 +100,10 @@ def test_drives_that_were_enabled_are_asked_anew() -> None:
 
 def test_whichever_axis_moves_keeps_the_operator_waiting() -> None:
     supervisor = ready().cycle.supervisor
-    assert not supervisor._moves()
+    assert not supervisor.guards.moves()
     for watch in supervisor._monitor.rest:
         watch.restless = True
-        assert supervisor._moves()
+        assert supervisor.guards.moves()
         watch.restless = False
 
 

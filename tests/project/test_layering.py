@@ -47,7 +47,7 @@ FILES = {
         "storm event table"
     ),
     "cycle": (
-        "step supervisor withdrawal homing press_watch axis_homing goal_desk decided_motion commissioning axes "
+        "step supervisor guards withdrawal homing press_watch axis_homing goal_desk decided_motion commissioning axes "
         "record_builder limits damped_stop "
         "sampling drive_clock reading_faults fault_monitor rest_watch travel oscillation fault_evidence fault_table "
         "inbox readings record gate output_gate command_desk state_machine tick goal"
