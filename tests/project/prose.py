@@ -30,7 +30,6 @@ REFERENCE = {
     "states.md",
     "answers.md",
     "laws-measured.md",
-    "what-costs-what.md",
 }
 GIVEN_UP = {
     r"\bwhoever\b": "who, or the role: operator, reader, client",
