@@ -8,6 +8,7 @@ so far, which every member maps into its memory.
 import contextlib
 import errno
 import fcntl
+import mmap
 import os
 import re
 import socket
@@ -89,12 +90,12 @@ def address(path: Path) -> Iterator[str]:
         os.close(fd)
 
 
-def shared_count(lock: int, directory: Path) -> memoryview:
-    """The number in the channel's lock file, shared with every other member; lives as long as it is referred to.
+def shared_count(lock: int, directory: Path) -> mmap.mmap:
+    """The number in the channel's lock file, shared with every other member; `unmap` ends it.
 
     Its block is there: else a full file system would be a SIGBUS at the first frame. Raises OSError that names
     `directory`.
     """
     with naming(directory):
         os.posix_fallocate(lock, 0, COUNT_BYTES)
-    return memoryview(map_shared(lock, COUNT_BYTES)).cast("Q")
+    return map_shared(lock, COUNT_BYTES)

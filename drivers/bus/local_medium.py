@@ -24,12 +24,14 @@ Frames never leave the machine: AF_UNIX cannot carry them.
 import contextlib
 import errno
 import itertools
+import mmap
 import os
 import select
 import socket
 import threading
 from pathlib import Path
 
+from drivers.base.shared_map import unmap
 from drivers.bus.counters import BusState
 from drivers.bus.local_channel import (
     COUNT_BYTES,
@@ -66,6 +68,7 @@ class LocalMedium:
         self._few: list[int] | None = []  # the links' descriptors, where there are no more than _FEW
         self._poll = select.epoll()  # links and listening socket, once anybody waits for them
         self._watched = False
+        self._shared: mmap.mmap | None = None
         self._joined = memoryview(bytes(COUNT_BYTES)).cast("Q")  # [0]: how many have ever joined; all members share it
         self._seen = 0  # of them
         self._listening = packet_socket()
@@ -82,7 +85,8 @@ class LocalMedium:
 
     def _join(self, directory: Path) -> None:
         with locked(directory) as lock:
-            self._joined = shared_count(lock, directory)
+            self._shared = shared_count(lock, directory)
+            self._joined = memoryview(self._shared).cast("Q")
             for path in sorted(directory.glob(LISTENING_SOCKETS)):
                 self._connect(path)
             self._listen(directory)
@@ -253,3 +257,7 @@ class LocalMedium:
             link.close()
         self._listening.close()
         self._poll.close()
+        if self._shared is not None:
+            self._joined.release()
+            unmap(self._shared)
+            self._shared, self._joined, self._seen = None, memoryview(bytes(COUNT_BYTES)).cast("Q"), 0

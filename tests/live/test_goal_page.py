@@ -3,6 +3,7 @@
 import os
 import struct
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ MOVE = Goal(
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> GoalPage:
-    return GoalPage.create(tmp_path / "goals")
+def page(tmp_path: Path) -> Iterator[GoalPage]:
+    with GoalPage.create(tmp_path / "goals") as page:
+        yield page
 
 
 def test_an_empty_page_holds_no_goal_and_is_private(page: GoalPage) -> None:

@@ -2,6 +2,7 @@
 
 import mmap
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,9 @@ from hil.live.mailbox import SIZE, SLOTS, Mailbox, MailboxError
 
 
 @pytest.fixture
-def box(tmp_path: Path) -> Mailbox:
-    return Mailbox.create(tmp_path / "mailbox")
+def box(tmp_path: Path) -> Iterator[Mailbox]:
+    with Mailbox.create(tmp_path / "mailbox") as box:
+        yield box
 
 
 def test_an_empty_mailbox_holds_no_command(box: Mailbox) -> None:

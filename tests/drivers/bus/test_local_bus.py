@@ -131,6 +131,14 @@ def test_nothing_is_left_behind_and_nobody_else_may_enter(join: OpenPort) -> Non
     assert list(directory.glob("*.sock")) == []
 
 
+def test_who_leaves_keeps_nothing_open() -> None:
+    def left_open() -> int:
+        LocalMedium("can0", depth=8).close()
+        return len(os.listdir("/proc/self/fd"))
+
+    assert left_open() == left_open()
+
+
 def test_a_path_too_long_for_a_socket_address_works_too(
     join: OpenPort, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
