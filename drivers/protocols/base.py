@@ -118,6 +118,7 @@ class HostProtocol(Protocol):
     tells: int  # DriveStatus bits that its answers can carry: what a rig may ask of it (hil/rig/layout.py)
     states: bool  # drives say whether they are enabled or in fault
     causes: bool  # every answer says what is wrong with its drive, not only that something is
+    resets: bool  # a command can tell drives to clear what they latched
     fd: bool
     positions: Sequence[tuple[float, float]]  # by axis, the least and greatest count that a sample can carry
     echo_id: int | None  # own frame that triggers sampling and whose echo `decode` wants (drivers.frame.ECHO)

@@ -48,7 +48,8 @@ class HostSide(ABC):
 
     sequence_modulus: an answer says which command it answers, modulo so much; 0: it does not.
     checksum: frames carry one besides CAN's own. states: drives say whether they are enabled or in fault. causes: every
-    answer says what is wrong with its drive, not only that something is. fd: CAN FD frames.
+    answer says what is wrong with its drive, not only that something is. resets: a command can tell drives to clear
+    what they latched. fd: CAN FD frames.
     positions: by axis, the least and greatest count that an answer can carry; empty: those of 32 bits.
     echo_id: identifier of the own frame at whose end the drives sample; None where samples carry stamps of their own.
     acts_ns: of drives that sample in their own time, ns per axis from the tick's start until a torque acts; else empty.
@@ -61,6 +62,7 @@ class HostSide(ABC):
     checksum: bool = False
     states: bool = False
     causes: bool = False
+    resets: bool = True
     tells: int = OF_DRIVES
     fd: bool = False
     positions: Sequence[tuple[float, float]] = ()

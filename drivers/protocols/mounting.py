@@ -82,6 +82,7 @@ class MountedHost:
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
+        self.resets = layout.resets
         self.tells, self.stamp_wraps_ns = layout.tells, layout.stamp_wraps_ns
         self.fd, self.echo_id, self.acts_ns = layout.fd, layout.echo_id, layout.acts_ns
         self.echo_ids: Sequence[int | None] = echo_ids(layout)

@@ -44,6 +44,7 @@ class SegmentedHost:
         self.checksum = all(layout.checksum for layout in self.segments)
         self.states = all(layout.states for layout in self.segments)
         self.causes = all(layout.causes for layout in self.segments)
+        self.resets = all(layout.resets for layout in self.segments)
         self.tells = functools.reduce(and_, (layout.tells for layout in self.segments))
         self.stamp_wraps_ns: Sequence[int] = [wrap for layout in self.segments for wrap in layout.stamp_wraps_ns]
         self.n_axes = sum(layout.n_axes for layout in self.segments)

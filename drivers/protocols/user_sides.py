@@ -21,7 +21,7 @@ from drivers.protocols.sampling_clock import SamplingClock
 
 FARTHEST = 2**53  # counts that a float still tells apart
 _COUNTS = ("sequence_modulus", "state_ns")
-_SWITCHES = ("checksum", "states", "causes", "fd")
+_SWITCHES = ("checksum", "states", "causes", "resets", "fd")
 
 
 class Maker:
@@ -67,7 +67,7 @@ class UserHost:
         self._failure = self._garbled = ""
         self._decoding, self._encoding = Limited(self._undecoded), Limited(self._unsent)
         self.sequence_modulus, self.state_ns = (self._count(name) for name in _COUNTS)
-        self.checksum, self.states, self.causes, self.fd = (self._switch(name) for name in _SWITCHES)
+        self.checksum, self.states, self.causes, self.resets, self.fd = (self._switch(name) for name in _SWITCHES)
         self.tells = int(self._of_side("tells")) & EVERY_STATUS
         self.stamp_wraps_ns: Sequence[int] = ()
         self.positions: Sequence[tuple[float, float]] = self._positions()

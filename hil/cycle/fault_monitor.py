@@ -40,6 +40,7 @@ _BLOCKING: Final = sum(1 << f for f, rule in ROWS.items() if rule.reaction >= Re
 _STATUS_FAULTS: Final = [(int(rule.status), fault) for fault, rule in ROWS.items() if rule.status]
 _BAD_STATUS: Final = sum(bits for bits, _ in _STATUS_FAULTS)
 NO_ACK_TICKS: Final = 2  # in a row
+RECORDER_FIRST_NS: Final = 1_000_000_000  # a recorder's first sign may take as long as each further one
 _ARMED: Final = [sum(1 << fault for fault, rule in ROWS.items() if state in rule.states) for state in State]
 
 
@@ -70,6 +71,7 @@ class FaultMonitor:
         self.switched = [axis for axis, limits in enumerate(self._axes) if limits.switches]
         self.closed = [0] * len(axes)  # limit switches, as DriveStatus bits
         self._known = [0] * len(axes)  # of these, those that were closed at a reset, or are homed on: no fault
+        self._recorder_due = RECORDER_FIRST_NS // period_ns  # ticks in which it may have yet to begin
         self.active = 0
         self.evidence: list[Evidence] = []
         self.counts = [0] * len(Fault)
@@ -193,7 +195,11 @@ class FaultMonitor:
         """What makes a new ACTIVE unacceptable without stopping a running one."""
         if not tick.realtime_ok:
             self.withdraw(Fault.REALTIME_DENIED)
-        if not tick.recorder_ok:
+        if tick.recorder_ok:
+            self._recorder_due = 0
+        elif self._recorder_due:
+            self._recorder_due -= 1
+        else:
             self.withdraw(Fault.RECORDER_LOST)
         if not tick.rig_ok:
             self.withdraw(Fault.RIG_CHANGED)

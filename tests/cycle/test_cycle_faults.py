@@ -85,6 +85,24 @@ def test_a_recorder_lost_while_active_stops_nothing_and_is_counted() -> None:
     assert run.cycle.monitor.counts[Fault.RECORDER_LOST] == 50
 
 
+@pytest.mark.requirement(id="SR-5.4")
+def test_a_recorder_has_a_second_to_begin_in_which_it_is_not_lost_but_activate_is_refused() -> None:
+    rig = paper("telemetry.recording_required=true")
+    run = Posted(rig, activate_once())
+    run.grants["recorder_ok"] = False
+    assert run.go(round(rig.rate_hz)).cycle.state is State.READY
+    assert run.cycle.monitor.counts[Fault.RECORDER_LOST] == 0
+    run.go(1)
+    assert run.cycle.monitor.counts[Fault.RECORDER_LOST] == 1
+
+
+def test_a_recorder_that_was_there_is_lost_in_the_tick_without_it() -> None:
+    run = Posted(paper(), activate_once()).go(1)
+    run.grants["recorder_ok"] = False
+    run.go(READY_BY)
+    assert run.cycle.monitor.counts[Fault.RECORDER_LOST] == READY_BY
+
+
 HEARTBEAT_TICKS = 40
 
 

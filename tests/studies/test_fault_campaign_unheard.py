@@ -1,11 +1,11 @@
-"""What the campaign asks of drives that do not hear the host: zero by their own watchdog, and no more."""
+"""What the campaign asks of drives that do not hear the host, or no reset: what they do by themselves, and no more."""
 
 import pytest
 
 from hil.rig.file import load_rig
 from hil.studies.fault_campaign.catalogue import TRIALS
-from hil.studies.fault_campaign.checkpoints import bring_to, checkpoints
-from hil.studies.fault_campaign.layout_capabilities import Capability
+from hil.studies.fault_campaign.checkpoints import READY, CampaignRun, bring_to, checkpoints
+from hil.studies.fault_campaign.layout_capabilities import Capability, fixed_capabilities
 from hil.studies.fault_campaign.matrix import Cell, displaced, run_cell
 from hil.studies.fault_campaign.trial import Trial
 from sim_plant.drives.servo import ServoDrive
@@ -46,3 +46,31 @@ def test_drives_without_a_watchdog_fail_the_same_cell(monkeypatch: pytest.Monkey
     cell = cell_of_silence()
     assert not cell.passed
     assert "the drives" in cell.why
+
+
+RESETS = "started again, and the operator resets"
+
+
+def cell_of_reset(*overrides: str) -> Cell:
+    """The operator resets drives that have tripped."""
+    run = bring_to(displaced(load_rig(RIGS / "paper-dbc.toml", overrides)), RIGS, READY)
+    return run_cell(trial_named(RESETS).over(fixed_capabilities(run.cycle.protocol)), READY, 0, run)
+
+
+@pytest.mark.long
+def test_drives_that_hear_no_reset_keep_what_they_latched_and_the_cell_says_why() -> None:
+    with_reset, without = cell_of_reset(), cell_of_reset("bus.dbc.reset=[]")
+    assert [(cell.why, cell.lacking) for cell in (with_reset, without)] == [("", ""), ("", "no reset")]
+
+
+@pytest.mark.long
+@pytest.mark.replaces_methods
+def test_drives_that_are_reset_although_they_hear_none_fail_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = CampaignRun.restart
+
+    def denying(run: CampaignRun) -> None:
+        honest(run)
+        run.cycle.protocol.resets = False
+
+    monkeypatch.setattr(CampaignRun, "restart", denying)
+    assert cell_of_reset().why == "ended READY, expected CONNECTED"

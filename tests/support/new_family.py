@@ -47,7 +47,7 @@ class _Ends:
 
 
 class Host(_Ends):
-    checksum, states, causes, acts_ns, state_ns, problems = False, True, True, (), 0, ()
+    checksum, states, causes, resets, acts_ns, state_ns, problems = False, True, True, True, (), 0, ()
     tells, stamp_wraps_ns = OF_DRIVES, ()
 
     def __init__(self, wiring):

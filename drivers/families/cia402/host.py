@@ -122,6 +122,7 @@ class Cia402Host:
     checksum = False
     states = True
     causes = False  # a statusword says FAULT; why, an emergency message does
+    resets = True
     fd = False
     echo_id: int | None = cia301.SYNC_ID
     acts_ns: Sequence[int] = ()

@@ -105,6 +105,7 @@ class DbcLayout:
         self.states = bool(self._status)
         self.stamp_wraps_ns: Sequence[int] = ()
         self.causes = bool(self._maps) and all(meanings is None for meanings in self._maps)
+        self.resets = bool(self._reset)
         self.tells = self._carried()
         self.axis_tells = [sum(each.bit for each in self._inputs if each.axis == axis) for axis in range(n_axes)]
         self.checksum = all(message.checksum_at >= 0 for message in self._pages)

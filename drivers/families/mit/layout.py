@@ -75,6 +75,7 @@ class MitLayout:
     name = "mit"
     sequence_modulus = 0
     checksum = causes = False  # no answer tells every cause: Damiao's none of the encoder, others none of a timeout
+    resets = True
     fd = False
     state_ns = 0
 

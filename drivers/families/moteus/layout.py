@@ -73,6 +73,7 @@ class MoteusLayout:
     checksum = False
     states = True
     causes = True
+    resets = True
     tells = OF_DRIVES
     fd = True
     state_ns = 0

@@ -34,6 +34,7 @@ class StageLayout:
     checksum = True
     states = True
     causes = True
+    resets = True
     problems: Sequence[str] = ()
     _wrap_ns: int  # of the time stamp
 

@@ -36,7 +36,7 @@ ROWS: Final = (
         32,
         "RECORDER_LOST",
         requirement="SR-5.4",
-        seen_by="the sidecar's heartbeat",
+        seen_by="the sidecar's heartbeat; before the first one, a second without it",
         after="ACTIVATE is refused if telemetry.recording_required",
         reaction=Reaction.COUNT,
         states=ALWAYS,

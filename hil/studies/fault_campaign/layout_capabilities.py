@@ -24,6 +24,7 @@ class Capability(Flag):
     CHECKSUM = auto()
     STATE = auto()
     CAUSE = auto()
+    RESET = auto()
     ROOM = auto()
     NODES = auto()
     STAMPS = auto()
@@ -68,6 +69,12 @@ TEXTS: dict[Capability, Text] = {
         "a drive's fault is seen as soon as elsewhere, and answered the same; that its watchdog or its encoder was the "
         "cause comes in a message of its own, later or never, so the fault that latches is drive_fault",
     ),
+    Capability.RESET: Text(
+        "a drive clears what it latched when it is told to",
+        "no reset",
+        "a drive that tripped stays so until it is cleared by other means, such as its supply: after a restart the rig "
+        "stays CONNECTED, and a reset does not change that",
+    ),
     Capability.STAMPS: Text(
         "answers carry the drive's own time",
         "no time stamp",
@@ -94,6 +101,7 @@ def fixed_capabilities(protocol: HostProtocol) -> Capability:
     capabilities |= Capability.STAMPS if any(protocol.stamp_wraps_ns) else NONE
     capabilities |= Capability.STATE if protocol.states else NONE
     capabilities |= Capability.CAUSE if protocol.causes else NONE
+    capabilities |= Capability.RESET if protocol.resets else NONE
     capabilities |= Capability.SEQUENCE if protocol.sequence_modulus else NONE
     return capabilities | (Capability.CHECKSUM if protocol.checksum else NONE)
 

@@ -7,6 +7,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.schema import RigConfig
 from hil.studies.fault_campaign.checkpoints import CampaignRun
+from hil.studies.fault_campaign.layout_capabilities import Capability
 from hil.studies.fault_campaign.trial import Limit, Step, Trial, ticks, watchdog
 
 _BRIEFLY = 2  # ticks: no drive has noticed
@@ -41,6 +42,11 @@ def _as_found(run: CampaignRun) -> set[State]:
     return {State.CONNECTED} if run.latched else {State.CONNECTED, State.READY}
 
 
+def _as_reset(run: CampaignRun) -> set[State]:
+    """Where the operator gets the new process to; drives that hear no reset keep what they latched."""
+    return {State.CONNECTED} if run.latched and not run.cycle.protocol.resets else {State.READY}
+
+
 RESTARTS = (
     Trial(
         "started again at once", _restarted(_BRIEFLY), per_axis=False, ends=_as_found, slack=watchdog, watch=_CONFIGURED
@@ -52,7 +58,8 @@ RESTARTS = (
         "started again, and the operator resets",
         _restarted_and_reset,
         per_axis=False,
-        ends=lambda run: {State.READY},
+        ends=_as_reset,
+        needs=Capability.RESET,
         watch=_CONFIGURED,
     ),
 )
