@@ -119,8 +119,11 @@ def _options(
 
 
 def build_app(wanted: str | None) -> typer.Typer:
-    """The command line with `wanted` loaded and all others as lines of help."""
-    app = typer.Typer(cls=Overview, no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+    """The command line with `wanted` loaded and all others as lines of help.
+
+    Help is plain text: rich cuts words off where a terminal is narrow, and takes as long to load as numpy.
+    """
+    app = typer.Typer(cls=Overview, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
     app.callback(help=OVERVIEW)(_options)
     for group, entries in COMMANDS.items():
         add_commands(app, entries, wanted, group)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import typer
 from typer.core import TyperGroup
 
 FORMER_SPELLINGS = {"--output": "--out", "--jobs": "--workers"}  # of 0.1.0; taken for one more version
@@ -11,7 +10,7 @@ WORDS = {"Path": "PATH", "str": "TEXT", "int": "NUMBER", "float": "NUMBER", "boo
 
 
 class Overview(TyperGroup):
-    """The list of all commands, by groups, without rich: loading it takes as long as loading numpy."""
+    """The list of all commands, by groups."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """See click. Without a word, the list is shown."""
@@ -19,11 +18,6 @@ class Overview(TyperGroup):
             print(ctx.get_help())
             ctx.exit(2)
         return super().parse_args(ctx, args)
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """See click."""
-        self.rich_markup_mode = None
-        super().format_help(ctx, formatter)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """See click."""
@@ -38,17 +32,10 @@ class Overview(TyperGroup):
 
 
 def in_words(command: Any) -> Any:
-    """A click command, or a group with all below it, whose help names types in words and shows every bracket.
-
-    Typer reads help as markup of rich, which takes "[table]" for a style and drops it.
-    """
+    """A click command, or a group with all below it, whose help names types in words."""
     for below in getattr(command, "commands", {}).values():
         in_words(below)
-    for parameter in [*command.params, command.get_help_option(typer.Context(command))]:
-        if parameter.help and "[" in parameter.help:
-            from rich.markup import escape  # which half of all commands have no use for
-
-            parameter.help = escape(parameter.help)
+    for parameter in command.params:
         if parameter.param_type_name == "option" and parameter.metavar is None:
             parameter.metavar = _word(parameter)
         if parameter.param_type_name == "argument":

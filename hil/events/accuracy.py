@@ -12,7 +12,8 @@ is said. Two windows in a row beyond their bound are an event, which says what i
 - encoder jump: a step, in one tick, that neither the force nor friction explains. Those that are larger than the axis'
   speed allows are faults.
 - encoder stuck: not one new count in a whole window, where the setpoint moved, or where an axis at rest showed many in
-  every window before. An axis without noise rests on one count for ever, and is not suspected.
+  every window before. An axis without noise rests on one count for ever, and is not suspected. One that sets off or
+  turns back is held by friction at first: it takes two windows.
 """
 
 from collections import defaultdict
@@ -239,7 +240,9 @@ class _Judge:
             "the encoder or the drive shows an old value, or the axis is blocked",
             "stop the stage; check the encoder's head and cable, then hil command NAME reset",
         )  # fmt: skip
-        return self._once("stuck", loss, windows=1)
+        # Friction holds an axis that sets off or turns back until the force has grown: that takes a window more.
+        steady = resting or bool(abs(np.sign(axis["setpoint_velocity"]).sum()) == len(axis["position"]))
+        return self._once("stuck", loss, windows=1 if steady else LOST_IN)
 
     def _shaken(
         self, axis: dict[str, Floats], figures: dict[str, float], *, resting: bool

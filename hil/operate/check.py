@@ -175,7 +175,7 @@ def bus_table(rig: RigConfig, analysis: Analysis) -> Table:
     table = Table(title=title, title_justify="left")
     for column in ("frame", "id", "from"):
         table.add_column(column, no_wrap=True)
-    for column in ("bytes", "bits", "time", "worst", "deadline", "margin"):
+    for column in ("bytes", "bits", "time", "worst", "due", "margin"):  # all of a stage fit into 80 columns
         table.add_column(column, no_wrap=True, justify="right")
     for response in sorted(analysis.responses, key=lambda response: response.message.period_ns):
         message, margin_ns = response.message, response.margin_ns
@@ -204,12 +204,13 @@ def stability_table(report: StabilityReport) -> Table:
     title = f"{report.law} at {report.rate_hz:g} Hz, one period of delay: " + (
         "stable" if report.stable else "[red]unstable[/red]"
     )
-    table = Table(
-        "axis", "largest pole", "gain margin", "phase margin", "stable from", "from, finite difference", title=title
-    )
+    table = Table("axis", "largest pole", "gain margin", "phase margin", "stable from", title=title)
+    differs = any(axis.finite_difference_rate_hz is not None for axis in report.axes.values())
+    if differs:
+        table.add_column("with a finite difference from")
     for name, axis in report.axes.items():
         gain, phase = axis.gain_margin, axis.phase_margin_deg
-        rates = (axis.lowest_stable_rate_hz, axis.finite_difference_rate_hz)
+        rates = (axis.lowest_stable_rate_hz, *((axis.finite_difference_rate_hz,) if differs else ()))
         table.add_row(
             name,
             f"{'' if axis.stable else '[red]'}{axis.radius:.4f}",

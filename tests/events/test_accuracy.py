@@ -140,6 +140,13 @@ def test_at_a_constant_speed_frequency_and_period_are_both_told(change: Change) 
     assert re.search(r"at \S+ Hz, or with a period of \S+ of travel: the speed was constant", first.measured)
 
 
+@pytest.mark.parametrize(("held_s", "is_told"), [(0.15, False), (0.45, True)])
+def test_an_axis_that_friction_holds_as_it_sets_off_is_not_stuck_unless_it_stays(held_s: float, is_told: bool) -> None:
+    records, seconds = sound(noise=0.0), np.arange(TICKS) * 1e-3
+    stuck(records, 0, (seconds >= 7.0) & (seconds < 7.0 + held_s), seconds)
+    assert ("encoder stuck" in {event.name for event in told(records)}) is is_told
+
+
 @pytest.mark.parametrize("counts", [0.0, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("seed", range(10))
 def test_nothing_is_told_of_sound_axes_with_and_without_noise(counts: float, seed: int) -> None:

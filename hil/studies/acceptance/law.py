@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.analysis.stability import check_stability
+from hil.cli.output import metres
 from hil.control.gain import declared
 from hil.control.law_registry import law_class
 from hil.rig.file import load_rig
@@ -98,8 +99,9 @@ def _task(law: _Candidate) -> Finding:
     if report.faults or report.state != "ACTIVE":
         why = report.latched.line if report.latched else f"faults: {', '.join(report.faults) or 'none'}"
         return Finding("task", False, f"ended {report.state}; {why}")
-    errors = (f"{name} {row['max_error']:.3g}" for name, row in report.axes.items())
-    return Finding("task", True, f"{TASK_S:g} s, error at most {', '.join(errors)} m (rad)")
+    kinds = {name: axis.kind for name, axis in law.rig.axes.items()}
+    errors = (f"{name} {metres(row['max_error'], kinds[name])}" for name, row in report.axes.items())
+    return Finding("task", True, f"{TASK_S:g} s, error at most {', '.join(errors)}")
 
 
 def _cost(law: _Candidate) -> Finding:

@@ -108,7 +108,7 @@ def _growth(rig: RigConfig, folder: Path) -> float:
             kept.append(sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(own).traces))
     finally:
         tracemalloc.stop()
-    return (kept[1] - kept[0]) / half
+    return max(0.0, (kept[1] - kept[0]) / half)
 
 
 def _until_active(run: LockstepRun) -> None:
