@@ -1,5 +1,6 @@
 """What `--help` prints: plain text, types in words, one spelling of an option."""
 
+from functools import partial
 from typing import Any
 
 from typer.core import TyperGroup
@@ -40,9 +41,18 @@ def in_words(command: Any) -> Any:
             parameter.metavar = _word(parameter)
         if parameter.param_type_name == "argument":
             parameter.metavar = parameter.metavar or parameter.name.upper()
+            parameter._usage_display_name = partial(_in_usage, parameter)
             if not parameter.type_descriptor.is_choice:
                 parameter.display_type_rich = lambda ctx: None  # its name says what it is
     return command
+
+
+def _in_usage(parameter: Any) -> str:
+    """RIG, [RIG] or RIG...; typer's own forms are "{RIG}" and "[[RIG]]"."""
+    name: str = parameter.metavar
+    if not parameter.required and not name.startswith("["):
+        name = f"[{name}]"
+    return f"{name}..." if parameter.nargs != 1 and not name.endswith("...") else name
 
 
 def _word(parameter: Any) -> str | None:

@@ -35,7 +35,11 @@ from tests.support.command_line import exit_status
 
 REFUSED = (2, 78)  # usage, and a rig file that is wrong
 # What is refused of the words or the law's own choice, and not of what check accepts.
-OTHERWISE = ("the law declares no gain with a range to search", "batches the layout stage_fd")
+OTHERWISE = (
+    "the law declares no gain with a range to search",
+    "batches the layout stage_fd",
+    "nothing is written; more --generations",  # a search of ten candidates that met no margins
+)
 SHORT = (
     ("sim", "{rig}", "--seconds", "0.3", "--record", "run.mcap"),
     ("events", "run.mcap"),

@@ -202,7 +202,7 @@ def refuse_short_margins(rig: RigConfig, least: Margins) -> None:
         found = margins_of(axis)
         if axis.stable and found.short(least):
             lines.append(
-                f"law '{rig.law.name}' on axis '{name}': margins of {found.gain_db:.1f} dB and {found.phase_deg:.0f} "
+                f"law '{rig.law.name}' on axis '{name}': margins of {found.gain_db:.2f} dB and {found.phase_deg:.1f} "
                 f"deg, less than {least.gain_db:g} dB and {least.phase_deg:g} deg; nothing is written; more "
                 "--generations, a lower --margin or --phase-margin would do"
             )
