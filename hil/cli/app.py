@@ -39,7 +39,9 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "move": Entry("hil.operate.move:move", "Move axes of a running rig: hil move microscope x=1mm"),
         "jog": Entry("hil.operate.move:jog", "Move axes of a running rig at a speed for a time"),
         "stream": Entry("hil.operate.move:stream", "Move axes of a running rig through timed rows as they come"),
-        "command": Entry("hil.operate.command:command", "Activate, stop, reset or home a running rig, or load a task"),
+        "command": Entry(
+            "hil.operate.command:command", "Activate, stop, reset or home a running rig, or change its task or law"
+        ),
         "estop": Entry("hil.operate.estop:estop", "Stop a running rig at once; needs only its name"),
     },
     "Look": {
@@ -59,7 +61,9 @@ COMMANDS: dict[str, dict[str, Entry]] = {
     },
     "Test": {
         "accuracy": Entry("hil.operate.accuracy:accuracy", "Measure positioning accuracy by ISO 230-2"),
-        "faults": Entry("hil.studies.fault_campaign.command:faults", "Inject every fault in every state, and judge"),
+        "faults": Entry(
+            "hil.studies.fault_campaign.command:faults", "Inject every fault in every state, and check the reaction"
+        ),
         "replay": Entry("hil.virtual.replay_command:replay", "Run a recording's frames again and compare every torque"),
         "bench": Entry("hil.operate.bench.command:bench", "Measure this computer, or your CAN adapter and drives"),
     },
@@ -69,7 +73,7 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "tune": Entry("hil.studies.tune.command:tune", "Search gains for a law and write them into the rig file"),
         "sweep": Entry("hil.studies.sweep.command:sweep", "Simulate thousands of stages with drawn parameters"),
         "evidence": Entry("hil.studies.evidence.command:evidence", "Print accuracies over drawn stages"),
-        "learnt": Entry("hil.virtual.learnt:learnt", "Keep what a learning law has learnt in a run"),
+        "learnt": Entry("hil.virtual.learnt:learnt", "Save what a learning law has learnt in a run"),
         "reproduce": Entry("hil.studies.paper.command:reproduce", "Check the paper's claims"),
     },
     "Serve": {
@@ -77,7 +81,9 @@ COMMANDS: dict[str, dict[str, Entry]] = {
         "sidecar": Entry("hil.telemetry.sidecar:sidecar", "Publish and record a control process, take its commands"),
         "emulate": Entry("hil.virtual.commands:emulate", "Emulate the stage and its drives on the bus"),
         "camera": Entry("hil.camera.command:camera", "Find pipette and cell in a camera's images, and send readings"),
-        "blackbox": Entry("hil.telemetry.blackbox:blackbox", "Save the last ticks of a killed control process"),
+        "blackbox": Entry(
+            "hil.telemetry.blackbox:blackbox", "Save the last ticks of a control process that was killed"
+        ),
         "recover": Entry("hil.telemetry.recover:command", "Repair a recording that a crash cut short"),
         "install": Entry("hil.operate.install:install", "Install a rig file and its systemd units"),
         "uninstall": Entry("hil.operate.install:uninstall", "Remove what `hil install` installed"),

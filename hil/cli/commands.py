@@ -1,6 +1,7 @@
 """Groups of commands of which only the one asked for is imported."""
 
 import importlib
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -26,7 +27,13 @@ def add_commands(
         if isinstance(command, typer.Typer):
             group.add_typer(command, name=name, help=entry.help, rich_help_panel=heading)
         else:
-            group.command(name, help=entry.help, context_settings=entry.settings, rich_help_panel=heading)(command)
+            text = entry.help if command is _not_loaded else _whole(entry.help, inspect.getdoc(command) or "")
+            group.command(name, help=text, context_settings=entry.settings, rich_help_panel=heading)(command)
+
+
+def _whole(line: str, more: str) -> str:
+    """A command's line, and what its function's docstring says besides, such as its exit statuses."""
+    return more if more.startswith(line) else f"{line}.\n\n{more}".strip()
 
 
 def first_word(words: list[str]) -> str | None:

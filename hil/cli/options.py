@@ -78,7 +78,7 @@ ReadRig = Annotated[
     ),
 ]
 Scheduler = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="of a dask.distributed cluster that does the work, tcp://host:8786")
+    str, typer.Option(metavar="ADDRESS", help="run on the dask.distributed cluster there, tcp://host:8786")
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override a key of the rig file: key.path=value")
@@ -88,7 +88,7 @@ LawOfRun = Annotated[
     typer.Option(
         "--law",
         metavar="NAME",
-        help="a name, ./file.py:Class or package.module:Class [the rig's own]",
+        help="control law: a name, ./file.py:Class or package.module:Class [the rig's own]",
     ),
 ]
 JsonTarget = Annotated[

@@ -39,7 +39,7 @@ def identify(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="folder of the live recordings; the same again goes on where it ended [runs/<time>]"),
+        typer.Option(help="folder of the live recordings; named again, it continues an interrupted run [runs/<time>]"),
     ] = None,
     agreed: Annotated[bool, typer.Option("--yes", help="ask nothing before the rig moves")] = False,
     write: Annotated[Path | None, typer.Option(help="new rig file with the identified model")] = None,

@@ -108,14 +108,14 @@ def accuracy(
     rig: Annotated[Path, typer.Argument(metavar="RIG", help="rig file or shipped name; --live: a running rig")],
     *,
     axes: Annotated[str, typer.Option(help="comma-separated; default: all of the rig's")] = "",
-    targets: Annotated[int, typer.Option(min=LEAST_TARGETS, max=100, help="places along each axis")] = LEAST_TARGETS,
-    runs: Annotated[int, typer.Option(min=2, max=100, help="in either direction")] = LEAST_RUNS,
+    targets: Annotated[int, typer.Option(min=LEAST_TARGETS, max=100, help="targets along each axis")] = LEAST_TARGETS,
+    runs: Annotated[int, typer.Option(min=2, max=100, help="approaches of each target from each side")] = LEAST_RUNS,
     live: Annotated[bool, typer.Option("--live", help="move the running rig; it must be under torque")] = False,
     out: Annotated[
-        str, typer.Option(callback=writable, help="write every approach there as CSV, to add a column `reference` to")
+        str, typer.Option(callback=writable, help="write every approach as CSV; then add a column `reference` to it")
     ] = "",
     reference: Annotated[
-        Path | None, typer.Option(help="such a file with that column: move nothing, print what the instrument read")
+        Path | None, typer.Option(help="CSV of --out with the instrument's readings in `reference`; nothing moves")
     ] = None,
     write: Annotated[
         Path | None, typer.Option(help="with --reference: new rig file that corrects each axis by what was read")

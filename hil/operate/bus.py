@@ -53,7 +53,7 @@ SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="end after th
 _ANY_GAP = float(2**31)  # s between two frames, which is waited for; python-can would cut it to a minute
 
 
-@bus.command()
+@bus.command(short_help="Show rate, load and last data by identifier")
 def view(
     channel: ChannelOption = "can0",
     interface: InterfaceOption = "auto",
@@ -87,7 +87,7 @@ def view(
         console.print(_screen(statistics, config, now, reader))
 
 
-@bus.command()
+@bus.command(short_help="Write all frames of the bus to a file")
 def record(
     file: Annotated[Path, typer.Argument(help="candump .log (.log.gz), or Vector .blf")],
     channel: ChannelOption = "can0",
@@ -114,7 +114,7 @@ def record(
     print(f"{file}: {frames} frames, {errors} error frames from {config.channel}")
 
 
-@bus.command()
+@bus.command(short_help="Send the frames of a recording")
 def play(
     file: Annotated[
         Path, typer.Argument(exists=True, dir_okay=False, help="a recording: .log, .blf, .asc, .csv, .trc, .db")

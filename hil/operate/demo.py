@@ -114,7 +114,7 @@ def demo(
         bool | None,
         typer.Option(
             "--live/--virtual",
-            help="real time whatever this computer grants, or virtual time [real time, where this computer keeps up]",
+            help="run in real time, or in virtual time [real time, where this computer keeps up]",
             show_default=False,
         ),
     ] = None,

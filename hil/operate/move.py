@@ -43,8 +43,8 @@ def move(
     rig: RunningRig,
     targets: Annotated[list[str], typer.Argument(metavar="AXIS=VALUE", help="1mm, -20um, 0.5deg; bare: m, rad")],
     *,
-    by: Annotated[bool, typer.Option("--by", help="count from the target in force")] = False,
-    speed: Annotated[float, typer.Option(help="of the axes' motion limits, above 0 to 1")] = 1.0,
+    by: Annotated[bool, typer.Option("--by", help="move by these distances from the present target")] = False,
+    speed: Annotated[float, typer.Option(help="share of the axes' motion limits, above 0 to 1")] = 1.0,
     line: Annotated[bool, typer.Option("--line", help="along the straight line; from rest only")] = False,
     take: Take = False,
 ) -> None:

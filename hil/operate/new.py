@@ -21,19 +21,23 @@ NAME = r"[a-z0-9][a-z0-9_-]{0,31}"
 def new(
     file: Annotated[Path, typer.Argument(help="the rig file to write, for example my-stage.toml", show_default=False)],
     *,
-    axes: Annotated[str | None, typer.Option(help="their names, in bus order [x,y]")] = None,
+    axes: Annotated[str | None, typer.Option(help="names of the axes, in bus order [x,y]")] = None,
     layout: Annotated[str | None, typer.Option(help=f"frame layout: {', '.join(LAYOUTS)} [{LAYOUTS[0]}]")] = None,
     mass: Annotated[str | None, typer.Option(help="moving mass, kg (kg m^2); one, or one per axis [0.5]")] = None,
-    travel: Annotated[str | None, typer.Option(help="from end to end, m (rad); one, or one per axis [0.05]")] = None,
-    encoder: Annotated[str | None, typer.Option(help="m (rad) per count; one, or one per axis [1e-7]")] = None,
+    travel: Annotated[
+        str | None, typer.Option(help="travel from end to end, m (rad); one, or one per axis [0.05]")
+    ] = None,
+    encoder: Annotated[
+        str | None, typer.Option(help="encoder resolution, m (rad) per count; one, or one per axis [1e-7]")
+    ] = None,
     force: Annotated[str | None, typer.Option(help="the drives' rated force, N (N m) [10]")] = None,
     friction: Annotated[str | None, typer.Option(help="Coulomb friction, N (N m) [a twentieth of the force]")] = None,
-    rotary: Annotated[str, typer.Option(help="which axes turn")] = "",
-    vertical: Annotated[str, typer.Option(help="which axes gravity pulls down, and a brake holds")] = "",
+    rotary: Annotated[str, typer.Option(help="axes that turn, comma-separated")] = "",
+    vertical: Annotated[str, typer.Option(help="vertical axes, comma-separated; a brake holds each")] = "",
     watchdog: Annotated[float, typer.Option(help="the drives' watchdog, s", min=1e-6, max=1.0)] = 0.01,
     rate: Annotated[float | None, typer.Option(help="control rate, Hz [the highest that fits, up to 1000]")] = None,
 ) -> None:
-    """Write the smallest rig file that runs. What no flag says is asked for at a terminal; else its default holds."""
+    """The file has the least that runs. What no option says is asked for at a terminal; elsewhere its default holds."""
     name = file.stem
     if file.suffix != ".toml" or not re.fullmatch(NAME, name):
         raise typer.BadParameter(f"{file.name}: expected a name such as my-stage.toml: small letters, digits, - and _")

@@ -44,9 +44,11 @@ def page(
     ] = None,
     *,
     port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port")] = PORT,
-    bind: Annotated[str, typer.Option(metavar="ADDRESS", help="beyond loopback only with --certificate")] = "127.0.0.1",
+    bind: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="address to listen at; beyond loopback only with --certificate")
+    ] = "127.0.0.1",
     host: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="name under which browsers ask for it; may be repeated")
+        list[str] | None, typer.Option(metavar="NAME", help="host name that browsers may use; may be repeated")
     ] = None,
     certificate: Annotated[Path | None, typer.Option(help="TLS certificate chain, PEM")] = None,
     key: Annotated[Path | None, typer.Option(help="private key of --certificate, PEM")] = None,

@@ -36,7 +36,7 @@ def events(
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line")] = False,
     connect: Annotated[str | None, typer.Option(help="Zenoh endpoint of the sidecar [found by itself]")] = None,
     key: Annotated[str, typer.Option(help="[telemetry] key of the rig file")] = "hil",
-    credentials: Annotated[Path | None, typer.Option(help="directory, for an endpoint tls/...")] = None,
+    credentials: Annotated[Path | None, typer.Option(help="directory of credentials, for an endpoint tls/...")] = None,
 ) -> None:
     """Every event, one line each: tick, time, axis, measured value, limit, cause, what to do next.
 

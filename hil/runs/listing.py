@@ -76,7 +76,7 @@ def show(
     print(f"{len(found)} {'run' if len(found) == 1 else 'runs'} in {printable(str(folder))}{left_out}")
 
 
-@runs.command()
+@runs.command(short_help="Note something on a run, or label it")
 def note(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="folder of a run, or its recording", show_default=False)],
     text: Annotated[str | None, typer.Argument(metavar="[TEXT]", help="the note; it replaces the old one")] = None,
@@ -103,7 +103,7 @@ def note(
     print(printable(str(path)))
 
 
-@runs.command()
+@runs.command(short_help="Tell axes whose error drifts over runs")
 def trend(
     *,
     folder: InFolder = RUNS,
@@ -130,7 +130,7 @@ def trend(
         raise typer.Exit(1)
 
 
-@runs.command()
+@runs.command(short_help="Tell what the runs take on the disk")
 def disk(folder: InFolder = RUNS, json_target: JsonTarget = "") -> None:
     """Tell what the runs take on the disk, with snapshots of faults, and how much of the quota that is.
 

@@ -49,7 +49,7 @@ def sim(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="keep recording and picture in this folder")] = None,
 ) -> None:
-    """Run a rig in lockstep: the cycle against the emulated stage over a simulated wire, in exact virtual time.
+    """The control cycle runs against the emulated stage over a simulated wire, in exact virtual time.
 
     Exit status 3: the run ended in a fault.
     """

@@ -32,6 +32,7 @@ def test_help_loses_nothing_in_a_narrow_terminal(
     assert {option for option in options if not re.search(rf"^  .*{option}\b", text, re.MULTILINE)} == set()
     assert {bracket for bracket in written if bracket not in re.sub(r"\s", "", text)} == set()
     assert not re.search(r"…|[{}]|\[\[", text)
+    assert "..." not in text.partition("\nCommands:\n")[2]
 
 
 def test_the_first_screen_says_what_hil_is_and_has_every_command_in_a_group() -> None:
@@ -45,6 +46,12 @@ def test_without_a_word_the_first_screen_is_shown(hil_here: CommandLine) -> None
     asked = hil_here()
     assert asked.returncode == 2
     assert asked.stdout == hil_here("--help").stdout
+
+
+def test_help_of_a_command_says_what_its_exit_statuses_mean(hil_here: CommandLine) -> None:
+    text = hil_here("sim", "--help").stdout
+    assert "Run a rig in virtual time: the same result every time.\n" in text
+    assert "Exit status 3: the run ended in a fault." in text
 
 
 def test_types_are_words(hil_here: CommandLine) -> None:

@@ -30,21 +30,25 @@ def check(
     frd: Annotated[Path | None, typer.Option(metavar="FILE", help="write the loop's frequency response, JSON")] = None,
     law: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="accept this law: a name, ./file.py:Class, package.module:Class"),
+        typer.Option(metavar="NAME", help="is this law fit to run? A name, ./file.py:Class or package.module:Class"),
     ] = None,
     estimator: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="accept this estimator, named likewise, with the rig's law or that of --law"),
+        typer.Option(
+            metavar="NAME", help="is this estimator fit to run? Named the same way; with the rig's law, or --law"
+        ),
     ] = None,
-    margin: Annotated[float, typer.Option(min=0.0, help="then: least gain margin, dB")] = _USUAL.gain_db,
-    phase_margin: Annotated[float, typer.Option(min=0.0, help="then: least phase margin, degrees")] = _USUAL.phase_deg,
-    stride: Annotated[int, typer.Option(min=1, help="then: every n-th cell of the fault campaign")] = _USUAL.stride,
+    margin: Annotated[float, typer.Option(min=0.0, help="--law: least gain margin, dB")] = _USUAL.gain_db,
+    phase_margin: Annotated[float, typer.Option(min=0.0, help="--law: least phase margin, degrees")] = _USUAL.phase_deg,
+    stride: Annotated[
+        int, typer.Option(min=1, help="--law: try every n-th case of the fault campaign")
+    ] = _USUAL.stride,
 ) -> None:
-    """Worst-case response time of every frame, bus load, stability, also off the nominal model, and whether the task
-    keeps the limits. Exit status 78 where one of them fails.
+    """It computes the worst-case response time of every frame, the bus load, and stability on and off the nominal
+    model. It tells whether the task keeps the limits. Exit status 78 where one of them fails.
 
-    With --law, --estimator or both: try them on the rig's task, measure their ticks and their memory, compare two
-    processes, take the margins, and a slice of the fault campaign. Exit status 1 where one of them fails.
+    --law and --estimator run the rig's task, time the ticks, look for memory that grows, and compare two processes.
+    They also take the margins and run a part of the fault campaign. Exit status 1 where one of them fails.
     """
     wanted = {"law": law, "estimator": estimator}
     names = {kind: _found(name, rig_file) for kind, name in wanted.items() if name is not None}

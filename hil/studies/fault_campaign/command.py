@@ -35,7 +35,7 @@ def faults(
     context: typer.Context,
     rigs: Annotated[
         list[Path] | None,
-        typer.Argument(help="rig files, or names of shipped or running ones; all of those if none is named"),
+        typer.Argument(help="rig files, or names of shipped or running ones; default: all shipped ones"),
     ] = None,
     *,
     overrides: Overrides = None,

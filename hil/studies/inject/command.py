@@ -62,39 +62,38 @@ def inject(
         typer.Option(metavar="AXIS", help="rotary axis that turns the holder: --cells has its angle at each cell, rad"),
     ] = "",
     grid_text: Annotated[str, typer.Option("--grid", metavar="RxC", help="rows and columns of cells")] = "4x5",
-    pitch: Annotated[float, typer.Option(min=1e-5, max=0.1, help="between the cells of a grid, m")] = 1e-3,
-    anomalies: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="share of cells that are not as they should be")
-    ] = 0.0,
+    pitch: Annotated[float, typer.Option(min=1e-5, max=0.1, help="distance between the cells of a grid, m")] = 1e-3,
+    anomalies: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of abnormal cells")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="of the emulated dish")] = 1,
     z_law: Annotated[
         str, typer.Option("--z-law", metavar="NAME", help=f"how the tip goes in: {', '.join(Z_LAWS)}")
     ] = "",
     speed: Annotated[
-        float, typer.Option(min=0.0, max=0.05, help="of search and press, m/s; 0: as the rig or the equipment has it")
+        float,
+        typer.Option(min=0.0, max=0.05, help="speed of search and press, m/s; 0: as the rig or the equipment has it"),
     ] = 0.0,
     compare: Annotated[
-        bool, typer.Option("--compare", help="the same cells by every z_law, in one table; virtual time")
+        bool, typer.Option("--compare", help="inject the same cells by every --z-law, in virtual time; one table")
     ] = False,
-    live: Annotated[bool, typer.Option("--live", help="on an emulated stage in real time, as hil demo")] = False,
-    attach: Annotated[
-        bool, typer.Option("--attach", help="follow the batch of the rig of that name that runs")
-    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="in real time on an emulated stage, as hil demo")] = False,
+    attach: Annotated[bool, typer.Option("--attach", help="follow the batch of a running rig")] = False,
     ask: Annotated[
         list[str] | None,
         typer.Option(metavar="WORD@CELL:PHASE", help="pause, skip or abort there, as skip@3 or pause@2:press; repeat"),
     ] = None,
     tell: Annotated[
-        str, typer.Option(metavar="WORD", help="ask a batch that runs: pause, resume, skip or abort; and end")
+        str, typer.Option(metavar="WORD", help="ask a running batch to pause, resume, skip or abort, and end")
     ] = "",
-    judge: Annotated[bool, typer.Option("--judge", help="print the bars; exit status 1 where one is missed")] = False,
+    judge: Annotated[
+        bool, typer.Option("--judge", help="compare with the required figures; exit status 1 where one is missed")
+    ] = False,
     specification: Annotated[
-        bool, typer.Option("--specification", help="a batch for each bar that there is, in virtual time, in one table")
+        bool, typer.Option("--specification", help="run a batch for each required figure, in virtual time; one table")
     ] = False,
     csv_target: Annotated[
         str, typer.Option("--csv", metavar="PATH", callback=writable, help="write a line for each cell, as it goes on")
     ] = "",
-    resume: Annotated[bool, typer.Option("--resume", help="go on where the file of --csv ends")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="continue where the file of --csv ends")] = False,
     report_target: Annotated[
         str, typer.Option("--report", metavar="PATH", callback=writable, help="write the batch as one HTML page")
     ] = "",

@@ -35,7 +35,7 @@ from hil.virtual.sim import usable
 def sweep(
     rig_file: ReadRig,
     *,
-    plants: Annotated[int, typer.Option(min=1, max=10_000_000)] = 1000,
+    plants: Annotated[int, typer.Option(min=1, max=10_000_000, help="stages to draw")] = 1000,
     seconds: Annotated[float, typer.Option(min=0.1, max=1e6, help="virtual time, start-up included")] = 10.0,
     laws: Annotated[str, typer.Option(help="comma-separated names, or 'all'; default: the rig's own")] = "",
     seed: Annotated[int, typer.Option(help="of the plants' parameters")] = 1,

@@ -39,26 +39,30 @@ def tune(
     overrides: Overrides = None,
     population: Annotated[int, typer.Option(min=5, max=1000, help="candidates per generation")] = 40,
     generations: Annotated[int, typer.Option(min=1, max=1000, help="generations per axis")] = 30,
-    seed: Annotated[int, typer.Option(min=0, help="of the search")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the search")] = 1,
     margin: Annotated[float, typer.Option(min=0.0, max=20.0, help="least gain margin, dB")] = 6.0,
     phase_margin: Annotated[float, typer.Option(min=0.0, max=80.0, help="least phase margin, degrees")] = 30.0,
     only: Annotated[
         str, typer.Option(help="knobs to search, comma-separated; the others stay as the file has them")
     ] = "",
     repeats: Annotated[
-        int, typer.Option(min=1, max=10, help="of every trial, in sizes a little apart: luck counts less")
+        int, typer.Option(min=1, max=10, help="of every trial, each a little smaller, so that luck counts less")
     ] = 1,
     trials: Annotated[
         Kind | None,
         typer.Option(
-            help="task: the rig's task and its like; ideal: forces, cogging, Stribeck, small moves as well; stage: "
-            "presliding, lag and mode, too, at ten times the cost; default: stage where the rig states any of these"
+            help="task: the rig's task in several sizes and speeds; ideal: also pushes, cogging, Stribeck friction and "
+            "small moves; stage: also presliding, lag and resonance, at ten times the cost; default: stage where "
+            "the rig states any of these"
         ),
     ] = None,
     unseen: Annotated[
-        int, typer.Option(min=1, max=1000, help="plants, none of them searched, on which the file's gains are met")
+        int,
+        typer.Option(min=1, max=1000, help="drawn plants, not used in the search, that the new gains are judged on"),
     ] = UNSEEN,
-    start: Annotated[Start, typer.Option(help="where to begin: mid-range, or the rig file's gains")] = Start.MIDDLE,
+    start: Annotated[
+        Start, typer.Option(help="begin in the middle of the ranges, or at the rig file's gains")
+    ] = Start.MIDDLE,
     scheduler: Scheduler = "",
     dry_run: Annotated[bool, typer.Option(help="do not write the rig file")] = False,
 ) -> None:
