@@ -250,17 +250,25 @@ def _from_source(kind: Kind, file: str, source: str) -> ModuleType:
         raise ValueError(f"{kind.path} = '{file}:...': {place}") from error
 
 
+_BEGUN: set[str] = set()  # modules whose text runs now
+
+
 @lru_cache(maxsize=64)
 def _executed(file: str, source: str) -> ModuleType:
     """Executed once for every text under every name."""
     digest = hashlib.sha256(f"{file}\0{source}".encode()).hexdigest()[:16]
     module = ModuleType(f"hil_plugin_{digest}")
+    if module.__name__ in _BEGUN:
+        raise ValueError('the file runs itself; put what it runs below `if __name__ == "__main__":`')
     module.__file__ = file
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
     sys.modules[module.__name__] = module  # dataclasses look their module up
+    _BEGUN.add(module.__name__)
     try:
         exec(compile(source, file, "exec"), module.__dict__)
     except BaseException:
         del sys.modules[module.__name__]
         raise
+    finally:
+        _BEGUN.remove(module.__name__)
     return module

@@ -28,7 +28,9 @@ def add_commands(
             group.add_typer(command, name=name, help=entry.help, rich_help_panel=heading)
         else:
             text = entry.help if command is _not_loaded else _whole(entry.help, inspect.getdoc(command) or "")
-            group.command(name, help=text, context_settings=entry.settings, rich_help_panel=heading)(command)
+            group.command(
+                name, help=text, short_help=entry.help, context_settings=entry.settings, rich_help_panel=heading
+            )(command)
 
 
 def _whole(line: str, more: str) -> str:

@@ -20,7 +20,7 @@ Overrides = Sequence[str] | Mapping[str, object]
 NO_CHANGES: Overrides = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig:
     """A validated rig and the folder that the files it names are relative to. Made by `load_rig` or `Rig.build`."""
 
@@ -28,6 +28,9 @@ class Rig:
     folder: Path
     _source: Path | dict[str, Any]
     _overrides: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Rig {self.name}: axes {', '.join(self.axes)}; {self.config.rate_hz:g} Hz; {self.config.law.name}>"
 
     @classmethod
     def build(cls, document: dict[str, Any], folder: str | os.PathLike[str] = ".") -> "Rig":

@@ -173,3 +173,15 @@ def test_commands_take_a_users_task(words: list[str], rig_file: Path, monkeypatc
     overrides = [word for override in ROSE for word in ("--set", override)]
     done = RUNNER.invoke(build_app(words[0]), [words[0], str(rig_file), *words[1:], *overrides])
     assert done.exit_code == 0, done.output
+
+
+def test_a_program_that_names_its_own_file_is_told_to_guard_what_it_runs(
+    rig_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(rig_file.parent)
+    program = f"import hil\n{(rig_file.parent / 'rose.py').read_text()}\nrig = hil.load_rig('paper.toml', {ROSE!r})\n"
+    Path("rose.py").write_text(program)
+    with pytest.raises(RigError, match=r"the file runs itself; put what it runs below `if __name__ == "):
+        load_rig(rig_file, ROSE)
+    Path("rose.py").write_text(program.replace("\nrig =", "\nif __name__ == '__main__':\n    rig ="))
+    assert load_rig(rig_file, ROSE).task.kind == "./rose.py:Rose"

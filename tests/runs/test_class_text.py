@@ -99,3 +99,4 @@ def test_a_value_that_no_rig_file_can_hold_is_refused_in_one_line() -> None:
 
 def test_a_run_says_what_it_is() -> None:
     assert repr(hil.simulate("paper", 0.2)) == "<Simulation of paper, pd-feedforward: 0.199 s, ended ACTIVE>"
+    assert repr(hil.load_rig("paper")) == "<Rig paper: axes x, y; 1000 Hz; pd-feedforward>"
